@@ -18,7 +18,6 @@ from pydantic import ValidationError
 
 from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.defence.key_digits import fails
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
 from protocol.link.events import Alarm, Delivered, Queued, SessionBegan
@@ -311,6 +310,15 @@ class ControllerCore:
             self.coins.confirmed()
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
+    def halt(self) -> Actions:
+        """A message was forged: where an alarm ends the offers, so does this."""
+        if not self.rules.halts or self.record.halted:
+            return NOTHING_TO_DO
+        self.record = self.record._replace(halted=True)
+        if self._telemetry is not None:
+            self._telemetry.phase = "alarmed"
+        return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
+
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keying, self.record.session, self.record.k, count)
@@ -360,8 +368,9 @@ class ControllerCore:
         if step.following.halted:
             return NOTHING_TO_DO if record.halted else self._without_offer(step, HALTED, "alarmed")
         try:
-            candidates = self._propose(measurement.x)
-            predictions = self._predictions(measurement.x, candidates)
+            x = self.rules.state(step.following, measurement)
+            candidates = self._propose(x)
+            predictions = self._predictions(x, candidates)
         except LookupError as error:
             return self._without_offer(step, str(error), "outside")
         block, tag = self.keying.word()
@@ -434,7 +443,11 @@ class ControllerCore:
         if offer is None or measurement.applied_k == record.applied_k:
             return _Step(measurement, record)
         verdict = self.rules.judge(
-            record.x, offer.candidates, offer.predictions, measurement.x_after
+            record.x,
+            offer.candidates,
+            offer.predictions,
+            measurement.x_after,
+            self.rules.box(record),
         )
         after, carry = self._arrows[verdict.symbol]
         message, offset = record.message, record.offset
@@ -442,10 +455,10 @@ class ControllerCore:
         if offset == len(self._frame_of(message)) and record.framed:
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
+        if verdict.seen is not None:
+            following = following._replace(seen=verdict.seen)
         expected = self.coins.expected(offer, measurement.applied_key)
-        failed = verdict.unexplained
-        if expected != NO_SYMBOL:
-            failed = failed or fails(verdict.gauges, expected)
+        failed = self.rules.fails(verdict, expected)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)
         if tests != record.failed or alarm:
             halted = record.halted or (alarm and self.rules.halts)
@@ -607,7 +620,7 @@ class ControllerCore:
             transition.x_next,
             key,
             candidate,
-            self.rules.prediction(transition.x, applied, candidate),
+            self.rules.prediction(transition.x, applied, candidate, transition.verdict.box),
             gauges[candidate],
         )
 

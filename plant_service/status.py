@@ -5,7 +5,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from math import inf, isfinite
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
 from protocol.link.keying import Keying
@@ -17,6 +17,9 @@ from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer
 from protocol.text import Shown, readable
 from protocol.vectors import Vector
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 TAIL: Final = 64
 """Most transitions shown in a status; a whole status has as many."""
@@ -39,8 +42,8 @@ Phase = Literal["greeting", "running", "stopped", "refused"]
 class PlantTelemetry:
     """What a status has beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``attack``, ``last_message`` and ``message_k`` are set from
-    outside; ``model`` is what does not change, as it travels.
+    ``phase``, ``detail``, ``late``, ``attack``, ``guard``, ``last_message`` and ``message_k`` are
+    set from outside; ``model`` is what does not change, as it travels.
 
     Parameters
     ----------
@@ -68,7 +71,9 @@ class PlantTelemetry:
         self.watch = ReachWatch(scenario.defender.calibration)
         self.keys_refused = ""
         self.attack = ""
+        self.guard: Guarded | None = None
         self.model = _model(scenario, pace, seeded=seeded).wire()
+        self._hidden = 0 if scenario.plant.C is None else scenario.n
         self._old = self._new = 0
         self._partial = Shown()
         self._seq = 0
@@ -105,6 +110,12 @@ class PlantTelemetry:
             self._health_at = now_s + HEALTH_S
         return due
 
+    def _state(self, record: ReceiverRecord) -> Vector:
+        """x(k) as it is read; where outputs are read, as it was estimated after the last offer."""
+        if record.seen is not None:
+            return record.seen.box.centre
+        return (0.0,) * self._hidden or record.x
+
     def status(
         self,
         record: ReceiverRecord,
@@ -138,7 +149,7 @@ class PlantTelemetry:
             session=record.session,
             sessions=record.sessions,
             k=record.k,
-            x=record.x,
+            x=self._state(record),
             transitions=record.transitions,
             missed=record.missed,
             late=self.late,
@@ -162,16 +173,17 @@ class PlantTelemetry:
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
             **keying.told(self.keys_refused),
+            **({} if self.guard is None else self.guard.told().fields()),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
-            pictured_x=pictured.x if pictured else (),
+            pictured_x=_before(pictured) if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),
-            pictured_x_next=pictured.x_next if pictured else (),
+            pictured_x_next=_after(pictured) if pictured else (),
             pictured_gauges=pictured.verdict.gauges if pictured else (),
             pictured_symbol=pictured.symbol if pictured else -1,
             pictured_inside=pictured.verdict.inside if pictured else 0,
             tail_k=tuple([t.k for t in tail]),
-            tail_x=tuple([t.x for t in tail]),
+            tail_x=tuple([_before(t) for t in tail]),
             tail_role=tuple([t.role for t in tail]),
             tail_symbol=tuple([t.symbol for t in tail]),
             tail_automaton=tuple([t.s for t in tail]),
@@ -182,6 +194,16 @@ class PlantTelemetry:
         )
 
 
+def _before(t: CountedTransition) -> Vector:
+    """x(k) as both ends have it: as it is read, or the centre of its box."""
+    return t.x if t.verdict.box is None else t.verdict.box.centre
+
+
+def _after(t: CountedTransition) -> Vector:
+    """x(k+1) likewise."""
+    return t.x_next if t.verdict.seen is None else t.verdict.seen.box.centre
+
+
 def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
     """The true states of an attacked plant after these, where all of them are known."""
     true = tuple(t.truth.x_next for t in tail if t.truth is not None)
@@ -190,7 +212,7 @@ def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
 
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
     """What does not change while this process lives."""
-    H, h = scenario.test_set.rows()
+    H, h = (scenario.test_set if scenario.plant.C is None else scenario.resisted).rows()
     own = scenario.secrecy.disturbance is not None
     hers = scenario.eavesdropper_set.rows() if own else ((), ())
     return PlantModel(

@@ -29,7 +29,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
 
 from protocol.agreement import (
     INSIDE,
@@ -39,15 +39,22 @@ from protocol.agreement import (
     Gauge,
     predict,
 )
+from protocol.box_observer import Box
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
+from protocol.defence.key_digits import fails
+from protocol.link.fallback import Fallback
+from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.messages import Offer
+from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
 from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
+
+if TYPE_CHECKING:
+    from protocol.defence.base import Defence
 
 SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""
@@ -62,7 +69,7 @@ class Rules:
     agreement : AgreementRule
     scheme : Scheme
     states, inputs : int
-        n and m.
+        Numbers of a reading, n where the whole state is read, and m.
     fingerprint : str
         Compared over ops before the first step.
     inputs_gauge : Gauge
@@ -75,8 +82,14 @@ class Rules:
         The plant's coin comes from keys, as long as there are some.
     alarm_rule : AlarmRule
         When failed tests make an alarm.
+    defence : str
+        The test and what guards the messages, in words.
+    test : Defence, optional
+        A test of the user's, beside the residual.
     halts : bool
         An alarm ends the offers.
+    outputs : OutputRule, optional
+        In the place of ``agreement``, where some outputs alone are read.
     """
 
     agreement: AgreementRule
@@ -90,6 +103,9 @@ class Rules:
     keyed: bool = False
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
+    defence: str = "residual"
+    test: "Defence | None" = None
+    outputs: OutputRule | None = None
 
     @property
     def size(self) -> int:
@@ -102,14 +118,55 @@ class Rules:
         candidates: tuple[Vector, ...],
         predictions: tuple[Vector, ...],
         x_next: Vector,
+        box: Box | None = None,
     ) -> AgreementResult:
-        """The verdict of a transition: on the offer's predictions, or on A x + B u."""
+        """The verdict of a transition: on the offer's predictions, or on A x + B u.
+
+        Where some outputs alone are read ``x`` and ``x_next`` are readings, and ``box`` is where
+        the state lies.
+        """
+        if self.outputs is not None:
+            assert box is not None
+            return self.outputs.judge(box, candidates, x_next)
         if self.predicted:
             return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
 
-    def prediction(self, x: Vector, offer: Offer, candidate: int) -> Vector:
-        """f_c(x, u_i) of one candidate of an offer."""
+    def fails(self, verdict: AgreementResult, expected: int) -> bool:
+        """Whether a transition fails its test.
+
+        Parameters
+        ----------
+        verdict : AgreementResult
+        expected : int
+            The candidate that a key chose; -1: none did.
+        """
+        if verdict.unexplained or (expected != NO_SYMBOL and fails(verdict.gauges, expected)):
+            return True
+        return self.test is not None and self.test.fails(verdict.gauges)
+
+    def box(self, record: SenderRecord | ReceiverRecord) -> Box | None:
+        """Where the state of a record lies; None where it is read as it is."""
+        if self.outputs is None:
+            return None
+        return self.outputs.box(record.seen, record.k - record.applied_k - 1, record.x)
+
+    def state(self, record: SenderRecord, measurement: Measurement) -> Vector:
+        """The state for which candidates are to be found: as it is read, or its box's centre.
+
+        The record is the one before the offer, with the transition that ``measurement`` reports.
+        """
+        if self.outputs is None:
+            return measurement.x
+        missed = measurement.k - measurement.applied_k - 1
+        return self.outputs.box(record.seen, missed, measurement.x).centre
+
+    def prediction(self, x: Vector, offer: Offer, candidate: int, box: Box | None = None) -> Vector:
+        """f_c(x, u_i) of one candidate of an offer, as it would be read."""
+        if self.outputs is not None:
+            assert box is not None
+            expected = self.outputs.predictions(box, offer.candidates)[candidate]
+            return self.outputs.observer.read(expected)
         if self.predicted:
             return offer.predictions[candidate]
         return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
@@ -153,7 +210,7 @@ def rules_of(scenario: Scenario) -> Rules:
             apart=Gauge.from_rows(*D_c.rows()) if noisy else None,
         ),
         scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
-        states=scenario.n,
+        states=scenario.readings,
         inputs=scenario.m,
         fingerprint=scenario.fingerprint(),
         inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
@@ -162,7 +219,19 @@ def rules_of(scenario: Scenario) -> Rules:
         keyed=scenario.defence.keyed,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
+        defence=scenario.defence.words(),
+        test=scenario.defence.test(scenario.readings, scenario.secrecy.candidates),
+        outputs=_output_rule(scenario),
     )
+
+
+def _output_rule(scenario: Scenario) -> OutputRule | None:
+    """The test on readings y = C x + n; None where the whole state is read."""
+    observer = scenario.observer
+    if observer is None:
+        return None
+    gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
+    return OutputRule(observer, gauge, scenario.secrecy.alpha, Fallback.of(scenario))
 
 
 class Truth(NamedTuple):
@@ -303,6 +372,8 @@ class CountedTransition(NamedTuple):
         }
         if self.predictions:
             event["predictions"] = self.predictions
+        if self.verdict.box is not None:
+            event["box"] = self.verdict.box
         if self.coin != NO_SYMBOL:
             event["coin"] = self.coin
             event["u"] = self.u

@@ -98,7 +98,9 @@ def run(args: argparse.Namespace) -> int:
     result["rate"] = expected_rate(scenario, law, folder) if linear else None
     result["simulated"] = linear
     result["network"] = expected_misses(scenario, folder)
-    reasons = _why(scenario, law) if result["rate"] is not None else None
+    whole = scenario.plant.C is None
+    reasons = _why(scenario, law) if result["rate"] is not None and whole else None
+    result["outputs"] = None if whole else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
     if args.plot is not None:
         _plot(args.plot, scenario, design, law)
@@ -130,6 +132,19 @@ def show_outputs(scenario: "Scenario", text: str, *, as_json: bool) -> int:
     said = {**asdict(verdict), "carries": verdict.carries}
     print(json.dumps(said) if as_json else f"{scenario.name}, {verdict.line()}")
     return DONE
+
+
+def _output_line(scenario: "Scenario") -> str | None:
+    """Whether what the scenario reads is enough for keys, and why; None where nobody can say."""
+    from wyner.advice.outputs import outputs_of, outputs_verdict
+
+    read, single = outputs_of(scenario)
+    if not single:
+        return None
+    try:
+        return outputs_verdict(scenario, tuple(read), tuple(read.values())).line()
+    except ValueError:
+        return None
 
 
 def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
@@ -196,6 +211,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "fallback": scenario.link.fallback,
         "dead_link_steps": dead_link_budget(scenario, design),
         "control_set": None if D_c is None else D_c.model_dump(exclude_none=True),
+        "noisy": scenario.defender.noise is not None,
         "calibration": None if found is None else found.model_dump(),
         "cached": design.cached,
         "fingerprint": scenario.design_fingerprint(),
@@ -336,6 +352,8 @@ def render(r: dict[str, Any]) -> str:
     )
     lines += safety_lines(r)
     lines += network_lines(r["network"])
+    if r["outputs"] is not None:
+        lines.append(r["outputs"])
     rate = r["rate"]
     if not r["simulated"]:
         lines.append("expected rate: not simulated, as plant code runs in the plant alone")
@@ -373,10 +391,10 @@ def safety_lines(r: dict[str, Any]) -> list[str]:
     lines = [f"dead link, fallback {r['fallback']}: {lasts}"]
     if r["control_set"] is not None:
         lines.append("the sets resist control.disturbance, which is larger than the test's D_c")
-    c = r["calibration"]
+    c, what = r["calibration"], "W = D_c + N - A N" if r["noisy"] else "D_c"
     if c is not None:
         lines.append(
-            f"D_c: a session of {c['steps']} steps leaves it with probability at most "
+            f"{what}: a session of {c['steps']} steps leaves it with probability at most "
             f"{c['violation']:.3g}, confidence {c['confidence']:g} ({c['exceeded']} of "
             f"{c['sessions']} fresh sessions did)"
         )

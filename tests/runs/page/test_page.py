@@ -177,7 +177,7 @@ def test_who_got_a_step_is_said_beside_it(run_dir: Path) -> None:
         Said("she-<b>", agreed.session, {at: wrong}, {at: agreed.symbol}, BELIEF),
         Said("nobody", agreed.session, {}, {}, BELIEF),
     ]
-    walk = Walk(evidence.scenario, evidence.rules.agreement, [steps], said)
+    walk = Walk(evidence.scenario, evidence.rules, [steps], said)
     shown = "".join(walk.drawn(agreed))
     article = shown.partition(f'id="step-{agreed.k}">')[2].partition("</article>")[0]
     assert f"said {wrong}, later {agreed.symbol}</td><td>wrong, later right" in article
@@ -190,9 +190,7 @@ def test_an_attacks_onset_alarm_and_both_states_are_in_one_picture(run_dir: Path
     steps = [i.t for part in evidence.parts() for i in part.plant if isinstance(i, Walked)]
     spoofed = [replace(t, true_x_next=(t.x_next[0] + 9.0, t.x_next[1])) for t in steps]
     flags = [Flag(12.0, "attack, step 12"), Flag(14.0, "alarm, step 14: after 3")]
-    shown = "".join(
-        Walk(evidence.scenario, evidence.rules.agreement, [spoofed], (), flags).drawn(spoofed[5])
-    )
+    shown = "".join(Walk(evidence.scenario, evidence.rules, [spoofed], (), flags).drawn(spoofed[5]))
     for word in ("attack, step 12", "alarm, step 14: after 3", "x1 in truth", "x2 in truth"):
         assert word in shown
     marks = re.findall(r'class="flag" d="M([\d.]+) ', shown)

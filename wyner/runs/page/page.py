@@ -106,7 +106,7 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     s, attack = e.scenario, attacked(e.run).as_json()
     period_s = s.plant.period_s
     heard = () if isinstance(said, str) else said
-    walk = Walk(s, e.rules.agreement, recorded.windows.stretches(), heard, _flags(attack))
+    walk = Walk(s, e.rules, recorded.windows.stretches(), heard, _flags(attack))
     if e.plant is None or isinstance(said, str):
         why = escape(said if isinstance(said, str) else "no plant trace")
         keys = secrecy = [f"<p>Not known: {why}.</p>"]
@@ -184,7 +184,7 @@ class _Recorded:
         s = self._scenario
         self.steps = self.missed = self.symbols = 0
         self.cost = 0.0
-        self.states = [Series() for _ in range(s.n)]
+        self.states = [Series() for _ in range(s.readings)]
         self.inputs = [Series() for _ in range(s.m)]
         self.true_states = [Series() for _ in range(s.n)]
         self.agreed = array("q")
@@ -262,11 +262,13 @@ def _loop(e: Evidence, recorded: _Recorded, walk: Walk, flags: Sequence[Flag]) -
         yield "<p>The plant left no trace.</p>"
         return
     T = e.scenario.plant.period_s
+    read = "x" if e.rules.outputs is None else "y"
     states = [
-        Curve(f"x{i + 1}", line.points(), i, banded=True) for i, line in enumerate(recorded.states)
+        Curve(f"{read}{i + 1}", line.points(), i, banded=True)
+        for i, line in enumerate(recorded.states)
     ]
     states += [
-        Curve(f"x{i + 1} in truth", points, e.scenario.n + i, banded=True)
+        Curve(f"x{i + 1} in truth", points, e.rules.states + i, banded=True)
         for i, line in enumerate(recorded.true_states)
         if (points := line.points())
     ]

@@ -12,8 +12,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from protocol.agreement import INSIDE, AgreementRule, predict
+from protocol.agreement import INSIDE, predict
+from protocol.box_observer import Box
 from protocol.convex import corners
+from protocol.link.session import Rules
 from protocol.scenario import ConvexSet, Scenario
 from protocol.vectors import Vector
 from wyner.runs.check.records import MissedLine, TracedTransition
@@ -83,7 +85,7 @@ class Walk:
     Parameters
     ----------
     scenario : Scenario
-    agreement : AgreementRule
+    rules : Rules
     stretches : sequence of sequence of Step
     said : sequence of Said
         What the eavesdroppers said; none where it is not known.
@@ -94,15 +96,15 @@ class Walk:
     def __init__(
         self,
         scenario: Scenario,
-        agreement: AgreementRule,
+        rules: Rules,
         stretches: Sequence[Sequence[Step]],
         said: Sequence[Said] = (),
         flags: Sequence[Flag] = (),
     ) -> None:
-        self._s, self._agreement = scenario, agreement
+        self._s, self._agreement, self._states = scenario, rules.agreement, rules.states
         self._stretches, self._said, self._flags = stretches, said, flags
         self._kept = {step.k for steps in stretches for step in steps}
-        self._axes = axes_of(scenario, np.array(agreement.B))
+        self._axes = axes_of(scenario, np.array(rules.agreement.B))
         self._rings = {
             "dc": outline(scenario.defender.disturbance, self._axes),
             "de": outline(scenario.eavesdropper_set, self._axes),
@@ -110,7 +112,8 @@ class Walk:
         self._frame = self._widest()
 
     def _predictions(self, t: TracedTransition) -> list[tuple[float, float]]:
-        centres = (predict(self._agreement.A, self._agreement.B, t.x, u) for u in t.candidates)
+        x = t.x if t.box is None else Box(*t.box).centre
+        centres = (predict(self._agreement.A, self._agreement.B, x, u) for u in t.candidates)
         return [self._seen(c) for c in centres]
 
     def _seen(self, x: Vector) -> tuple[float, float]:
@@ -170,12 +173,13 @@ class Walk:
             f'<section class="stretch" id="stretch-{first}"><h3>Steps {first} to {last}: '
             f"{len(agreed)} key symbols agreed, {missed} missed</h3>"
         )
-        n, m = self._s.n, self._s.m
+        n, m = self._states, self._s.m
         x = [Curve(f"x{i + 1}", [(float(s.k), s.x[i]) for s in steps], i) for i in range(n)]
         true = [(s.k + 1.0, s.true_x_next) for s in steps if s.true_x_next is not None]
         if true:
             x += [
-                Curve(f"x{i + 1} in truth", [(k, v[i]) for k, v in true], n + i) for i in range(n)
+                Curve(f"x{i + 1} in truth", [(k, v[i]) for k, v in true], n + i)
+                for i in range(self._s.n)
             ]
         u = [
             Curve(f"u{i + 1}", [(float(s.k), s.u[i]) for s in steps if s.u], i, steps=True)
@@ -226,10 +230,12 @@ class Walk:
                 for name in ("de", "dc")
             ]
             parts.append(f'<text x="{x}" y="{y}" text-anchor="middle">{i}</text>')
-        at = self._seen(t.x_next)
-        px, py = self._frame.at(at[0] - middle[0], at[1] - middle[1])
-        px, py = min(max(px, 4.0), WIDTH - 4.0), min(max(py, 4.0), HEIGHT - FOOT - 4.0)
-        parts.append(f'<circle class="star" cx="{number(px)}" cy="{number(py)}" r="4"/>')
+        came = t.x_next if t.box is None else t.true_x_next
+        if came is not None:
+            at = self._seen(came)
+            px, py = self._frame.at(at[0] - middle[0], at[1] - middle[1])
+            px, py = min(max(px, 4.0), WIDTH - 4.0), min(max(py, 4.0), HEIGHT - FOOT - 4.0)
+            parts.append(f'<circle class="star" cx="{number(px)}" cy="{number(py)}" r="4"/>')
         across, up = self._axes
         low, high = middle[0] - self._frame.across, middle[0] + self._frame.across
         span = f"x{across + 1} from {low:.3g} to {high:.3g}"
