@@ -83,6 +83,9 @@ class World:
         Journals have twins on disk.
     """
 
+    steps: int | None = None
+    """The plant's last step, if any."""
+
     def __init__(
         self,
         rules: Rules,
@@ -157,6 +160,7 @@ class World:
             self.now,
             self.period_s,
             coin_keys=self.coin_keys("plant", journal.load()),
+            steps=self.steps,
         )
         return endpoint
 
