@@ -276,7 +276,7 @@ def measure_rows(
     rows: Callable[[], Iterable[Sequence[Any]]],
     sources: Sequence[str] = signalling.SOURCES,
 ) -> Callable[[Path], None]:
-    """The measurement of a study of docs/signalling.md, or of docs/keys.md."""
+    """The measurement of a study of docs/findings.md, or of docs/keys.md."""
 
     def measure(path: Path) -> None:
         write(path, columns, rows(), sources)

@@ -1,4 +1,4 @@
-"""Data of the figure of docs/secrecy.md: the bound beside measured taps, and the law as a lever."""
+"""Data of the noise figure on docs/findings.md: the bound beside taps, and the law as a lever."""
 
 from collections.abc import Iterator
 from typing import Any, Final

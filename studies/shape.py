@@ -1,4 +1,4 @@
-"""Data of docs/secrecy.md: keys named right where D_e has a shape of its own, by tap."""
+"""Data of docs/findings.md: keys named right where D_e has a shape of its own, by tap."""
 
 from collections.abc import Iterator
 from typing import Any, Final

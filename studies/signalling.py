@@ -1,4 +1,4 @@
-"""Data of docs/signalling.md: rates of every law and scheme, the price, codes over two steps."""
+"""Data of docs/findings.md: rates of every law and scheme, the price, codes over two steps."""
 
 import math
 from collections import Counter

@@ -1,7 +1,7 @@
 """Diagrams and tables of the documents, made from what the programs use.
 
 ``python -m tools.diagrams --write`` puts them between their markers in docs/architecture.md,
-docs/protocol.md and docs/howto/run-folder.md; a test says when they are stale.
+docs/protocol.md and docs/guides.md; a test says when they are stale.
 """
 
 import ast
@@ -43,7 +43,7 @@ from wyner.runs.check.covered import KINDS
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 PROTOCOL: Final = DOCUMENT.with_name("protocol.md")
-RUN_FOLDER: Final = DOCUMENT.parent / "howto" / "run-folder.md"
+GUIDES: Final = DOCUMENT.with_name("guides.md")
 
 _MARKED: Final = re.compile(
     r"(?P<begin><!-- generated: (?P<name>[a-z-]+) -->\n).*?(?P<end><!-- end -->)", re.DOTALL
@@ -257,16 +257,16 @@ PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
 }
 """Of docs/protocol.md."""
 
-RUN_FOLDER_PARTS: Final[dict[str, Callable[[], str]]] = {
+GUIDES_PARTS: Final[dict[str, Callable[[], str]]] = {
     "events": event_table,
     "evidence": evidence_table,
 }
-"""Of docs/howto/run-folder.md."""
+"""Of docs/guides.md."""
 
 DOCUMENTS: Final = {
     DOCUMENT: PARTS,
     PROTOCOL: PROTOCOL_PARTS,
-    RUN_FOLDER: RUN_FOLDER_PARTS,
+    GUIDES: GUIDES_PARTS,
 }
 
 

@@ -18,6 +18,8 @@ LIMIT: Final = 20_000
 """Words of all pages together."""
 README_LIMIT: Final = 600
 """Words of the page that a stranger reads first."""
+PAGES_LIMIT: Final = 12
+"""Pages in ``docs`` that somebody wrote, the index apart."""
 GENERATED_PAGES: Final = ("scenario-reference.md", "command-reference.md")
 
 _GENERATED: Final = re.compile(r"<!-- (?:generated|begin)\b.*?<!-- end\b.*?-->", re.DOTALL)

@@ -6,7 +6,7 @@ point of it, and applies its coordinates one after the other. Every block agrees
 different keys are more than 2 apart in some coordinate, and every key has a point within alpha, in
 every coordinate, of wherever d leads.
 
-The theorems are those of docs/signalling.md; all bits here are claimed by the paper's rule.
+The theorems are those of docs/findings.md; all bits here are claimed by the paper's rule.
 
 Theorem 5, in T steps of m inputs at most alpha^(mT) keys: let K be D_c cut by the inputs' space, T
 times over, P_j the points of key j, and R the union of all P_j + K. These are disjoint, and each

@@ -10,7 +10,7 @@ clique.
 
 Shifts lie on a grid, of quarters and of thirds. The period lattices are those on the grid that a
 quarter turn leaves as they are, each searched exactly; and beside them every cyclic colouring of a
-lattice (2, e), (-e, 2). No code has more than alpha^2 keys (theorem 5 of docs/signalling.md): where
+lattice (2, e), (-e, 2). No code has more than alpha^2 keys (theorem 5 of docs/findings.md): where
 that many were found, the search is at its end.
 """
 

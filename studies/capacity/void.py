@@ -6,7 +6,7 @@ function v of the state that was reached. Call *near* the inputs that lead to x(
 all of them mean the key v(x(k+1)). Call *band* those that do so with d in D_e only: they take all
 other keys in turn. The applied input is near, so every transition agrees, with certainty, on
 v(x(k+1)). Every key is possible for her. And whoever computes v has the key: x(k+1) is sent in
-clear, so not a bit is secret. See theorem 8 of docs/signalling.md.
+clear, so not a bit is secret. See theorem 8 of docs/findings.md.
 
 For one input an alphabet of length sigma + 2 w holds one band whole, w = (alpha - 1) / max(g(b),
 g(-b)), and a spacing of w / q puts q - 1 inputs in it.

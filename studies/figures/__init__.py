@@ -49,8 +49,7 @@ FIGURES: Final[dict[str, Kind]] = {
     "undetected": Kind(attacks.draw_undetected, ("attacks",), (6.4, 3.8)),
     "dither-price": Kind(attacks.draw_dither, ("dither-price",), (6.4, 3.8)),
 }
-"""The figures, in the order of docs/experiments.md, docs/secrecy.md, docs/signalling.md,
-docs/networks.md, docs/keys.md and docs/attacks.md."""
+"""The figures, in the order of the pages: findings, control, keys, attacks."""
 
 
 def draw(name: str, data: Path = DATA, output: Path = FIGURES_FOLDER) -> tuple[Path, Path]:

@@ -1,4 +1,4 @@
-"""The figures of docs/experiments.md: rates, agreements, disturbances, price, plants, sets."""
+"""The figures of docs/findings.md: rates, agreements, disturbances, price, plants, sets."""
 
 import json
 from collections.abc import Callable, Iterable, Sequence

@@ -1,4 +1,4 @@
-"""The figures of docs/secrecy.md, and the picture of a secrecy report."""
+"""The figures of docs/findings.md, and the picture of a secrecy report."""
 
 from collections import Counter
 from collections.abc import Sequence

@@ -85,7 +85,7 @@ LONG: Final[dict[str, dict[str, Any]]] = {
     "packed, 600 steps, loss 30 %": {"loss": 0.3},
     "packed, 600 steps, noise 0.05": {"noise": 0.05},
 }
-"""The rows of docs/signalling.md."""
+"""The rows of docs/findings.md."""
 
 OTHERS: Final = ("packed-double-integrator", "packed-quadruple-tank", "packed-batch-reactor")
 

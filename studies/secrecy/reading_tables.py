@@ -1,4 +1,4 @@
-"""The tables of the reading study on docs/secrecy.md.
+"""The tables of the reading study on docs/findings.md.
 
 ``python -m studies.secrecy.reading_tables`` writes them between their marks on the page.
 """

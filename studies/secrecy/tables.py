@@ -1,4 +1,4 @@
-"""The tables of docs/secrecy.md, from the study's rows.
+"""The tables of docs/findings.md, from the study's rows.
 
 ``python -m studies.secrecy.tables`` writes them between their marks on the page; with
 ``--measure`` it first adds the rows that their data lack.
@@ -17,7 +17,7 @@ from wyner.runs.score.report import over_runs, percent
 from wyner.runs.score.score import Proportion
 from wyner.sweeps.grid import ROOT
 
-PAGE: Final = ROOT / "docs" / "secrecy.md"
+PAGE: Final = ROOT / "docs" / "findings.md"
 
 TABLES: Final = ("ladder", "learning", "view")
 """Studies whose table the page shows; that of alpha is a figure."""
@@ -91,7 +91,7 @@ def write_tables() -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Write the tables of docs/secrecy.md.")
+    parser = argparse.ArgumentParser(description="Write the tables of docs/findings.md.")
     parser.add_argument("--measure", action="store_true", help="add first what their data lack")
     if parser.parse_args().measure:
         for name in TABLES:

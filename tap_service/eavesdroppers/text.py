@@ -19,7 +19,8 @@ from tap_service.eavesdroppers.list_decoder import nearest
 from tap_service.inference.english import AnyBytes, English, english
 from tap_service.inference.front import Inference, Inferred
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
-from tap_service.inference.message_reader import BEAM, SURE, Message, MessageReader, verdicts_of
+from tap_service.inference.message_reader import SURE, Message, MessageReader, verdicts_of
+from tap_service.inference.message_search import BEAM
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go."""
@@ -52,6 +53,7 @@ class Text(Eavesdropper):
     """
 
     name: ClassVar[str] = "text"
+    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(

@@ -1,4 +1,4 @@
-"""What would refute the theorems of docs/signalling.md: exhaustive searches on small cases."""
+"""What would refute the theorems of docs/findings.md: exhaustive searches on small cases."""
 
 import itertools
 import math

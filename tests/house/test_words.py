@@ -2,11 +2,16 @@
 
 import pytest
 
-from tools.words import LIMIT, README_LIMIT, ROOT, counted, main, words
+from tools.words import LIMIT, PAGES_LIMIT, README_LIMIT, ROOT, counted, main, words
 
 
 def test_the_pages_together_keep_their_limit() -> None:
     assert sum(counted().values()) <= LIMIT, "run: python -m tools.words"
+
+
+def test_there_are_twelve_pages() -> None:
+    written = [name for name in counted() if name.startswith("docs/")]
+    assert len(set(written) - {"docs/index.md"}) <= PAGES_LIMIT
 
 
 def test_the_first_page_is_short() -> None:

@@ -36,23 +36,16 @@ from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.grid import ROOT, Row, load_sweep, points_of
 from wyner.sweeps.results import SUMS, read_rows, read_table
 
-SIGNALLING = ROOT / "docs" / "signalling.md"
 PAGES = {
     "idea": ROOT / "README.md",
-    "signalling-rates": SIGNALLING,
-    "signalling-price": SIGNALLING,
-    "two-step": SIGNALLING,
-    "block-codes": SIGNALLING,
-    "network": ROOT / "docs" / "networks.md",
-    "noise-bound": ROOT / "docs" / "secrecy.md",
+    "network": ROOT / "docs" / "control.md",
     "key-controls": ROOT / "docs" / "keys.md",
     "undetected": ROOT / "docs" / "attacks.md",
     "dither-price": ROOT / "docs" / "attacks.md",
 }
-"""Where a figure stands that is in neither of the two other documents."""
+"""Where a figure stands that is not among the findings."""
 CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
 """Figures without an estimate: a single step, a search, and a closed form."""
-DOCUMENT = ROOT / "docs" / "experiments.md"
 
 
 @pytest.mark.slow
@@ -93,8 +86,7 @@ def test_every_figure_states_runs_seed_and_intervals(name: str) -> None:
 
 def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
     for name, kind in FIGURES.items():
-        document = PAGES.get(name, PAGE if name.startswith("secrecy-") else DOCUMENT)
-        text = document.read_text(encoding="utf-8")
+        text = PAGES.get(name, PAGE).read_text(encoding="utf-8")
         assert f"figures/{name}.svg" in text
         assert (FIGURES_FOLDER / f"{name}.svg").exists()
         assert (FIGURES_FOLDER / f"{name}.png").exists()
@@ -220,7 +212,7 @@ def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -
 
 def plain_text() -> str:
     """The document with every line break and run of spaces as one space."""
-    return " ".join(DOCUMENT.read_text(encoding="utf-8").split())
+    return " ".join(PAGE.read_text(encoding="utf-8").split())
 
 
 def row_with(text: str, *cells: str) -> str:
@@ -231,7 +223,7 @@ def row_with(text: str, *cells: str) -> str:
 
 
 def test_the_documents_numbers_are_the_datas() -> None:
-    text = DOCUMENT.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8")
     for s in summaries(DATA, "fig7-paper"):
         if alpha_of(s) in (1.5, 3.0, 8.0):
             cell = "{:.3f} [{:.3f}, {:.3f}]".format(*s.rate)
@@ -269,6 +261,7 @@ def test_the_documents_numbers_are_the_datas() -> None:
         wrong = 100 * s.counts["mistaken"] / s.counts["agreements"]
         assert ("never" if wrong == 0 else f"{wrong:.2g} % of keys") in line
         assert (taps[kind]["nearest_right"] == taps[kind]["agreements"]) == ("always" in line)
+    text = text.partition("# Other plants\n")[2].partition("\n#")[0]
     for s in summaries(DATA, "plants"):
         if alpha_of(s) in (1.5, 8.0):
             name = str(s.first["scenario"]).replace("-", " ")

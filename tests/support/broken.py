@@ -2,6 +2,7 @@
 
 import inspect
 from types import FunctionType, ModuleType
+from typing import Any
 
 import pytest
 
@@ -27,7 +28,7 @@ def broken(patch: pytest.MonkeyPatch, module: ModuleType, right: str, wrong: str
     source = inspect.getsource(module)
     assert source.count(right) == 1, f"{module.__name__}: {source.count(right)} times {right!r}"
     assert wrong.count("\n") == right.count("\n"), "expected the lines below to stay where they are"
-    scope = {"__name__": module.__name__, "__file__": module.__file__}
+    scope: dict[str, Any] = {"__name__": module.__name__, "__file__": module.__file__}
     exec(compile(source.replace(right, wrong), str(module.__file__), "exec"), scope)
     found = 0
     for name, made in scope.items():

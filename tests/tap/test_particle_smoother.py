@@ -111,7 +111,7 @@ def test_the_policy_tells_no_secret_and_may_be_missing() -> None:
 
 @pytest.mark.slow
 def test_offers_alone_give_most_keys_away() -> None:
-    """Over 20 runs of 1000 steps it is measured: docs/secrecy.md."""
+    """Over 20 runs of 1000 steps it is measured: docs/findings.md."""
     keys = [played(seed)[3].keys_reviewed for seed in SEEDS]
     assert sum(k.of for k in keys) > 60
     assert sum(k.right for k in keys) >= 0.84 * sum(k.of for k in keys)

@@ -136,7 +136,7 @@ class Simulated(Brief):
         """Message bits a second of plant time, with the 95 % bootstrap interval over runs.
 
         Fewer than five runs have no interval: its limits are NaN. A count of what was sent, as the
-        paper's rule counts it, and not of what stayed secret (docs/secrecy.md).
+        paper's rule counts it, and not of what stayed secret (docs/findings.md).
         """
         s = self.system.scenario
         carried = (self.message_symbol != NO_SYMBOL).sum(axis=1)

@@ -6,7 +6,7 @@ a step, and S is the loop's response to the offsets. With g = || S_n^(-1/2) C (z
 || (the largest gain over frequencies) S'S <= g^2, so that Y is a degraded version of
 p + N(0, I / g^2): each coin seen once, by itself, through one Gaussian channel. Whatever she
 computes, knowing d, its law, the model and the control law, is then bounded by that channel: the
-theorem of docs/secrecy.md.
+theorem of docs/findings.md.
 
 Its proof: in units of S_n, S'S <= g^2 I, for S is a block of a Toeplitz operator of norm g. The
 sufficient S'Y has the law of S'S q plus independent Gaussian noise of covariance

@@ -3,7 +3,7 @@
 All bits are claimed by the possibilistic rule of the paper, for keys that are functions of the
 applied input: without that condition the rule allows any number of keys at any alpha above 1
 (``studies/capacity/void.py``). What an eavesdropper who compares distances leaves of them is
-nothing; see docs/signalling.md.
+nothing; see docs/findings.md.
 """
 
 import math

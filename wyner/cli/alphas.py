@@ -21,7 +21,7 @@ TRUE: Final = (
 
 VOID: Final = (
     "for keys that are functions of the applied input: where a key may depend on x(k+1) too, the "
-    "rule allows any number at any alpha above 1, and true are 0 (docs/signalling.md)"
+    "rule allows any number at any alpha above 1, and true are 0 (docs/findings.md)"
 )
 
 

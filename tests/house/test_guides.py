@@ -1,4 +1,4 @@
-"""The pages "How to add ..." are true: their programs run as they stand."""
+"""The guides are true: their programs run as they stand."""
 
 import json
 import os
@@ -32,22 +32,30 @@ from tap_service.eavesdroppers import named
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 
-PAGES = Path(__file__).resolve().parents[2] / "docs" / "howto"
-EXAMPLES = PAGES.parents[1] / "examples"
+ROOT = Path(__file__).resolve().parents[2]
+GUIDES = (ROOT / "docs" / "guides.md").read_text(encoding="utf-8")
+EXAMPLES = ROOT / "examples"
 
 
-def table(page: str, folder: Path, name: str) -> Path:
-    """The page's table of a scenario, written to a file."""
-    found = re.search(r"^```toml\n(.*?)^```$", (PAGES / page).read_text(), re.DOTALL | re.MULTILINE)
+def guide(title: str) -> str:
+    """The part of the page under one of its headings."""
+    _, found, rest = GUIDES.partition(f"\n## {title}\n")
+    assert found, title
+    return rest.partition("\n## ")[0]
+
+
+def table(title: str, folder: Path, name: str) -> Path:
+    """The guide's table of a scenario, written to a file."""
+    found = re.search(r"^```toml\n(.*?)^```$", guide(title), re.DOTALL | re.MULTILINE)
     assert found is not None
     path = folder / name
     path.write_text(found[1])
     return path
 
 
-def program(page: str, folder: Path, name: str) -> Path:
-    """The program that the page names, beside the run."""
-    assert f"examples/own/{name}" in (PAGES / page).read_text()
+def program(title: str, folder: Path, name: str) -> Path:
+    """The program that the guide names, beside the run."""
+    assert f"examples/own/{name}" in guide(title)
     return Path(shutil.copy(EXAMPLES / "own" / name, folder))
 
 
@@ -56,7 +64,7 @@ def program(page: str, folder: Path, name: str) -> Path:
 def test_the_attack_of_the_page_runs_live(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    name = program("attack.md", tmp_path, "frozen.py")
+    name = program("Attacks", tmp_path, "frozen.py")
     run = tmp_path / "run"
     said = ["up", "--scenario", "packed", "--attack", f"{name}:Frozen@30", "--steps", "60"]
     assert main([*said, "--pace", "fast", "--json", "--run-dir", str(run)]) == 0
@@ -70,7 +78,7 @@ def test_the_attack_of_the_page_runs_live(
 
 
 def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
-    stated = table("attack.md", tmp_path, "table.toml").read_text()
+    stated = table("Attacks", tmp_path, "table.toml").read_text()
     path = tmp_path / "attacked.toml"
     path.write_text((SCENARIOS / "keys.toml").read_text() + stated)
     found = load_scenario(path)
@@ -83,7 +91,7 @@ def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
 
 
 def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
-    name = f"{program('scheme.md', tmp_path, 'pairs.py')}:Pairs"
+    name = f"{program('A scheme of your own', tmp_path, 'pairs.py')}:Pairs"
     scheme = SCHEMES[name](2)
     assert isinstance(scheme, Scheme)
     state, pads = scheme.initial, []
@@ -117,8 +125,8 @@ def law_scenario(folder: Path, law: str) -> Path:
 @pytest.mark.slow
 @pytest.mark.integration
 def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path: Path) -> None:
-    program("law.md", tmp_path, "nearer.py")
-    table("law.md", tmp_path, "law.toml")
+    program("A control law of your own", tmp_path, "nearer.py")
+    table("A control law of your own", tmp_path, "law.toml")
     law_scenario(tmp_path, "nearer.py:Nearer")
 
     def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
@@ -129,7 +137,7 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path
             timeout=300,
             check=False,
             cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(PAGES.parents[1])},
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
         )
 
     designed = wyner("design", "own.toml", "--json")
@@ -157,8 +165,8 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path
 def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
     tmp_path: Path,
 ) -> None:
-    table("law.md", tmp_path, "law.toml")
-    file = program("law.md", tmp_path, "nearer.py")
+    table("A control law of your own", tmp_path, "law.toml")
+    file = program("A control law of your own", tmp_path, "nearer.py")
     scenario = load_scenario(law_scenario(tmp_path, f"{file}:Nearer"))
     law = make_law(scenario, synthesise(scenario))
     X = np.random.default_rng(1).uniform(-0.3, 0.3, (40, 2))
@@ -191,7 +199,7 @@ def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
 def test_a_file_that_holds_no_law_is_one_line_of_the_scenario(
     tmp_path: Path, text: str, expected: str
 ) -> None:
-    table("law.md", tmp_path, "law.toml")
+    table("A control law of your own", tmp_path, "law.toml")
     (tmp_path / "bad.py").write_text(text)
     with pytest.raises(ScenarioError) as error:
         load_scenario(law_scenario(tmp_path, f"{tmp_path}/bad.py:Nearer"))
@@ -201,7 +209,7 @@ def test_a_file_that_holds_no_law_is_one_line_of_the_scenario(
 
 
 def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
-    name = f"{program('eavesdropper.md', tmp_path, 'near.py')}:Near"
+    name = f"{program('Eavesdroppers', tmp_path, 'near.py')}:Near"
     run = simulate(1200, 5)
     tap, transcript = named(name)(run.scenario.knowledge()), Transcript()
     right = 0
@@ -246,7 +254,7 @@ def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) 
         subprocess.Popen(
             [sys.executable, "-m", "logger_service", "--connect", f"field={end}"],
             cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(PAGES.parents[1])},
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
             stdout=subprocess.PIPE,
             text=True,
         ) as process,
@@ -279,7 +287,7 @@ def test_a_start_beside_the_plants_own_is_refused_with_the_reason(
 def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
     tmp_path: Path,
 ) -> None:
-    page = (PAGES / "run-folder.md").read_text()
+    page = guide("A run's folder")
     told = {
         name: row
         for row in page.splitlines()
@@ -302,17 +310,17 @@ def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
         if event["event"] not in MARKS:
             for field in set(event) - {"event"}:
                 assert f"`{field}`" in told[event["event"]], (event["event"], field)
-    code = (PAGES.parents[1] / "protocol" / "link").rglob("*.py")
+    code = (ROOT / "protocol" / "link").rglob("*.py")
     named = {name for f in code for name in re.findall(r'"event": "(\w+)"', f.read_text())}
     assert len(named) > 8
     assert named <= set(told)
 
 
-@pytest.mark.parametrize("page", sorted(PAGES.glob("*.md")), ids=lambda page: page.stem)
-def test_a_page_names_what_is_there(page: Path) -> None:
-    root = PAGES.parents[1]
-    for target in re.findall(
+def test_the_guides_name_what_is_there() -> None:
+    found = re.findall(
         r"`((?:protocol|controller_service|plant_service|tap_service|attacker_service|wyner|tests)/[\w/]*\.?\w+/?)`",
-        page.read_text(),
-    ):
-        assert (root / target).exists(), target
+        GUIDES,
+    )
+    assert len(found) > 10
+    for target in found:
+        assert (ROOT / target).exists(), target
