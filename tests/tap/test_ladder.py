@@ -29,12 +29,12 @@ from tap_service.eavesdroppers import (
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
 from wyner.runs.score.replay import COUNTS
-from wyner.runs.score.score import EavesdropperScore, Said, score
+from wyner.runs.score.score import EavesdropperScore, TapOutput, score
 
 CLEAR = View()
 
 
-def play(run: Run, name: str, view: View = CLEAR) -> tuple[Said, EavesdropperScore]:
+def play(run: Run, name: str, view: View = CLEAR) -> tuple[TapOutput, EavesdropperScore]:
     kind = named(name)
     said = said_about(kind(knowledge_for(run, kind, view)), heard_by(run, view))
     return said, score(run.truth, said)

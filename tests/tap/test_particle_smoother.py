@@ -17,7 +17,7 @@ from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.offers_reader import LEAST, OffersReader
 from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
-from wyner.runs.score.score import EavesdropperScore, Said, score
+from wyner.runs.score.score import EavesdropperScore, TapOutput, score
 
 SEEDS = (1,)
 OFFERS = View(view="offers")
@@ -36,7 +36,7 @@ def reader_for(run: Run, noise: float = 0.0) -> OffersReader:
     return OffersReader(np.array(k.A), np.array(k.B), shape, law_told(run.scenario), noise)
 
 
-Played = tuple[Run, Smoother, Said, EavesdropperScore]
+Played = tuple[Run, Smoother, TapOutput, EavesdropperScore]
 
 
 def played(
