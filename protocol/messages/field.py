@@ -18,6 +18,10 @@ from protocol.messages.base import (
 )
 from protocol.vectors import FiniteVector
 
+Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,9}/[0-9]{0,9})?$")]
+Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
+Bits = Annotated[int, Field(ge=0, lt=2**64)]
+
 
 class StepMessage(Message):
     """A message of a step: fields that its scenario has no use for are None, and stay away.
@@ -46,6 +50,12 @@ class StepMessage(Message):
             made = self.__pydantic_serializer__.to_json(self, exclude_none=True)
             self.__dict__["_bytes"] = made
         return made
+
+    def travelling_as(self, payload: bytes) -> Self:
+        """This message, with other bytes on the wire: those that a defence makes of it."""
+        copy = self.model_copy()
+        copy.__dict__["_bytes"] = payload
+        return copy
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""
@@ -85,6 +95,13 @@ class Measurement(StepMessage):
     applied_key : str, optional
         Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
         Only where the coin is keyed.
+    guard, mac : str, optional
+        Batch and slot of the key that guards the message, as ``3/17``, and its tag, 8 hexadecimal
+        digits; ``3/`` with the farewell of a batch that has served. Only where messages are
+        guarded.
+    after, rest : str, tuple of int, optional
+        Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
+        rounds. Only where measurements are coded.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -99,6 +116,10 @@ class Measurement(StepMessage):
     block: BlockNumber = -1
     tag: Tag = ""
     applied_key: KeyName | None = None
+    guard: Slot | None = None
+    after: Slot | None = None
+    rest: tuple[Bits, ...] | None = None
+    mac: Mac | None = None
 
 
 class Offer(StepMessage):
@@ -137,6 +158,8 @@ class Offer(StepMessage):
     coin_key: KeyName | None = None
     coin_from: Count | None = None
     coin_last: KeyName | None = None
+    guard: Slot | None = None
+    mac: Mac | None = None
 
 
 class Sealed(Message):

@@ -17,6 +17,7 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import StoreError
+from protocol.statistics import COUNTED, POOLED
 from runtime.keys.store import KeyStore
 from runtime.recording import TraceError
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
@@ -78,7 +79,7 @@ class Copies:
             yield _TOPICS[code & 1], sessions[code >> 1 & 0x7FFFFF], code >> 24
 
 
-class Heard:
+class HeardCopies:
     """Copies 0 that a tap has heard, each with the number of her recording."""
 
     def __init__(self) -> None:
@@ -272,6 +273,11 @@ class KeyAudit:
             "refused": self.refused,
             "blocks": [block._asdict() for block in self.blocks] if blocks else len(self.blocks),
             "missed_by_tap": self.missed,
+            "no_interval": {
+                "bits_per_second": COUNTED,
+                "last_block_bits_per_second": COUNTED,
+                "missed_by_tap": POOLED,
+            },
             "audited": {name: rate._asdict() for name, rate in self.rates.items()},
             "assumption": self.sentence,
             "warnings": list(self.warnings),
@@ -334,7 +340,7 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
 
 
 def _rates(
-    run: Run, claim: Assumption, sent: Copies, heard: Heard, leaving: Mapping[str, _Leaving]
+    run: Run, claim: Assumption, sent: Copies, heard: HeardCopies, leaving: Mapping[str, _Leaving]
 ) -> dict[str, MissRate]:
     """Her misses by class: direction, and how often the message left.
 
@@ -370,7 +376,9 @@ def _rates(
     return audit.judge()
 
 
-def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | None) -> AuditedBlock:
+def _audited(
+    walk: _Walk, at: tuple[str, int], block: _Block, heard: HeardCopies | None
+) -> AuditedBlock:
     a = walk.schedule.assumption
     rows = a.rows(block.transitions, block.steps, len(block.copies))
     missed = 0 if heard is None else sum(heard.life(copy) is None for copy in block.copies)
@@ -389,9 +397,9 @@ def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | Non
     )
 
 
-def _heard(run: Run) -> Heard | None:
+def _heard(run: Run) -> HeardCopies | None:
     """Every copy 0 in the capture, with the number of her recording; None where there is none."""
-    heard = Heard()
+    heard = HeardCopies()
     try:
         reader = run.capture()
         for _, message in reader.records():
