@@ -210,6 +210,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "fallback": scenario.link.fallback,
         "dead_link_steps": dead_link_budget(scenario, design),
         "control_set": None if D_c is None else D_c.model_dump(exclude_none=True),
+        "noisy": scenario.defender.noise is not None,
         "calibration": None if found is None else found.model_dump(),
         "cached": design.cached,
         "fingerprint": scenario.design_fingerprint(),
@@ -384,10 +385,10 @@ def safety_lines(r: dict[str, Any]) -> list[str]:
     lines = [f"dead link, fallback {r['fallback']}: {lasts}"]
     if r["control_set"] is not None:
         lines.append("the sets resist control.disturbance, which is larger than the test's D_c")
-    c = r["calibration"]
+    c, what = r["calibration"], "W = D_c + N - A N" if r["noisy"] else "D_c"
     if c is not None:
         lines.append(
-            f"D_c: a session of {c['steps']} steps leaves it with probability at most "
+            f"{what}: a session of {c['steps']} steps leaves it with probability at most "
             f"{c['violation']:.3g}, confidence {c['confidence']:g} ({c['exceeded']} of "
             f"{c['sessions']} fresh sessions did)"
         )
