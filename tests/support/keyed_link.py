@@ -89,6 +89,9 @@ class World:
         What guards the messages.
     """
 
+    steps: int | None = None
+    """The plant's last step, if any."""
+
     def __init__(
         self,
         rules: Rules,
@@ -170,6 +173,7 @@ class World:
             self.now,
             self.period_s,
             coin_keys=self.coin_keys("plant", journal.load()),
+            steps=self.steps,
         )
         return endpoint
 

@@ -4,6 +4,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
+from protocol.statistics import COMPUTED
 from runtime.errors import DONE, Failure, UsageError
 from runtime.options import picked
 from wyner.cli.alphas import ABOUT, show_alphas
@@ -257,6 +258,10 @@ def expected_rate(
         "bits_per_second": rate["value"],
         "bits_per_second_interval_95": [rate["low"], rate["high"]],
         "ceiling_bits_per_second": float(most.sum()) * bits,
+        "no_interval": {
+            "ceiling_bits_per_second": COMPUTED,
+            **({"bits_per_second": rate["no_interval"]} if "no_interval" in rate else {}),
+        },
     }
 
 
@@ -275,7 +280,8 @@ def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | No
         return None
     ways = (network.to_plant, network.to_controller)
     if all(way.reordering or way.delay == "constant" for way in ways):
-        return {"missed_share": expected_missed_share(scenario, folder), "computed": True}
+        share_of_all = expected_missed_share(scenario, folder)
+        return {"missed_share": share_of_all, "computed": True, "no_interval": COMPUTED}
     missed = missed_steps(scenario, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
     assert missed is not None
     share = share_over_runs([(int(m), STEPS) for m in missed.sum(axis=0)]).as_json()

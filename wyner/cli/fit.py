@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from protocol.statistics import STATED
 from runtime.errors import DONE, Failure, UsageError
 from runtime.files import write_atomically
 
@@ -105,7 +106,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         told = {"output": str(args.output), "seed": plan.seed, "half_widths": list(widths)}
         told |= {} if N is None else {"noise": N.model_dump(exclude_none=True)}
-        print(json.dumps({**told, "calibration": c.model_dump()}))
+        bare = {"violation": STATED, "confidence": STATED}
+        print(json.dumps({**told, "calibration": c.model_dump(), "no_interval": bare}))
         return DONE
     print(f"D_c half-widths {' '.join(f'{w:.4g}' for w in widths)}")
     if N is not None and N.half_widths is not None:

@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from protocol.statistics import COUNTED, PROVED
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
 from runtime.health import look_at_line
@@ -66,7 +67,8 @@ def run(args: argparse.Namespace) -> int:
         }
         servers = {name: line for name, (_, line) in served.items()}
         told |= {**servers, "claim": claim, "distance": distance, "pads": pads}
-        print(json.dumps({**told, "warnings": warnings}))
+        bare = {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED}
+        print(json.dumps({**told, "no_interval": bare, "warnings": warnings}))
     else:
         rows = (f"{name:<11} {line}" for name, (_, line) in served.items())
         lines = (

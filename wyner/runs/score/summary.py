@@ -5,6 +5,7 @@ import math
 from collections.abc import Sequence
 from typing import Any, Final
 
+from protocol.statistics import COUNTED
 from protocol.text import readable
 from runtime.errors import UsageError
 from runtime.recording import TraceError
@@ -47,7 +48,8 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     ``claimed_bits`` is what the paper's rule counts, of whichever law, ``true_bits`` what the
     strongest eavesdropper of this run leaves of it at most, ``true_bits_interval`` with its limits
     (None: nobody was scored, and ``unscored`` says why of each); of ``unguessed`` messages, which
-    the tap recorded and left out of its live guessing, it says too little. ``failed`` names the
+    the tap recorded and left out of its live guessing, it says too little. ``no_interval`` says why
+    figures have none. ``failed`` names the
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
     where the scenario makes none. ``attack`` is what one came to
     (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
@@ -87,6 +89,7 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
         "symbol_errors": counts.symbol_errors,
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
+        "no_interval": {"bits_per_second": COUNTED, "control_cost": COUNTED},
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
@@ -162,7 +165,7 @@ def render(summary: dict[str, Any]) -> str:
         f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed, "
         + (f"{errors} WRONG" if errors else "none wrong"),
         f"carried    {summary['bits']:.0f} message bits, "
-        f"{summary['bits_per_second']:.2f} a second of plant time",
+        f"{summary['bits_per_second']:.2f} a second of plant time, counted",
         *cost_lines(summary["control_cost"]),
     ]
     if summary["trace_error"]:
