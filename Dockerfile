@@ -27,7 +27,7 @@ RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-ch
     && /opt/wyner/bin/wyner --version
 
 FROM ${BASE_IMAGE}
-ARG VERSION=0.1.0
+ARG VERSION=1.0.0
 LABEL org.opencontainers.image.title=wyner \
       org.opencontainers.image.version=${VERSION} \
       org.opencontainers.image.licenses="Apache-2.0 AND CC-BY-SA-4.0"

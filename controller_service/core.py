@@ -360,8 +360,9 @@ class ControllerCore:
         if step.following.halted:
             return NOTHING_TO_DO if record.halted else self._without_offer(step, HALTED, "alarmed")
         try:
-            candidates = self._propose(measurement.x)
-            predictions = self._predictions(measurement.x, candidates)
+            x = self.rules.state(step.following, measurement)
+            candidates = self._propose(x)
+            predictions = self._predictions(x, candidates)
         except LookupError as error:
             return self._without_offer(step, str(error), "outside")
         block, tag = self.keying.word()
@@ -434,7 +435,11 @@ class ControllerCore:
         if offer is None or measurement.applied_k == record.applied_k:
             return _Step(measurement, record)
         verdict = self.rules.judge(
-            record.x, offer.candidates, offer.predictions, measurement.x_after
+            record.x,
+            offer.candidates,
+            offer.predictions,
+            measurement.x_after,
+            self.rules.box(record),
         )
         after, carry = self._arrows[verdict.symbol]
         message, offset = record.message, record.offset
@@ -442,6 +447,8 @@ class ControllerCore:
         if offset == len(self._frame_of(message)) and record.framed:
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
+        if verdict.seen is not None:
+            following = following._replace(seen=verdict.seen)
         expected = self.coins.expected(offer, measurement.applied_key)
         failed = verdict.unexplained
         if expected != NO_SYMBOL:
@@ -607,7 +614,7 @@ class ControllerCore:
             transition.x_next,
             key,
             candidate,
-            self.rules.prediction(transition.x, applied, candidate),
+            self.rules.prediction(transition.x, applied, candidate, transition.verdict.box),
             gauges[candidate],
         )
 

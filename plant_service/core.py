@@ -555,7 +555,9 @@ class PlantCore:
         """
         offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
         scheme = self.rules.scheme
-        verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next)
+        verdict = self.rules.judge(
+            record.x, offer.candidates, offer.predictions, x_next, self.rules.box(record)
+        )
         after, carry = scheme.follow(record.state, verdict.symbol)
         agreed, pad = carry
         symbol = decrypt(offer.cipher, pad, scheme.alphabet)
@@ -613,6 +615,8 @@ class PlantCore:
             coin_key=self.coins.key,
             coin_from=self.coins.first,
             keyed=bool(report.applied_key),
+            seen=verdict.seen,
+            true_x=self._state_of(self._truth),
         )
         self._step = None
         self._state = TABLE[self._state, "offer applied"].next
@@ -690,7 +694,7 @@ class PlantCore:
         record = self.record
         u = record.u
         if not self.plant.device:
-            u = self._fallback(record.x, record.u)
+            u = self._instead()
             self.plant.begin(record.k, record.x, u)
         x_next = self.plant.end(record.k)
         self._missed(u, x_next)
@@ -700,6 +704,17 @@ class PlantCore:
             self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
         missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
         return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+
+    def _instead(self) -> Vector:
+        """The fallback's input for this step."""
+        record, outputs = self.record, self.rules.outputs
+        if outputs is None:
+            return self._fallback(record.x, record.u)
+        return outputs.instead(record.seen, record.k - record.applied_k - 1, record.u)
+
+    def _state_of(self, truth: Truth | None) -> Vector:
+        """The simulated state that the record keeps: where no reading tells it."""
+        return () if self.rules.outputs is None or truth is None else truth.x_next
 
     def _missed(self, u: Vector, x_next: Vector) -> None:
         """Count a step without a transition, with ``u`` in force."""
@@ -715,6 +730,7 @@ class PlantCore:
             tag=tag,
             coin_key=self.coins.key,
             coin_from=self.coins.first,
+            true_x=self._state_of(self.plant.truth),
         )
         self._left = False
 
@@ -859,6 +875,7 @@ class PlantCore:
             coin_key="",
             coin_from=-1,
             keyed=False,
+            seen=None,
         )
         self._left = True
         self.keying.begin(session)

@@ -9,7 +9,15 @@ from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.adapters.registry import is_model, open_plant
 from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
-from plant_service.plant import Coin, Disturbances, LinearModel, NoisyPlant, OperatedPlant, Plant
+from plant_service.plant import (
+    Coin,
+    Disturbances,
+    LinearModel,
+    NoisyPlant,
+    OperatedPlant,
+    OutputPlant,
+    Plant,
+)
 from plant_service.status import PlantTelemetry
 from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
@@ -17,7 +25,7 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
 from protocol.secret.records import Key
-from protocol.streams import SENSOR, Stream, SymbolSource
+from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.journal import ReceiverJournal
@@ -71,7 +79,7 @@ def open_core(
         For a plant with chance of its own.
     sensors : Stream, optional
         Uniform numbers for the sensors' noise; draw k belongs to y(k). None: of a seed that the
-        journal has, or a new one has from now on.
+        journal has, or a new one has from now on; so is then, where outputs are read, ``noise``.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
     coin_keys : iterable of Key
@@ -88,6 +96,10 @@ def open_core(
     """
     record, step = journal.load(), journal.step()
     attacker = None if attack is None else Attacker(scenario, attack, seed)
+    sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
+    spec, observer = scenario.plant.noise, scenario.observer
+    if observer is not None and sensors is None:  # a step is made again with the same d
+        noise = Stream(sensor_seed, DISTURBANCE, width=scenario.n)
     disturbances = Disturbances(scenario, noise)
     plant: Plant
     x: Vector | None = None
@@ -104,16 +116,25 @@ def open_core(
             raise
         enters = scenario.plant.disturbance.enters or "state"
         plant = OperatedPlant(operated, disturbances, enters)
-    sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     try:
-        spec = scenario.plant.noise
         if spec is not None and not plant.device:
             draws = sensors or Stream(sensor_seed, SENSOR, width=spec.dimension)
+        if spec is not None and observer is not None:
+            assert isinstance(plant, LinearModel), "validated"
+            state = scenario.initial_state if record is None else record.true_x
+            read = OutputPlant(plant, observer, spec, draws, state or scenario.initial_state)
+            if step is not None and step.measurement is not None:
+                read.begin(step.offer.k, (), step.u)
+                read.end(step.offer.k)
+            plant, x = read, read.read(0)
+        elif spec is not None and not plant.device:
             noisy = NoisyPlant(plant, spec, draws)
             k = 0 if record is None else record.k + 1  # of a step that was cut short
             if step is not None and step.measurement is not None:
                 noisy.recall(step.measurement.k, step.measurement.x, step.u)
             plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
+        if attacker is not None and observer is not None:
+            raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         if attacker is not None and attacker.at == "bus":
             attacker.close()
         elif attacker is not None:

@@ -11,6 +11,7 @@ from typing import Protocol
 from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
+from protocol.box_observer import BoxObserver
 from protocol.link.session import Truth
 from protocol.scenario import Scenario, SensorNoise
 from protocol.streams import Stream, SymbolSource
@@ -207,6 +208,69 @@ class NoisyPlant:
     def close(self) -> str:
         """As the plant."""
         return self._plant.close()
+
+
+class OutputPlant:
+    """A model that is read through some outputs alone: y(k) = C x(k) + n(k).
+
+    Its state stands in the plant's journal, as no reading tells it. A step that the journal has and
+    did not count is made again: so n and d must come of streams that are the same after a restart.
+
+    Parameters
+    ----------
+    model : LinearModel
+    observer : BoxObserver
+        For C.
+    noise : SensorNoise
+    draws : Stream
+        Of as many uniform numbers as there are readings.
+    x : tuple of float, shape (n,)
+        Where the plant stands.
+    """
+
+    acts = device = False
+
+    def __init__(
+        self,
+        model: LinearModel,
+        observer: BoxObserver,
+        noise: SensorNoise,
+        draws: Stream,
+        x: Vector,
+    ) -> None:
+        self._model, self._observer = model, observer
+        self._noise, self._draws = noise, draws
+        self._x = x
+        self._u: Vector = ()
+        self.truth: Truth | None = None
+
+    def read(self, k: int) -> Vector:
+        """y(k), of the state as it is."""
+        n = self._noise.drawn(self._draws.at(k))
+        return tuple(map(add, self._observer.read(self._x), n))
+
+    def prepare(self, k: int) -> None:
+        """As the model."""
+        self._model.prepare(k)
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
+        """Apply ``u`` where the plant stands; ``x`` is what was read of that."""
+        self._u = u
+        self._model.begin(k, self._x, u)
+
+    def end(self, k: int) -> Vector:
+        """y(k+1)."""
+        self._x = self._model.end(k)
+        self.truth = Truth(self._x, self._u)
+        return self.read(k + 1)
+
+    def safe(self, why: str) -> None:
+        """As the model."""
+        self._model.safe(why)
+
+    def close(self) -> str:
+        """As the model."""
+        return self._model.close()
 
 
 class OperatedPlant:

@@ -131,7 +131,9 @@ def _opened(
         telemetry=telemetry,
         folder=config.folder,
         seed=config.seed,
-        sensors=None if config.seed is None else Stream(config.seed, SENSOR, width=scenario.n),
+        sensors=None
+        if config.seed is None
+        else Stream(config.seed, SENSOR, width=scenario.readings),
         coin_keys=coin_keys(key_maker, scenario, record),
         attack=config.attack,
     )

@@ -69,6 +69,7 @@ class PlantTelemetry:
         self.keys_refused = ""
         self.attack = ""
         self.model = _model(scenario, pace, seeded=seeded).wire()
+        self._hidden = 0 if scenario.plant.C is None else scenario.n
         self._old = self._new = 0
         self._partial = Shown()
         self._seq = 0
@@ -105,6 +106,12 @@ class PlantTelemetry:
             self._health_at = now_s + HEALTH_S
         return due
 
+    def _state(self, record: ReceiverRecord) -> Vector:
+        """x(k) as it is read; where outputs are read, as it was estimated after the last offer."""
+        if record.seen is not None:
+            return record.seen.box.centre
+        return (0.0,) * self._hidden or record.x
+
     def status(
         self,
         record: ReceiverRecord,
@@ -138,7 +145,7 @@ class PlantTelemetry:
             session=record.session,
             sessions=record.sessions,
             k=record.k,
-            x=record.x,
+            x=self._state(record),
             transitions=record.transitions,
             missed=record.missed,
             late=self.late,
@@ -164,14 +171,14 @@ class PlantTelemetry:
             **keying.told(self.keys_refused),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
-            pictured_x=pictured.x if pictured else (),
+            pictured_x=_before(pictured) if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),
-            pictured_x_next=pictured.x_next if pictured else (),
+            pictured_x_next=_after(pictured) if pictured else (),
             pictured_gauges=pictured.verdict.gauges if pictured else (),
             pictured_symbol=pictured.symbol if pictured else -1,
             pictured_inside=pictured.verdict.inside if pictured else 0,
             tail_k=tuple([t.k for t in tail]),
-            tail_x=tuple([t.x for t in tail]),
+            tail_x=tuple([_before(t) for t in tail]),
             tail_role=tuple([t.role for t in tail]),
             tail_symbol=tuple([t.symbol for t in tail]),
             tail_automaton=tuple([t.s for t in tail]),
@@ -182,6 +189,16 @@ class PlantTelemetry:
         )
 
 
+def _before(t: CountedTransition) -> Vector:
+    """x(k) as both ends have it: as it is read, or the centre of its box."""
+    return t.x if t.verdict.box is None else t.verdict.box.centre
+
+
+def _after(t: CountedTransition) -> Vector:
+    """x(k+1) likewise."""
+    return t.x_next if t.verdict.seen is None else t.verdict.seen.box.centre
+
+
 def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
     """The true states of an attacked plant after these, where all of them are known."""
     true = tuple(t.truth.x_next for t in tail if t.truth is not None)
@@ -190,7 +207,7 @@ def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:
 
 def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
     """What does not change while this process lives."""
-    H, h = scenario.test_set.rows()
+    H, h = (scenario.test_set if scenario.plant.C is None else scenario.resisted).rows()
     own = scenario.secrecy.disturbance is not None
     hers = scenario.eavesdropper_set.rows() if own else ((), ())
     return PlantModel(

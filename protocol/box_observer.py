@@ -13,11 +13,14 @@ she may wait some steps before she names a symbol.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf, nextafter
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from protocol.vectors import Matrix, Vector
 
-PASSES = 2
+SETTLED: Final = 200
+"""Readings after which the box of a quiet loop has settled."""
+
+PASSES: Final = 2
 """How often a box is contracted through the rows of C, and through those of A backwards."""
 
 
@@ -95,6 +98,13 @@ class Observed(NamedTuple):
     box: Box
 
 
+class Seen(NamedTuple):
+    """What both ends keep of a transition: the box right after it, and what may be in force."""
+
+    box: Box
+    inputs: tuple[Vector, ...]
+
+
 @dataclass(frozen=True, slots=True)
 class BoxObserver:
     """The box of a plant x+ = A x + B u + d, y = C x + n.
@@ -122,6 +132,25 @@ class BoxObserver:
         whole = [(-b, b) for b in self.bounds]
         return _box(self._met(whole, y) or whole)
 
+    def moved(self, box: Box, inputs: Sequence[Sequence[float]]) -> Box:
+        """The box a step later, with one of ``inputs`` in force and nothing read."""
+        parts = list(zip(box.low, box.high, strict=True))
+        found = []
+        for u in inputs:
+            pushes = self._pushes(u)
+            found.append(
+                [
+                    _add(_total([_scaled(a, x) for a, x in zip(row, parts, strict=True)]), push)
+                    for row, push in zip(self.A, pushes, strict=True)
+                ]
+            )
+        return _hull(found)
+
+    def met(self, box: Box, y: Sequence[float]) -> Box:
+        """The part of a box that may be read as ``y``; where there is none it begins anew."""
+        found = self._met(list(zip(box.low, box.high, strict=True)), y)
+        return self.begin(y) if found is None else _box(found)
+
     def step(
         self, box: Box, candidates: Sequence[Sequence[float]], y_next: Sequence[float]
     ) -> Observed:
@@ -137,19 +166,21 @@ class BoxObserver:
                 found.append(after)
         if not found:
             return Observed((), self.begin(y_next))
-        low = tuple(min(part[j][0] for part in found) for j in range(len(self.A)))
-        high = tuple(max(part[j][1] for part in found) for j in range(len(self.A)))
-        return Observed(tuple(possible), Box(low, high))
+        return Observed(tuple(possible), _hull(found))
+
+    def _pushes(self, u: Sequence[float]) -> list[Interval]:
+        """B u + D_c."""
+        return [
+            _add(_total([_scaled(b, (v, v)) for b, v in zip(row, u, strict=True)]), (-w, w))
+            for row, w in zip(self.B, self.disturbance, strict=True)
+        ]
 
     def _after(
         self, box: Box, u: Sequence[float], y_next: Sequence[float]
     ) -> list[Interval] | None:
         """The box after one candidate; None where y(k+1) rules it out."""
         before: list[Interval] | None = list(zip(box.low, box.high, strict=True))
-        pushes = [
-            _add(_total([_scaled(b, (v, v)) for b, v in zip(row, u, strict=True)]), (-w, w))
-            for row, w in zip(self.B, self.disturbance, strict=True)
-        ]
+        pushes = self._pushes(u)
         after: list[Interval] | None = None
         for _ in range(PASSES):
             assert before is not None
@@ -186,22 +217,48 @@ class BoxObserver:
             abs(sum(c * sum(b * v for b, v in zip(row, u, strict=True)) for c, row in terms))
             for terms in ([*zip(line, self.B, strict=True)] for line in self.C)
         )
-        spread = tuple(
-            abs(sum(a * c for a, c in zip(column, line, strict=True)))
-            for line in self.C
-            for column in zip(*self.A, strict=True)
-        )
-        n = len(self.A)
-        blur = tuple(
-            2
-            * (
-                sum(s * r for s, r in zip(spread[i * n : (i + 1) * n], box.radius, strict=True))
-                + sum(abs(c) * w for c, w in zip(line, self.disturbance, strict=True))
-                + width
-            )
-            for i, (line, width) in enumerate(zip(self.C, self.noise, strict=True))
-        )
-        return moved, blur
+        return moved, tuple(2 * reach for reach in self.reach(box))
+
+    def reach(self, box: Box) -> Vector:
+        """rad(C A X + C D_c + N): how far from its prediction the next reading may be."""
+        out = []
+        for line, width in zip(self.C, self.noise, strict=True):
+            total = width
+            for column, radius in zip(zip(*self.A, strict=True), box.radius, strict=True):
+                total += abs(sum(a * c for a, c in zip(column, line, strict=True))) * radius
+            for c, w in zip(line, self.disturbance, strict=True):
+                total += abs(c) * w
+            out.append(total)
+        return tuple(out)
+
+    def read(self, x: Sequence[float]) -> Vector:
+        """C x, products added from the left."""
+        out = []
+        for line in self.C:
+            total = line[0] * x[0]
+            for j in range(1, len(line)):
+                total += line[j] * x[j]
+            out.append(total)
+        return tuple(out)
+
+    def quiet(self) -> Vector:
+        """Half-widths of the box of a loop whose every input is decoded: at most these, in the end.
+
+        Where each reading is the one expected a box shrinks least.
+        """
+        nothing, zero = self.read((0.0,) * len(self.A)), (0.0,) * len(self.B[0])
+        box = self.begin(nothing)
+        for _ in range(SETTLED):
+            box = self.step(box, (zero,), nothing).box
+        return box.radius
+
+
+def _hull(found: Sequence[Sequence[Interval]]) -> Box:
+    """The smallest box around some."""
+    sides = range(len(found[0]))
+    low = tuple(min(part[j][0] for part in found) for j in sides)
+    high = tuple(max(part[j][1] for part in found) for j in sides)
+    return Box(low, high)
 
 
 def _box(parts: Sequence[Interval]) -> Box:

@@ -95,6 +95,8 @@ class Knowledge(Brief, BaseModel):
         D_c, where D_e has a shape of its own. Only the oracle is told.
     noisy : bool
         The plant's sensors are noisy, which is public; how much they are is not.
+    C : tuple of tuple of float, shape (r, n), optional
+        What is read of the state, y = C x + n; None where all of it is.
     keys : Assumption, optional
         What is claimed of every tap, which is public; None where no keys are made.
     noise, quantise : float
@@ -116,6 +118,7 @@ class Knowledge(Brief, BaseModel):
     defender_H: Matrix | None = None
     defender_h: Vector | None = None
     noisy: bool = False
+    C: Matrix | None = None
     keys: Assumption | None = None
     noise: float = 0.0
     quantise: float = 0.0

@@ -15,7 +15,7 @@ from pydantic_core import to_json
 
 from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
 from runtime.recording import read_lines
-from wyner.dashboard.model import Arrival, Board, reduce_all
+from wyner.dashboard.model import Arrival, State, reduce_all
 from wyner.dashboard.screenshot import to_svg
 from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource
 from wyner.dashboard.view import ViewState, screen
@@ -55,9 +55,9 @@ def write(path: Path, arrivals: Iterable[Arrival]) -> None:
 def draw(arrivals: Iterable[Arrival], width: int, height: int) -> str:
     """The screen after the last arrival, as SVG."""
     arrivals = list(arrivals)
-    board = reduce_all(Board(), arrivals)
-    lines = screen(board, width, height, ViewState(), arrivals[-1].t_ns)
-    return to_svg(lines, width)
+    state = reduce_all(State(), arrivals)
+    shown = screen(state, width, height, ViewState(), arrivals[-1].t_ns)
+    return to_svg(shown, (width, height))
 
 
 def thin(arrivals: Sequence[Arrival], k: int) -> list[Arrival]:

@@ -39,9 +39,12 @@ from protocol.agreement import (
     Gauge,
     predict,
 )
+from protocol.box_observer import Box
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
+from protocol.link.fallback import Fallback
+from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.messages import Offer
+from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
@@ -62,7 +65,7 @@ class Rules:
     agreement : AgreementRule
     scheme : Scheme
     states, inputs : int
-        n and m.
+        Numbers of a reading, n where the whole state is read, and m.
     fingerprint : str
         Compared over ops before the first step.
     inputs_gauge : Gauge
@@ -77,6 +80,8 @@ class Rules:
         When failed tests make an alarm.
     halts : bool
         An alarm ends the offers.
+    outputs : OutputRule, optional
+        In the place of ``agreement``, where some outputs alone are read.
     """
 
     agreement: AgreementRule
@@ -90,6 +95,7 @@ class Rules:
     keyed: bool = False
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
+    outputs: OutputRule | None = None
 
     @property
     def size(self) -> int:
@@ -102,14 +108,42 @@ class Rules:
         candidates: tuple[Vector, ...],
         predictions: tuple[Vector, ...],
         x_next: Vector,
+        box: Box | None = None,
     ) -> AgreementResult:
-        """The verdict of a transition: on the offer's predictions, or on A x + B u."""
+        """The verdict of a transition: on the offer's predictions, or on A x + B u.
+
+        Where some outputs alone are read ``x`` and ``x_next`` are readings, and ``box`` is where
+        the state lies.
+        """
+        if self.outputs is not None:
+            assert box is not None
+            return self.outputs.judge(box, candidates, x_next)
         if self.predicted:
             return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
 
-    def prediction(self, x: Vector, offer: Offer, candidate: int) -> Vector:
-        """f_c(x, u_i) of one candidate of an offer."""
+    def box(self, record: SenderRecord | ReceiverRecord) -> Box | None:
+        """Where the state of a record lies; None where it is read as it is."""
+        if self.outputs is None:
+            return None
+        return self.outputs.box(record.seen, record.k - record.applied_k - 1, record.x)
+
+    def state(self, record: SenderRecord, measurement: Measurement) -> Vector:
+        """The state for which candidates are to be found: as it is read, or its box's centre.
+
+        The record is the one before the offer, with the transition that ``measurement`` reports.
+        """
+        if self.outputs is None:
+            return measurement.x
+        missed = measurement.k - measurement.applied_k - 1
+        return self.outputs.box(record.seen, missed, measurement.x).centre
+
+    def prediction(self, x: Vector, offer: Offer, candidate: int, box: Box | None = None) -> Vector:
+        """f_c(x, u_i) of one candidate of an offer, as it would be read."""
+        if self.outputs is not None:
+            assert box is not None
+            expected = self.outputs.predictions(box, offer.candidates)[candidate]
+            return self.outputs.observer.read(expected)
         if self.predicted:
             return offer.predictions[candidate]
         return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
@@ -153,7 +187,7 @@ def rules_of(scenario: Scenario) -> Rules:
             apart=Gauge.from_rows(*D_c.rows()) if noisy else None,
         ),
         scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
-        states=scenario.n,
+        states=scenario.readings,
         inputs=scenario.m,
         fingerprint=scenario.fingerprint(),
         inputs_gauge=Gauge.from_rows(*scenario.control.inputs.rows()),
@@ -162,7 +196,17 @@ def rules_of(scenario: Scenario) -> Rules:
         keyed=scenario.defence.keyed,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
+        outputs=_output_rule(scenario),
     )
+
+
+def _output_rule(scenario: Scenario) -> OutputRule | None:
+    """The test on readings y = C x + n; None where the whole state is read."""
+    observer = scenario.observer
+    if observer is None:
+        return None
+    gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
+    return OutputRule(observer, gauge, scenario.secrecy.alpha, Fallback.of(scenario))
 
 
 class Truth(NamedTuple):
@@ -303,6 +347,8 @@ class CountedTransition(NamedTuple):
         }
         if self.predictions:
             event["predictions"] = self.predictions
+        if self.verdict.box is not None:
+            event["box"] = self.verdict.box
         if self.coin != NO_SYMBOL:
             event["coin"] = self.coin
             event["u"] = self.u

@@ -6,7 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from protocol.scenario.noise import NoiseSet
-from protocol.scenario.parts import ScenarioTable, shape, shape_problem
+from protocol.scenario.parts import Positive, ScenarioTable, shape, shape_problem
 from protocol.scenario.plant import Disturbance
 from protocol.scenario.sets import ConvexSet
 from protocol.vectors import FiniteMatrix
@@ -46,18 +46,22 @@ class Defender(ScenarioTable):
     """D_c, which both ends know and she does not: it decides what a key is."""
     noise: NoiseSet | None = None
     """N, what both ends take the sensors to add at most; none where not given."""
+    bounds: tuple[Positive, ...] | None = None
+    """Where plant.C is given: half-widths of a box that the state never leaves, n numbers."""
     calibration: Calibration | None = None
     """What `wyner fit` promises of D_c."""
 
-    def problems(self, n: int, m: int) -> Iterator[str]:
-        """What does not fit a plant of ``n`` states and ``m`` inputs, a line each."""
+    def problems(self, n: int, m: int, readings: int) -> Iterator[str]:
+        """What does not fit a plant of ``n`` states, ``m`` inputs and so many readings."""
         if self.A is not None:
             yield from shape_problem("defender.A", shape(self.A), (n, n))
         if self.B is not None:
             yield from shape_problem("defender.B", shape(self.B), (n, m))
         yield from shape_problem("defender.disturbance", self.disturbance.dimension, n)
         if self.noise is not None:
-            yield from shape_problem("defender.noise", self.noise.dimension, n)
+            yield from shape_problem("defender.noise", self.noise.dimension, readings)
+        if self.bounds is not None:
+            yield from shape_problem("defender.bounds", len(self.bounds), n)
 
     def covers(self, d: Disturbance) -> bool:
         """Whether the box that ``d`` is drawn from lies within D_c."""

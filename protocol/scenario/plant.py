@@ -75,6 +75,8 @@ class PlantTable(ScenarioTable):
     ----------
     A, B : tuple of tuple of float, shapes (n, n) and (n, m), optional
         Of a plant of kind ``linear``, x+ = A x + B u + d.
+    C : tuple of tuple of float, shape (r, n), optional
+        What is read of it, y = C x + n; the whole state where not given.
     initial_state : tuple of float, shape (n,)
         Empty where the plant starts as it stands.
     limits : tuple of (low, high), optional
@@ -87,6 +89,8 @@ class PlantTable(ScenarioTable):
     """State matrix, n rows of n numbers."""
     B: FiniteMatrix | None = None
     """Input matrix, n rows of m numbers."""
+    C: FiniteMatrix | None = None
+    """What the sensors read, r rows of n numbers: y = C x + n; the state itself where not given."""
     period_s: Positive
     """Seconds from one step to the next."""
     initial_state: FiniteVector = ()
@@ -100,7 +104,7 @@ class PlantTable(ScenarioTable):
     limits: tuple[tuple[FiniteFloat, FiniteFloat], ...] | None = None
     """Low and high of each reading; outside, the plant goes to its safe state."""
 
-    @field_validator("A", "B")
+    @field_validator("A", "B", "C")
     @classmethod
     def _matrices(cls, matrix: FiniteMatrix | None) -> FiniteMatrix | None:
         return None if matrix is None else check_matrix(matrix)
@@ -116,9 +120,15 @@ class PlantTable(ScenarioTable):
         d = self.disturbance
         size = {"input": m, "none": 0}.get(d.enters or "state", n)
         yield from shape_problem("plant.disturbance.half_widths", len(d.half_widths), size)
+        readings = n
+        if self.C is not None:
+            readings = len(self.C)
+            yield from shape_problem("plant.C", shape(self.C), (readings, n))
+            if self.kind != "linear":
+                yield f"plant.C: got kind {self.kind!r}, expected 'linear' where outputs are read"
         if self.noise is not None:
-            yield from shape_problem("plant.noise", self.noise.dimension, n)
+            yield from shape_problem("plant.noise", self.noise.dimension, readings)
         if self.operating_point is not None:
             yield from self.operating_point.problems(n, m)
         if self.limits is not None:
-            yield from shape_problem("plant.limits", len(self.limits), n)
+            yield from shape_problem("plant.limits", len(self.limits), readings)

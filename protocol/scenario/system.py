@@ -3,11 +3,13 @@
 import hashlib
 import json
 from collections.abc import Iterator
+from functools import lru_cache
 from math import isfinite
 from typing import Annotated, Self
 
 from pydantic import Field, SerializeAsAny, model_validator
 
+from protocol.box_observer import Box, BoxObserver
 from protocol.brief import Brief
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.knowledge import Knowledge
@@ -105,6 +107,22 @@ class Scenario(Brief, ScenarioTable):
         return len(self.plant_model[0])
 
     @property
+    def readings(self) -> int:
+        """Numbers of a reading: n, or the rows of C."""
+        return self.n if self.plant.C is None else len(self.plant.C)
+
+    @property
+    def observer(self) -> BoxObserver | None:
+        """The box observer of both ends; None where the whole state is read."""
+        D_c, N = self.defender.disturbance.half_widths, self.defender.noise
+        if self.plant.C is None or N is None:
+            return None
+        assert D_c is not None, "validated"
+        assert N.half_widths is not None, "validated"
+        assert self.defender.bounds is not None, "validated"
+        return BoxObserver(self.A, self.B, self.plant.C, D_c, N.half_widths, self.defender.bounds)
+
+    @property
     def m(self) -> int:
         """Number of inputs."""
         return len(self.plant_model[1][0])
@@ -127,13 +145,41 @@ class Scenario(Brief, ScenarioTable):
 
     @property
     def control_set(self) -> ConvexSet:
-        """What the sets T_i resist: ``control.disturbance``, else the test's own set."""
-        return self.control.disturbance or self.test_set
+        """What the sets T_i resist: ``control.disturbance``, else the least that they must."""
+        return self.control.disturbance or self.resisted
+
+    @property
+    def resisted(self) -> ConvexSet:
+        """The least that the sets must resist: the test's own set.
+
+        Where outputs are read it is D_c + A E + E, for E the box of a loop whose every input is
+        decoded: so far the estimate may move by itself.
+        """
+        observer = self.observer
+        if observer is None:
+            return self.test_set
+        E = _quiet(observer)
+        widths = []
+        for row, own, d in zip(self.A, E, observer.disturbance, strict=True):
+            total = d + own
+            for a, e in zip(row, E, strict=True):
+                total += abs(a) * e
+            widths.append(total)
+        return ConvexSet(half_widths=tuple(widths))
 
     @property
     def test_set(self) -> ConvexSet:
-        """The defender's half of the test: D_c, or W = D_c + N + A N where sensors are noisy."""
+        """The defender's half of the test: D_c, or W = D_c + N + A N where sensors are noisy.
+
+        Where outputs are read it is a strip, not bounded: abs(C v) at most rad(C A E + C D_c + N).
+        """
         D_c, N = self.defender.disturbance, self.defender.noise
+        observer = self.observer
+        if observer is not None:
+            E = _quiet(observer)
+            reach = observer.reach(Box(tuple(-e for e in E), E))
+            rows = [row for line in observer.C for row in (line, tuple(-c for c in line))]
+            return ConvexSet(H=tuple(rows), h=tuple(r for r in reach for _ in range(2)))
         return D_c if N is None else widened(D_c, N, self.A)
 
     @property
@@ -174,7 +220,7 @@ class Scenario(Brief, ScenarioTable):
                 )
         problems = [
             *self.plant.problems(self.n, self.m),
-            *self.defender.problems(self.n, self.m),
+            *self.defender.problems(self.n, self.m, self.readings),
             *self.control.problems(self.n, self.m, self.secrecy.candidates),
         ]
         if self.network is not None:
@@ -189,6 +235,7 @@ class Scenario(Brief, ScenarioTable):
             problems.append(f"{text} times {max(bounds):g}")
         d = self.plant.disturbance
         may_leave = d.may_leave_defender_set or d.kind == "gaussian"
+        problems += self._output_problems()
         if not problems:
             problems += self._safety_problems()
         in_state = d.enters in (None, "state")
@@ -206,6 +253,24 @@ class Scenario(Brief, ScenarioTable):
             raise ValueError("; ".join(problems))
         return self
 
+    def _output_problems(self) -> Iterator[str]:
+        """What a box observer asks for, a line each."""
+        if self.plant.C is None:
+            if self.defender.bounds is not None:
+                yield "defender.bounds: expected none, as the whole state is read (no plant.C)"
+            return
+        N = self.defender.noise
+        if N is None or N.half_widths is None or self.plant.noise is None:
+            yield "defender.noise: expected half_widths, and plant.noise, beside plant.C"
+        if self.defender.bounds is None:
+            yield "defender.bounds: got none, expected a half-width a state beside plant.C"
+        if self.defender.disturbance.half_widths is None:
+            yield "defender.disturbance: expected half_widths beside plant.C"
+        if self.plant.disturbance.enters not in (None, "state"):
+            yield "plant.disturbance.enters: expected 'state' beside plant.C"
+        if self.attack is not None:
+            yield "attack: expected none beside plant.C, as attacks know whole states only"
+
     def _safety_problems(self) -> Iterator[str]:
         D_c = self.defender.disturbance
         noise, assumed = self.plant.noise, self.defender.noise
@@ -215,7 +280,7 @@ class Scenario(Brief, ScenarioTable):
                 "defender.disturbance (D_c within D_e, equation 11)"
             )
         if self.control.disturbance is not None and not self.control.disturbance.contains(
-            self.test_set
+            self.resisted
         ):
             yield (
                 "control.disturbance: expected a set that contains defender.disturbance, D_c"
@@ -277,9 +342,18 @@ class Scenario(Brief, ScenarioTable):
         # With a nonlinear f_c the offer carries its predictions, and both ends test against those.
         f_c = {} if self.defender.model is None else {"f_c": "in the offer"}
         hers = self.secrecy.disturbance
-        shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        shape: dict[str, object] = (
+            {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        )
         if self.defender.noise is not None:
             shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
+        if self.plant.C is not None:  # what is predicted of a missed step follows the fallback
+            shape |= {
+                "C": self.plant.C,
+                "bounds": self.defender.bounds,
+                "fallback": self.link.fallback,
+                "K": self.control.gain if self.link.fallback == "regulator" else None,
+            }
         coin = {"coin": "keyed"} if self.defence.keyed else {}
         return _digest(
             {
@@ -312,8 +386,9 @@ class Scenario(Brief, ScenarioTable):
         if self.network is None:
             untold.add("network")
         rest = self.model_dump(mode="json", exclude={*untold, *apart})
-        if self.defender.noise is None:
-            del rest["defender"]["noise"]
+        for name in ("noise", "bounds"):
+            if getattr(self.defender, name) is None:
+                del rest["defender"][name]
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
         return _digest({**rest, **{name: _as_floats(stated[name]) for name in apart}})
 
@@ -346,7 +421,10 @@ class Scenario(Brief, ScenarioTable):
     def _noise(self) -> dict[str, object]:
         """D_c and N, where W takes the place of D_c."""
         N, D_c = self.defender.noise, self.defender.disturbance
-        return {} if N is None else {"N": N.model_dump(), "of": D_c.model_dump()}
+        if N is None:
+            return {}
+        C = {} if self.plant.C is None else {"C": self.plant.C, "bounds": self.defender.bounds}
+        return {"N": N.model_dump(), "of": D_c.model_dump(), **C}
 
     def _own_law(self) -> dict[str, str]:
         """The source of a law in a file of the user's, where this process knows laws."""
@@ -367,6 +445,7 @@ class Scenario(Brief, ScenarioTable):
             disturbance_h=h,
             policy=self.control.policy(self.n, self.m),
             noisy=self.defender.noise is not None,
+            C=self.plant.C,
             keys=None if self.keys is None else self.keys.assumption(),
         )
 
@@ -378,6 +457,12 @@ class Scenario(Brief, ScenarioTable):
             H, h = self.test_set.rows()
             told |= {"defender_H": H, "defender_h": h}
         return self.knowledge().model_copy(update=told)
+
+
+@lru_cache(maxsize=64)
+def _quiet(observer: BoxObserver) -> FiniteVector:
+    """Half-widths of the observer's box in a quiet loop."""
+    return observer.quiet()
 
 
 def _as_floats(value: object) -> object:

@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar, Final, Protocol
 
 from pydantic import BaseModel, ConfigDict
 
@@ -179,7 +179,8 @@ class Eavesdropper(ABC):
     f_c nor D_e, unless the model she is told is wrong on purpose. One with ``hears_messages`` is
     handed every message besides, right before the transitions that it settles. One with
     ``guesses = False`` goes for something else than the loop's own symbols: what she answers for a
-    transition is no guess, and she is not scored by it.
+    transition is no guess, and she is not scored by it. One with ``reads_outputs = False`` wants
+    whole states, and cannot listen where a plant is read through some outputs alone.
 
     Attributes
     ----------
@@ -202,10 +203,16 @@ class Eavesdropper(ABC):
     told_model: ClassVar[bool] = True
     hears_messages: ClassVar[bool] = False
     guesses: ClassVar[bool] = True
+    reads_outputs: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge
         self.size = knowledge.candidates
+        if knowledge.C is not None and not self.reads_outputs:
+            raise KnowledgeError(
+                f"eavesdropper {self.name}: wants whole states, and this plant is read through "
+                "some outputs alone (plant.C)"
+            )
         try:
             self.scheme = make_scheme(knowledge.scheme, knowledge.candidates)
         except UnknownError as error:
@@ -249,9 +256,12 @@ class Model:
     B: Matrix
     gauge: Gauge
 
+    settled: ClassVar[bool] = True
+    """Whole states need no time to be known."""
+
     @classmethod
-    def of(cls, knowledge: Knowledge, needed_by: str) -> "Model":
-        """The model in ``knowledge``.
+    def of(cls, knowledge: Knowledge, needed_by: str) -> "Measuring":
+        """The model in ``knowledge``, for what is read of the plant.
 
         Raises
         ------
@@ -268,7 +278,13 @@ class Model:
         assert k.B is not None
         assert k.disturbance_H is not None
         assert k.disturbance_h is not None
-        return cls(k.A, k.B, Gauge.from_rows(k.disturbance_H, k.disturbance_h))
+        gauge = Gauge.from_rows(k.disturbance_H, k.disturbance_h)
+        if k.C is None:
+            return cls(k.A, k.B, gauge)
+        from tap_service.inference.output_model import OutputModel
+
+        assert gauge.half_widths is not None, "a box, where outputs are read"
+        return OutputModel(k.A, k.B, k.C, gauge.half_widths)
 
     def gauges(
         self,
@@ -308,6 +324,40 @@ class Model:
         r = max(range(len(places)), key=lambda i: max(places[i]) - min(places[i]))
         at = sum(a * v for a, v in zip(H[r], x_next, strict=True)) / h[r]
         return [abs(at - place) for place in places[r]]
+
+
+class Measuring(Protocol):
+    """A model that measures every candidate, whatever is read of the plant."""
+
+    @property
+    def A(self) -> Matrix:
+        """Her A."""
+
+    @property
+    def B(self) -> Matrix:
+        """Her B."""
+
+    @property
+    def settled(self) -> bool:
+        """Whether she knows the state by now."""
+
+    def gauges(
+        self,
+        x: Sequence[float],
+        candidates: Sequence[Sequence[float]],
+        x_next: Sequence[float],
+        predictions: Sequence[Sequence[float]] = (),
+    ) -> list[float]:
+        """See :meth:`Model.gauges`."""
+
+    def along_the_widest(
+        self,
+        x: Sequence[float],
+        candidates: Sequence[Sequence[float]],
+        x_next: Sequence[float],
+        predictions: Sequence[Sequence[float]] = (),
+    ) -> list[float]:
+        """See :meth:`Model.along_the_widest`."""
 
 
 class Follower:
@@ -361,7 +411,7 @@ class Follower:
         if self.solved_k < 0:
             self.solved_k = k
 
-    def belief(self, model: Model | None, confidence: float = 0.0) -> Belief:
+    def belief(self, model: "Measuring | None", confidence: float = 0.0) -> Belief:
         """What this way of following gives: certain once a frame check held."""
         partial = self._deframer.partial
         return Belief(

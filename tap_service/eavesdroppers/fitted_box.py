@@ -45,6 +45,7 @@ class FittedBox(Following):
     """Takes the nearest candidate in the shape that she found."""
 
     name: ClassVar[str] = "fitted-box"
+    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:

@@ -49,6 +49,7 @@ class Learning(Eavesdropper):
     """Identifies the model as she listens, and decodes her past again with what she learned."""
 
     name: ClassVar[str] = "learning"
+    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
     told_model: ClassVar[bool] = False
 

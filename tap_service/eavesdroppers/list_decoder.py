@@ -11,7 +11,7 @@ from typing import ClassVar
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Measuring, Model, even
 from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 
@@ -33,7 +33,8 @@ class ListDecoder(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self.decoding = ListDecoding(self.scheme, edge=1.0, framed=framed, certain=self.certain)
+        certain = self.certain and knowledge.C is None  # else not before an estimate has settled
+        self.decoding = ListDecoding(self.scheme, edge=1.0, framed=framed, certain=certain)
 
     def observe(self, transition: Transition) -> Guess:
         """Cut the list by this step's gauges; the nearest candidate is the guess."""
@@ -75,7 +76,7 @@ def agreement_probability(decoding: ListDecoding, gauges: list[float]) -> float:
     return 1.0 if certain else 0.5
 
 
-def belief_of(decoding: ListDecoding, model: Model | None) -> Belief:
+def belief_of(decoding: ListDecoding, model: Measuring | None) -> Belief:
     """What a decoding gives as a belief."""
     whole = tuple(decoding.whole)
     return Belief(
@@ -110,7 +111,7 @@ class Collected:
         while len(self._whole) > KEPT_MESSAGES:
             del self._whole[next(iter(self._whole))]
 
-    def belief(self, decoding: ListDecoding, model: Model | None) -> Belief:
+    def belief(self, decoding: ListDecoding, model: Measuring | None) -> Belief:
         """What a decoding gives, with the messages of those before it, which count as certain."""
         now, whole = belief_of(decoding, model), tuple(self._whole.values())
         return replace(

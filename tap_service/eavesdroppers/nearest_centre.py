@@ -6,7 +6,8 @@ every alpha. Only *when* a key was agreed is hidden, behind a threshold. Her est
 largest nearest gauge so far, times a margin: the disturbance fills its set, so that the estimate
 grows towards the set's edge from inside. Under a law of which it is public that every transition
 agrees, *when* is no question, and she needs no threshold. Where the plant's sensors are noisy she
-measures along the one row of D_e that tells the candidates apart.
+measures along the one row of D_e that tells the candidates apart. Where outputs alone are read she
+measures readings, and takes none of a session's first steps for agreed: no estimate has settled.
 """
 
 from collections.abc import Sequence
@@ -36,6 +37,7 @@ class NearestCentre(Following):
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector
     ) -> tuple[int, Guess]:
         """Measure every candidate; the nearest is the guess."""
+        settled = self.model.settled
         measure = self.model.along_the_widest if self.noisy else self.model.gauges
         gauges = measure(x, candidates, x_next, t.predictions)
         nearest = min(gauges)
@@ -43,7 +45,7 @@ class NearestCentre(Following):
         self._largest = max(self._largest, nearest)
         threshold = MARGIN * self._largest
         inside = sum(g <= threshold for g in gauges)
-        agreed = self.certain or (inside == 1 and max(gauges) <= 1.0)
+        agreed = settled and (self.certain or (inside == 1 and max(gauges) <= 1.0))
         symbol = gauges.index(nearest)
         follows = symbol if agreed else NO_SYMBOL
         if ties > 1:

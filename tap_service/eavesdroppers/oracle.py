@@ -19,6 +19,7 @@ class Oracle(Following):
     """Makes the defender's own test."""
 
     name: ClassVar[str] = "oracle"
+    reads_outputs: ClassVar[bool] = False
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)

@@ -51,6 +51,7 @@ class Smoother(Eavesdropper):
     """Infers what was missed, then decodes with every threshold and every likely outcome."""
 
     name: ClassVar[str] = "smoother"
+    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:

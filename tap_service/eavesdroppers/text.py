@@ -50,6 +50,7 @@ class Text(Eavesdropper):
     """
 
     name: ClassVar[str] = "text"
+    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(

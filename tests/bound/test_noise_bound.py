@@ -256,7 +256,7 @@ def test_a_constraint_that_may_be_active_leaves_nothing(
 ) -> None:
     """K x + p may need 1.55 times U on the double integrator."""
     assert LinearLoop.of(scenario_of("packed-double-integrator")).used > 1
-    assert main(["bound", "packed-double-integrator", "--json"]) == 0
+    assert main(["design", "packed-double-integrator", "--noise", "--json"]) == 0
     table = json.loads(capsys.readouterr().out)
     assert "control.inputs" in table["nothing_because"]
     assert {row["bits_per_coin"] for row in table["rows"]} == {0.0}
@@ -277,7 +277,7 @@ def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: Linea
 
 
 def test_the_table_says_what_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bound", "packed", "--noise", "0.12"]) == 0
+    assert main(["design", "packed", "--noise", "0.12"]) == 0
     out = capsys.readouterr().out
     assert "never proved" in out
     assert "not for the programs" in out
@@ -289,7 +289,7 @@ def test_the_measured_tap_and_the_figure(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "bound.svg"
-    argv = ["bound", "packed", "--noise", "0.12,0.24", "--measure", "--json", "--figure", str(path)]
+    argv = ["design", "packed", "--noise", "0.12,0.24", "--measure", "--json", "--plot", str(path)]
     assert main(argv) == 0
     table = json.loads(capsys.readouterr().out.splitlines()[0])
     for row in table["rows"]:
@@ -302,18 +302,22 @@ def test_the_measured_tap_and_the_figure(
     ("arguments", "line"),
     [
         (["packed", "--noise", "-1"], "--noise: got '-1', expected numbers of 0 or more"),
-        (["packed", "--watch", "3"], "--watch: got '3', expected states from 1 to 2"),
-        (["packed", "--coins", "0"], "--coins: got 0, expected 1 to"),
-        (["packed", "--eps", "2"], "--eps: got 2, expected between 0 and 1"),
-        (["packed", "--figure", "a.pdf"], "--figure: got 'a.pdf'"),
-        (["packed", "--measure", "--offers", "noisy"], "--measure: expected all states"),
-        (["sustained"], "control.law: got 'sustained', expected 'packed'"),
+        (["packed", "--noise", "--watch", "3"], "--watch: got '3', expected states from 1 to 2"),
+        (["packed", "--noise", "--coins", "0"], "--coins: got 0, expected 1 to"),
+        (["packed", "--noise", "--eps", "2"], "--eps: got 2, expected between 0 and 1"),
+        (["packed", "--noise", "--plot", "a.pdf"], "--plot: got 'a.pdf'"),
+        (["packed", "--watch", "1"], "--watch: got '1', expected --noise beside it"),
+        (
+            ["packed", "--noise", "--measure", "--offers", "noisy"],
+            "--measure: expected all states",
+        ),
+        (["sustained", "--noise"], "control.law: got 'sustained', expected 'packed'"),
     ],
 )
 def test_wrong_arguments_are_one_line(
     arguments: list[str], line: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["bound", *arguments]) == 2
+    assert main(["design", *arguments]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     assert line in captured.err

@@ -31,6 +31,7 @@ from tests.support.small_run import law_of
 from tools.rehearsal import Rehearsal
 from wyner.dashboard.app import Watch
 from wyner.dashboard.headless import Reporter
+from wyner.dashboard.screenshot import to_text
 from wyner.dashboard.source import BusSource
 
 LISTENERS = ("tap", "dashboard", "watcher", "sealing")
@@ -134,10 +135,10 @@ class Dashboard:
         self._waiting = 0
         self._looks += 1
         self._watch.take(self._source)
-        lines, self._reporter = self._reporter.report(self._watch.board, self._looks * 10**9)
+        lines, self._reporter = self._reporter.report(self._watch.state, self._looks * 10**9)
         if self._looks % 10 == 0:
-            drawn = self._watch.draw(((80, 24), (200, 60), (40, 10))[self._looks % 3], 0)
-            lines += [text.plain for text in drawn]
+            size = ((80, 24), (200, 60), (40, 10))[self._looks % 3]
+            lines += to_text(self._watch.draw(size, 0), size).splitlines()
         assert all(line.isprintable() for line in lines), lines
 
     def close(self) -> None:

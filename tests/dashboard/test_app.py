@@ -21,19 +21,20 @@ import pytest
 from protocol.messages import PlantStatus
 from tests.support.scripted import ScriptedSource
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
-from wyner.dashboard.app import GO_ON, Ending, Watch, has_screen, speaks_unicode
+from wyner.dashboard.app import FRAME_NS, GO_ON, Ending, Watch, has_screen, speaks_unicode
 from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.keymap import KEYS
-from wyner.dashboard.model import Arrival, Board, reduce_all
+from wyner.dashboard.model import Arrival, State, reduce_all
+from wyner.dashboard.screenshot import to_text
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.terminal import ESCAPE, Keyboard, cbreak, split_keys
 
 SIZE = (80, 24)
 
 
-def plant_of(board: Board) -> PlantStatus:
-    assert board.plant is not None
-    return board.plant
+def plant_of(state: State) -> PlantStatus:
+    assert state.plant is not None
+    return state.plant
 
 
 def source(steps: int = 300) -> ScriptedSource:
@@ -41,7 +42,7 @@ def source(steps: int = 300) -> ScriptedSource:
 
 
 def text_of(watch: Watch, now_ns: int = 0) -> str:
-    return "\n".join(line.plain for line in watch.draw(SIZE, now_ns))
+    return to_text(watch.draw(SIZE, now_ns), SIZE)
 
 
 @pytest.fixture
@@ -64,7 +65,7 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     assert "FROZEN, 0 steps on" in held
     assert "FROZEN, 50 steps on" in still
     assert held.splitlines()[1:] == still.splitlines()[1:]
-    assert watch.board.received == 51
+    assert watch.state.received == 51
     watch.press(" ", SIZE, 0)
     assert "FROZEN" not in text_of(watch)
     assert "step 100 " in text_of(watch)
@@ -75,7 +76,7 @@ def test_frozen_over_a_new_journal_counts_no_steps_backwards(watch: Watch) -> No
     for _ in range(20):
         watch.take(script)
     watch.press(" ", SIZE, 0)
-    plant = plant_of(watch.board)
+    plant = plant_of(watch.state)
     fresh = {"session": "f" * 16, "k": 3, "seq": 0, "t_ns": plant.t_ns + 1}
     watch.take(ScriptedSource([[Arrival(1, plant.model_copy(update=fresh))]]))
     assert "FROZEN, new session" in text_of(watch)
@@ -97,24 +98,6 @@ def test_help_comes_and_goes(watch: Watch) -> None:
     assert KEYS[0].meaning not in text_of(watch)
 
 
-def test_a_filter_is_typed_mended_kept_and_dropped(watch: Watch) -> None:
-    script = source(3000)
-    while not script.exhausted:
-        watch.take(script)
-    for key in "/qnx\x7fear":
-        watch.press(key, SIZE, 0)
-    assert not watch.quit, "q is a letter while a filter is typed"
-    watch.press("\x7f", SIZE, 0)
-    assert watch.wishes.filter == "qnea"
-    for key in ESCAPE + "/near\r":
-        watch.press(key, SIZE, 0)
-    shown = text_of(watch)
-    assert "/near: 1 of 3 taps" in shown
-    assert "\n list-decoder" not in shown
-    watch.press(ESCAPE, SIZE, 0)
-    assert "\n list-decoder" in text_of(watch)
-
-
 def test_saving_names_the_files_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
     watch = Watch(unicode=True, folder=tmp_path)
     watch.press("s", SIZE, 0)
@@ -127,10 +110,10 @@ def test_saving_names_the_files_and_a_folder_that_cannot_be_written(tmp_path: Pa
 
 
 def test_unknown_keys_change_nothing_and_q_quits(watch: Watch) -> None:
-    before = watch.wishes
+    before = watch.view
     for key in "xyz1":
         watch.press(key, SIZE, 0)
-    assert watch.wishes == before
+    assert watch.view == before
     watch.press("q", SIZE, 0)
     assert watch.quit
 
@@ -143,10 +126,11 @@ def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> N
     assert watch.due((81, 24), 1)
     assert watch.due(SIZE, 1_000_000_000)
     watch.take(script)
-    assert watch.due(SIZE, 1)
+    assert not watch.due(SIZE, FRAME_NS - 1), "what came waits for the next picture"
+    assert watch.due(SIZE, FRAME_NS)
     watch.draw(SIZE, 1)
     watch.press("x", SIZE, 1)
-    assert watch.due(SIZE, 1)
+    assert watch.due(SIZE, 1), "a key is answered at once"
 
 
 @pytest.mark.parametrize(
@@ -166,61 +150,52 @@ def test_keys_are_split_and_sequences_swallowed(typed: str, keys: list[str]) -> 
     assert split_keys(typed) == keys
 
 
-def test_steps_and_taps_are_chosen_while_frozen(watch: Watch) -> None:
+def test_steps_are_chosen_while_frozen(watch: Watch) -> None:
     script = source()
     for _ in range(20):
         watch.take(script)
     watch.press("left", SIZE, 0)
     assert "FROZEN" in text_of(watch)
-    held = sorted(watch.board.pictures)
-    shown = watch.wishes.step
+    held = sorted(watch.state.pictures)
+    shown = watch.view.step
     assert shown is not None
-    assert f"Agreement at step {shown} " in text_of(watch)
+    assert f"Key test at step {shown} " in text_of(watch)
     watch.press("left", SIZE, 0)
-    assert watch.wishes.step == held[held.index(shown) - 1]
+    assert watch.view.step == held[held.index(shown) - 1]
     for _ in range(300):
         watch.press("right", SIZE, 0)
-    assert watch.wishes.step == held[-1]
+    assert watch.view.step == held[-1]
     for _ in range(300):
         watch.press("left", SIZE, 0)
-    assert watch.wishes.step == held[0]
-    for key, name in (("down", "list-decoder"), ("down", "nearest-centre"), ("up", "list-decoder")):
-        watch.press(key, SIZE, 0)
-        assert watch.wishes.tap == name
-        assert f"\n>{name} " in text_of(watch)
-    watch.press("\r", SIZE, 0)
-    assert f"── Step {held[0]} ──" in text_of(watch)
-    watch.press(ESCAPE, SIZE, 0)
-    assert f"Agreement at step {held[0]} " in text_of(watch)
+    assert watch.view.step == held[0]
     watch.press(" ", SIZE, 0)
-    assert "Agreement at step" in text_of(watch)
+    assert "FROZEN" not in text_of(watch)
     nobody = Watch(unicode=True, folder=Path())
-    for key in ("left", "down", "\n"):
-        nobody.press(key, SIZE, 0)
-    assert "No step pictured yet" in text_of(nobody)
+    nobody.press("left", SIZE, 0)
+    assert "no step pictured yet" in text_of(nobody)
 
 
 def test_the_first_line_begins_with_what_the_screen_is_of() -> None:
     watch = Watch(unicode=True, folder=Path())
     assert text_of(watch).startswith(" wyner  waiting for the plant")
-    watch.wishes = replace(watch.wishes, title="2/3 sealed")
+    watch.view = replace(watch.view, title="2/3 sealed")
     assert text_of(watch).startswith(" 2/3 sealed  waiting for the plant")
 
 
 def test_the_story_begins_with_the_plants_model_and_keeps_its_order() -> None:
     """Its first captions once stood beside a panel without a picture."""
-    board = Board()
+    state = State()
     for batch in Rehearsal().arrivals(100):
-        board = reduce_all(board, batch)
-    assert next_moment(replace(board, model=None), set()) is None
+        state = reduce_all(state, batch)
+    assert next_moment(replace(state, model=None), set()) is None
     told: set[int] = set()
     steps = []
-    while (found := next_moment(board, told)) is not None and len(told) < 2:
+    while (found := next_moment(state, told)) is not None and len(told) < 2:
         place, moment = found
         assert place == len(told), "in their order, however late the model was heard"
         told.add(place)
         steps.append(moment.step)
-    first = min(k for k, shown in board.pictures.items() if shown.pictured_symbol >= 0)
+    first = min(k for k, shown in state.pictures.items() if shown.pictured_symbol >= 0)
     assert steps == [first, first], "both captions stand beside the first agreement"
 
 
@@ -231,14 +206,14 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
         watch.take(script)
     watch.end(["had it at step 1163"])
     seen = []
-    while watch.wishes.press == GO_ON:
+    while watch.view.press == GO_ON:
         text = text_of(watch)
         assert "…" not in text
         assert "model was not heard yet" not in text, "each caption stands beside its picture"
-        title = watch.wishes.caption[0]
+        title = watch.view.caption[0]
         if title.startswith("The first agreement"):
-            assert f"Agreement at {title.rpartition(', at ')[2]} " in text
-        seen.append(watch.wishes.caption[0])
+            assert f"Key test at {title.rpartition(', at ')[2]} " in text
+        seen.append(watch.view.caption[0])
         watch.press(" ", SIZE, 0)
     assert [title.split(",")[0].split(":")[0] for title in seen] == [
         "The first agreement seen",
@@ -532,53 +507,53 @@ def test_headless_lines_come_at_a_bounded_rate(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_burst_of_events_is_cut_and_counted() -> None:
-    board = Board()
+    state = State()
     for batch in Rehearsal().arrivals(20):
-        board = reduce_all(board, batch)
-    tap = board.taps["list-decoder"]
+        state = reduce_all(state, batch)
+    tap = state.taps["list-decoder"]
     for i in range(12):
         status = tap.status.model_copy(update={"name": f"t{i}", "solved_k": 3})
-        board = reduce_all(board, [Arrival(board.plant_seen_ns, status)])
-    lines, _ = Reporter().report(board, 0)
+        state = reduce_all(state, [Arrival(state.plant_seen_ns, status)])
+    lines, _ = Reporter().report(state, 0)
     assert len(lines) == LINES_AT_ONCE + 2
     assert any("events more" in line for line in lines)
 
 
 def test_nothing_new_says_nothing() -> None:
-    board = Board()
+    state = State()
     for batch in Rehearsal().arrivals(20):
-        board = reduce_all(board, batch)
-    first, reporter = Reporter().report(board, 0)
+        state = reduce_all(state, batch)
+    first, reporter = Reporter().report(state, 0)
     assert first
     for second in range(1, 60):
-        again, reporter = reporter.report(board, second * 1_000_000_000)
+        again, reporter = reporter.report(state, second * 1_000_000_000)
         assert again == []
 
 
-def after(steps: int) -> Board:
-    return reduce_all(Board(), (a for batch in Rehearsal().arrivals(steps) for a in batch))
+def after(steps: int) -> State:
+    return reduce_all(State(), (a for batch in Rehearsal().arrivals(steps) for a in batch))
 
 
-def with_plant(board: Board, **changes: object) -> Board:
-    """The board after one more plant status; the step stands still unless it is changed."""
-    plant = plant_of(board)
+def with_plant(state: State, **changes: object) -> State:
+    """The state after one more plant status; the step stands still unless it is changed."""
+    plant = plant_of(state)
     later = {"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes}
-    arrival = Arrival(board.plant_seen_ns + 1, plant.model_copy(update=later))
-    return reduce_all(board, [arrival])
+    arrival = Arrival(state.plant_seen_ns + 1, plant.model_copy(update=later))
+    return reduce_all(state, [arrival])
 
 
-def with_controller(board: Board, **changes: object) -> Board:
-    assert board.controller is not None
-    later = {"seq": board.controller.seq + 1, "t_ns": board.controller.t_ns + 1, **changes}
-    arrival = Arrival(board.plant_seen_ns, board.controller.model_copy(update=later))
-    return reduce_all(board, [arrival])
+def with_controller(state: State, **changes: object) -> State:
+    assert state.controller is not None
+    later = {"seq": state.controller.seq + 1, "t_ns": state.controller.t_ns + 1, **changes}
+    arrival = Arrival(state.plant_seen_ns, state.controller.model_copy(update=later))
+    return reduce_all(state, [arrival])
 
 
 def test_what_happens_while_no_step_is_made_is_said_once() -> None:
-    board = after(20)
-    _, reporter = Reporter().report(board, 0)
+    state = after(20)
+    _, reporter = Reporter().report(state, 0)
     trouble = with_plant(
-        board,
+        state,
         phase="refused",
         detail="another model",
         symbol_errors=2,
@@ -601,9 +576,9 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
 
 
 def test_progress_is_told_of_a_new_session_that_stands_at_the_same_step() -> None:
-    board = after(20)
-    _, reporter = Reporter().report(board, 0)
-    lines, _ = reporter.report(with_plant(board, session="f" * 16), 3_000_000_000)
+    state = after(20)
+    _, reporter = Reporter().report(state, 0)
+    lines, _ = reporter.report(with_plant(state, session="f" * 16), 3_000_000_000)
     assert lines[0].startswith(f"session {'f' * 16} began: ")
     assert lines[-1].startswith("step 20  x (")
 
@@ -611,7 +586,7 @@ def test_progress_is_told_of_a_new_session_that_stands_at_the_same_step() -> Non
 def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
     whole = after(2000)
     text = "A second message."
-    board = Board()
+    state = State()
     for message in (
         whole.model,
         plant_of(with_plant(whole, partial="A sec")),
@@ -619,8 +594,8 @@ def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
         whole.taps["list-decoder"].status,
     ):
         assert message is not None
-        board = reduce_all(board, [Arrival(1, message)])
-    lines, _ = Reporter().report(board, 0)
+        state = reduce_all(state, [Arrival(1, message)])
+    lines, _ = Reporter().report(state, 0)
     assert lines[0].startswith("session 3f2a9c51d07be684: rehearsal")
     assert f'message 1 is the last recovered: "{MESSAGE_TEXT}"' in lines
     assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
@@ -633,21 +608,21 @@ def test_attached_late_it_tells_what_is_so_and_not_when_it_came_to_be() -> None:
 def test_a_truth_that_comes_last_gives_no_step_to_the_tap_that_held_it() -> None:
     whole = after(2000)
     tap = whole.taps["list-decoder"].status
-    board = reduce_all(Board(), [Arrival(1, tap)])
-    _, reporter = Reporter().report(board, 0)
-    lines, _ = reporter.report(reduce_all(board, [Arrival(2, plant_of(whole))]), 0)
+    state = reduce_all(State(), [Arrival(1, tap)])
+    _, reporter = Reporter().report(state, 0)
+    lines, _ = reporter.report(reduce_all(state, [Arrival(2, plant_of(whole))]), 0)
     assert f'tap list-decoder holds the true message: "{MESSAGE_TEXT}"' in lines
 
 
 @pytest.mark.parametrize(("heard", "judged"), [(False, ""), (True, ", but it is not a true one")])
 def test_only_who_was_heard_before_is_called_wrong(heard: bool, judged: str) -> None:
-    board = after(500)
+    state = after(500)
     if not heard:
-        board = replace(board, taps={})
+        state = replace(state, taps={})
     tap = after(500).taps["list-decoder"].status
     sure = {"solved_k": 490, "message": "wrong", "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
-    later = reduce_all(board, [Arrival(board.plant_seen_ns, tap.model_copy(update=sure))])
-    lines, _ = Reporter(board).report(later, 0)
+    later = reduce_all(state, [Arrival(state.plant_seen_ns, tap.model_copy(update=sure))])
+    lines, _ = Reporter(state).report(later, 0)
     assert f"tap list-decoder was sure of a message at step 490{judged}" in lines
 
 
@@ -661,13 +636,13 @@ def test_lines_show_all_that_is_printable_and_nothing_else(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     message = "第二の手紙 second ✓ e\u0301"
-    board = after(20)
-    board = with_controller(board, sending=message)
-    board = with_plant(board, law="\x1b[2J", messages=1, last_message=message)
-    tap = board.taps["list-decoder"].status
+    state = after(20)
+    state = with_controller(state, sending=message)
+    state = with_plant(state, law="\x1b[2J", messages=1, last_message=message)
+    tap = state.taps["list-decoder"].status
     named = {"name": "\x1b[31mtap", "message": message, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1}
-    board = reduce_all(board, [Arrival(1, tap.model_copy(update=named))])
-    lines = [*Reporter().report(board, 0)[0], secrecy_line(board)]
+    state = reduce_all(state, [Arrival(1, tap.model_copy(update=named))])
+    lines = [*Reporter().report(state, 0)[0], secrecy_line(state)]
     assert f'message 1 is the last recovered: "{message}"' in lines
     assert f'tap ·[31mtap holds the true message: "{message}"' in lines
     assert "·[31mtap leaves at most 0 bit" in lines[-1]

@@ -13,7 +13,7 @@ from protocol.topics import key_of
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.pace import Pace
 from wyner.dashboard import fleet as fleet_module
-from wyner.dashboard.fleet import HEADER, SILENT_S, FleetTable, watch
+from wyner.dashboard.fleet import COLUMNS, PRINTED, SILENT_S, FleetTable, plain, watch
 from wyner.dashboard.model import TAPS_KEPT
 from wyner.dashboard.source import WAITING_AT_MOST
 
@@ -46,6 +46,10 @@ class Fleet:
         bus.publisher(key_of(type(status), loop)).put(told.wire())
 
 
+def lines(fleet: Fleet, now_s: float, width: int = PRINTED, most: int | None = None) -> list[str]:
+    return plain(fleet.table.shown(now_s, width, most))
+
+
 @pytest.fixture
 def fleet(sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path) -> Fleet:
     return Fleet(sustained, sustained_law, tmp_path)
@@ -58,9 +62,9 @@ def test_who_is_in_trouble_comes_first(fleet: Fleet) -> None:
     fleet.say("a", fleet.plant, k=110)
     fleet.say("c", fleet.plant, k=110, missed=7)
     fleet.table.take(SILENT_S + 1)
-    total, header, *rows = fleet.table.lines(SILENT_S + 1)
+    total, header, *rows = lines(fleet, SILENT_S + 1)
     assert total == "2 of 3 loops run, 7 steps missed, 7 of them lately"
-    assert header == HEADER
+    assert all(column.title in header for column in COLUMNS)
     assert [row.split()[:2] for row in rows] == [
         ["b", "silent"],
         ["c", "running"],
@@ -76,7 +80,7 @@ def test_a_claim_stands_beside_the_truth(fleet: Fleet) -> None:
         fleet.say(loop, TAP)
         fleet.say(loop, TAP, name="set-membership", confidence=0.1, message="x")
     fleet.table.take(1.0)
-    rows = fleet.table.lines(1.0)[2:]
+    rows = lines(fleet, 1.0)[2:]
     claims = [row.partition("nearest-centre is ")[2] for row in rows]
     assert claims == ["97 % sure, right, 2 lost", "97 % sure, wrong, 2 lost", "97 % sure, 2 lost"]
     assert all(row.split()[-9 if "right" in row or "wrong" in row else -8] == "4" for row in rows)
@@ -87,9 +91,9 @@ def test_keys_made_and_bits_held_are_told(fleet: Fleet) -> None:
     fleet.say("a", TAP)
     fleet.say("a", TAP, name="key-solver", confidence=0.0, key_bits_held=512)
     fleet.table.take(1.0)
-    _, header, row = fleet.table.lines(1.0)
-    at = header.index("keys")
-    assert row[at : at + 4].strip() == "63"
+    _, header, row = lines(fleet, 1.0)
+    at = header.index("keys made")
+    assert row[at : at + 9].strip() == "63"
     assert row.endswith("2 lost, 512 bits of keys held")
 
 
@@ -97,9 +101,23 @@ def test_a_long_table_is_cut_where_the_loops_are_well(fleet: Fleet) -> None:
     for number in range(20):
         fleet.say(f"loop-{number:02d}", fleet.plant, missed=number)
     fleet.table.take(0.0)
-    lines = fleet.table.lines(0.0, most=10)
-    assert len(lines) == 10
-    assert lines[-1] == "... and 13 more that are well or better"
+    cut = lines(fleet, 0.0, most=10)
+    assert len(cut) == 10
+    assert cut[-1] == "... and 13 more that are well or better"
+
+
+def test_a_narrow_table_drops_whole_columns(fleet: Fleet) -> None:
+    fleet.say("a", fleet.plant, k=123)
+    fleet.say("a", TAP)
+    fleet.table.take(0.0)
+    for width in (60, 80, 120, 200):
+        _, header, row = lines(fleet, 0.0, width)
+        assert all(len(text) <= width for text in (header, row))
+        named = [column for column in COLUMNS if column.title in header]
+        left_out = [column for column in COLUMNS if column not in named]
+        assert max(c.rank for c in named) < min((c.rank for c in left_out), default=99)
+        assert "..." not in row
+        assert "…" not in row
 
 
 def test_garbage_and_terminal_codes_do_no_harm(
@@ -122,7 +140,7 @@ def test_a_plant_that_counts_anew_has_missed_nothing_less_than_nothing(fleet: Fl
     for now_s, missed in enumerate((5, 9, 0, 2)):
         fleet.say("a", fleet.plant, missed=missed)
         fleet.table.take(float(now_s))
-    assert fleet.table.lines(3.0)[0].endswith("2 steps missed, 2 of them lately")
+    assert lines(fleet, 3.0)[0].endswith("2 steps missed, 2 of them lately")
 
 
 def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -132,7 +150,7 @@ def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPa
         fleet.say(f"loop-{number}", fleet.plant)
         fleet.say("loop-0", TAP, name=f"tap-{number}", confidence=number / 100)
     fleet.table.take(0.0)
-    total, _, *rows = fleet.table.lines(0.0)
+    total, _, *rows = lines(fleet, 0.0)
     assert total.startswith("3 of 3 loops run")
     claims = [row for row in rows if row.startswith("loop-0")]
     assert f"tap-{TAPS_KEPT - 1} is {TAPS_KEPT - 1} % sure" in claims[0]
@@ -140,5 +158,5 @@ def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPa
     for _ in range(beyond):
         fleet.ops.publisher(key_of(PlantStatus, "loop-0")).put(bytes(2**18))
     fleet.table.take(0.0)
-    assert fleet.table.lines(0.0)[0].endswith("; 5 came faster than they were read")
+    assert lines(fleet, 0.0)[0].endswith("; 5 came faster than they were read")
     assert fleet.table.malformed == beyond - 5

@@ -1,4 +1,4 @@
-"""The board and the scores: pure, bounded, and right about who knows what."""
+"""The state and the scores: pure, bounded, and right about who knows what."""
 
 import math
 from dataclasses import replace
@@ -22,7 +22,7 @@ from wyner.dashboard.model import (
     TAPS_KEPT,
     Arrival,
     Automata,
-    Board,
+    State,
     compare_automata,
     reduce,
     reduce_all,
@@ -45,136 +45,136 @@ def batches(steps: int) -> tuple[tuple[Arrival, ...], ...]:
 
 
 @cache
-def board_after(steps: int) -> Board:
-    board = Board()
+def state_after(steps: int) -> State:
+    state = State()
     for batch in batches(steps):
-        board = reduce_all(board, batch)
-    return board
+        state = reduce_all(state, batch)
+    return state
 
 
-def plant_of(board: Board) -> PlantStatus:
-    assert board.plant is not None
-    return board.plant
+def plant_of(state: State) -> PlantStatus:
+    assert state.plant is not None
+    return state.plant
 
 
-def with_plant(board: Board, **changes: object) -> Board:
-    """The board after one more plant status, later than the last."""
-    plant = plant_of(board)
+def with_plant(state: State, **changes: object) -> State:
+    """The state after one more plant status, later than the last."""
+    plant = plant_of(state)
     later = plant.model_copy(update={"seq": plant.seq + 1, "t_ns": plant.t_ns + 1, **changes})
-    return reduce(board, Arrival(board.plant_seen_ns + 1, later))
+    return reduce(state, Arrival(state.plant_seen_ns + 1, later))
 
 
-def with_tap(board: Board, name: str, **changes: object) -> Board:
-    tap = board.taps["list-decoder"].status
+def with_tap(state: State, name: str, **changes: object) -> State:
+    tap = state.taps["list-decoder"].status
     later = tap.model_copy(
         update={"name": name, "seq": tap.seq + 1, "t_ns": tap.t_ns + 1, **changes}
     )
-    return reduce(board, Arrival(board.plant_seen_ns + 1, later))
+    return reduce(state, Arrival(state.plant_seen_ns + 1, later))
 
 
 # --- the reducer -------------------------------------------------------------------------------
 
 
 def test_every_arrival_is_counted_and_only_statuses_change_more() -> None:
-    board = board_after(100)
-    assert board.received == sum(len(batch) for batch in batches(100))
+    state = state_after(100)
+    assert state.received == sum(len(batch) for batch in batches(100))
     offer = Offer(session="0" * 16, k=1, candidates=((0.0,), (1.0,)), cipher=0)
-    after = reduce(board, Arrival(1, offer))
-    assert after == replace(board, received=board.received + 1)
+    after = reduce(state, Arrival(1, offer))
+    assert after == replace(state, received=state.received + 1)
 
 
 def test_reducing_changes_no_earlier_board() -> None:
-    board = board_after(100)
-    truths, taps = dict(board.truths), dict(board.taps)
+    state = state_after(100)
+    truths, taps = dict(state.truths), dict(state.taps)
     for batch in batches(200)[10:]:
-        reduce_all(board, batch)
-    assert dict(board.truths) == truths
-    assert dict(board.taps) == taps
+        reduce_all(state, batch)
+    assert dict(state.truths) == truths
+    assert dict(state.taps) == taps
 
 
 @given(st.permutations(range(8)))
 def test_late_statuses_change_nothing_whatever_their_order(order: list[int]) -> None:
     first = batches(100)[:8]
-    ordered = reduce_all(Board(), (a for batch in first for a in batch))
+    ordered = reduce_all(State(), (a for batch in first for a in batch))
     mixed = reduce_all(ordered, (a for i in order for a in first[i]))
     assert mixed == replace(ordered, received=mixed.received)
 
 
 def test_a_restarted_service_is_believed_although_it_counts_from_zero() -> None:
-    board = board_after(100)
-    plant = plant_of(board)
+    state = state_after(100)
+    plant = plant_of(state)
     again = plant.model_copy(update={"seq": 0, "t_ns": plant.t_ns + 5, "k": 1})
-    assert plant_of(reduce(board, Arrival(1, again))).k == 1
+    assert plant_of(reduce(state, Arrival(1, again))).k == 1
 
 
 def test_a_new_session_voids_what_was_known_by_step() -> None:
-    board = with_plant(
-        board_after(100), session="f" * 16, tail_k=(), tail_x=(), tail_role=(), tail_symbol=()
+    state = with_plant(
+        state_after(100), session="f" * 16, tail_k=(), tail_x=(), tail_role=(), tail_symbol=()
     )
-    assert board.truths == {}
-    assert all(tap.guesses == {} for tap in board.taps.values())
+    assert state.truths == {}
+    assert all(tap.guesses == {} for tap in state.taps.values())
 
 
 def test_the_board_stays_bounded() -> None:
-    board = board_after(6000)
-    plant = plant_of(board)
+    state = state_after(6000)
+    plant = plant_of(state)
     fewest = STEPS_KEPT - STEPS_KEPT // 8
-    for held in (board.truths, *(tap.guesses for tap in board.taps.values())):
+    for held in (state.truths, *(tap.guesses for tap in state.taps.values())):
         assert fewest <= len(held) <= STEPS_KEPT
         assert set(range(plant.k - fewest, plant.k)) <= held.keys()
-    assert len(board.states) <= STATES_KEPT
+    assert len(state.states) <= STATES_KEPT
     for i in range(TAPS_KEPT + 5):
-        board = with_tap(board, f"tap-{i}")
-    assert len(board.taps) == TAPS_KEPT
-    assert board.malformed == board.refused == 5 + 3
+        state = with_tap(state, f"tap-{i}")
+    assert len(state.taps) == TAPS_KEPT
+    assert state.malformed == state.refused == 5 + 3
 
 
 def test_recovered_is_a_prefix_of_sent_all_the_way() -> None:
-    board = Board()
+    state = State()
     for batch in batches(2000):
-        board = reduce_all(board, batch)
-        assert board.sent == MESSAGE_TEXT
-        assert MESSAGE_TEXT.startswith(board.recovered)
-    assert board.recovered == MESSAGE_TEXT
+        state = reduce_all(state, batch)
+        assert state.sent == MESSAGE_TEXT
+        assert MESSAGE_TEXT.startswith(state.recovered)
+    assert state.recovered == MESSAGE_TEXT
 
 
 # --- automata ----------------------------------------------------------------------------------
 
 
 def test_automata_of_the_rehearsal_are_in_step_all_the_way() -> None:
-    board = Board()
+    state = State()
     for batch in batches(500):
-        board = reduce_all(board, batch)
-        both = compare_automata(board)
+        state = reduce_all(state, batch)
+        both = compare_automata(state)
         assert both is not None
         assert both.in_step
 
 
 @pytest.mark.parametrize("behind", range(5))
 def test_a_controller_that_reported_earlier_is_compared_at_its_own_transition(behind: int) -> None:
-    board = board_after(200)
-    plant, controller = plant_of(board), board.controller
+    state = state_after(200)
+    plant, controller = plant_of(state), state.controller
     assert controller is not None
     at = len(plant.tail_k) - behind
     role, symbol = plant.tail_role[at - 1], plant.tail_symbol[at - 1]
-    state = 2 if role == "test" and symbol >= 0 else 1
+    receiver = 2 if role == "test" and symbol >= 0 else 1
     for automaton in (1, 2):
         older = controller.model_copy(
             update={"transitions": plant.transitions - behind, "automaton": automaton}
         )
-        both = compare_automata(replace(board, controller=older))
+        both = compare_automata(replace(state, controller=older))
         assert both is not None
-        assert both == Automata(plant.transitions - behind, automaton, state)
-        assert both.in_step is (automaton == state)
+        assert both == Automata(plant.transitions - behind, automaton, receiver)
+        assert both.in_step is (automaton == receiver)
 
 
 def test_the_last_comparison_is_kept_until_the_next_one_or_a_new_session() -> None:
-    board = board_after(200)
-    assert board.controller is not None
-    other = board.controller.model_copy(
-        update={"seq": 10**6, "automaton": 3 - board.controller.automaton}
+    state = state_after(200)
+    assert state.controller is not None
+    other = state.controller.model_copy(
+        update={"seq": 10**6, "automaton": 3 - state.controller.automaton}
     )
-    parted = reduce(board, Arrival(1, other))
+    parted = reduce(state, Arrival(1, other))
     assert parted.automata is not None
     assert not parted.automata.in_step
     ahead = other.model_copy(update={"seq": 10**6 + 1, "transitions": 10**6})
@@ -183,84 +183,84 @@ def test_the_last_comparison_is_kept_until_the_next_one_or_a_new_session() -> No
 
 
 def test_a_pictured_step_stays_half_a_second_unless_an_agreement_comes() -> None:
-    board = board_after(200)
-    assert board.pictured is not None
-    start = board.plant_seen_ns + 10**9
+    state = state_after(200)
+    assert state.pictured is not None
+    start = state.plant_seen_ns + 10**9
 
-    def after(board: Board, k: int, symbol: int, t_ns: int) -> tuple[Board, int]:
-        status = plant_of(board).model_copy(
+    def after(state: State, k: int, symbol: int, t_ns: int) -> tuple[State, int]:
+        status = plant_of(state).model_copy(
             update={
-                "seq": plant_of(board).seq + 1,
+                "seq": plant_of(state).seq + 1,
                 "pictured_k": k,
                 "pictured_symbol": symbol,
             }
         )
-        board = reduce(board, Arrival(t_ns, status))
-        assert board.pictured is not None
-        return board, board.pictured.pictured_k
+        state = reduce(state, Arrival(t_ns, status))
+        assert state.pictured is not None
+        return state, state.pictured.pictured_k
 
-    board, shown = after(board, 1000, -1, start)
+    state, shown = after(state, 1000, -1, start)
     assert shown == 1000
-    board, shown = after(board, 1001, -1, start + 10)
+    state, shown = after(state, 1001, -1, start + 10)
     assert shown == 1000
-    board, shown = after(board, 1002, 1, start + 20)
+    state, shown = after(state, 1002, 1, start + 20)
     assert shown == 1002
-    board, shown = after(board, 1003, 0, start + 30)
+    state, shown = after(state, 1003, 0, start + 30)
     assert shown == 1002
-    board, shown = after(board, 1004, -1, start + 20 + PICTURE_NS)
+    state, shown = after(state, 1004, -1, start + 20 + PICTURE_NS)
     assert shown == 1004
 
 
 def test_out_of_reach_is_not_called_out_of_step() -> None:
-    board = board_after(200)
-    assert board.controller is not None
-    far = board.controller.model_copy(update={"transitions": 0})
-    other = board.controller.model_copy(update={"session": "0" * 16})
-    assert compare_automata(replace(board, controller=far)) is None
-    assert compare_automata(replace(board, controller=other)) is None
-    assert compare_automata(Board()) is None
+    state = state_after(200)
+    assert state.controller is not None
+    far = state.controller.model_copy(update={"transitions": 0})
+    other = state.controller.model_copy(update={"session": "0" * 16})
+    assert compare_automata(replace(state, controller=far)) is None
+    assert compare_automata(replace(state, controller=other)) is None
+    assert compare_automata(State()) is None
 
 
 # --- scores ------------------------------------------------------------------------------------
 
 
 def test_scores_count_agreed_steps_only() -> None:
-    board = board_after(500)
-    agreed = [t for t in board.truths.values() if t.symbol >= 0]
-    its = score(board, board.taps["nearest-centre"])
+    state = state_after(500)
+    agreed = [t for t in state.truths.values() if t.symbol >= 0]
+    its = score(state, state.taps["nearest-centre"])
     assert (its.scored, its.right) == (len(agreed), len(agreed))
-    blind = score(board, board.taps["set-membership"])
+    blind = score(state, state.taps["set-membership"])
     assert blind.scored == len(agreed)
     assert blind.right == sum(
-        t.symbol == board.taps["set-membership"].guesses[k].symbol
-        for k, t in board.truths.items()
+        t.symbol == state.taps["set-membership"].guesses[k].symbol
+        for k, t in state.truths.items()
         if t.symbol >= 0
     )
 
 
 def test_a_revised_guess_replaces_the_first_one() -> None:
-    board = board_after(500)
-    tap = board.taps["list-decoder"].status
+    state = state_after(500)
+    tap = state.taps["list-decoder"].status
     flipped = tuple(1 - s for s in tap.tail_symbol)
-    after = with_tap(board, "list-decoder", tail_symbol=flipped)
-    revised = [k for k in tap.tail_k if board.truths[k].symbol >= 0]
-    before = score(board, board.taps["list-decoder"]).right
+    after = with_tap(state, "list-decoder", tail_symbol=flipped)
+    revised = [k for k in tap.tail_k if state.truths[k].symbol >= 0]
+    before = score(state, state.taps["list-decoder"]).right
     assert score(after, after.taps["list-decoder"]).right == before - len(revised)
 
 
 def test_a_few_steps_prove_nothing() -> None:
-    board = board_after(10)
-    its = score(board, board.taps["nearest-centre"])
+    state = state_after(10)
+    its = score(state, state.taps["nearest-centre"])
     assert 0 < its.right == its.scored < 8
     assert not its.leads
     assert its.bits_per_key is not None
     assert its.bits_per_key > 0.4
-    assert not secrecy(board).exceeds
+    assert not secrecy(state).exceeds
 
 
 def test_a_blind_tap_leaves_all_and_lights_no_alarm() -> None:
-    board = board_after(500)
-    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    state = state_after(500)
+    blind = replace(state, taps={"set-membership": state.taps["set-membership"]})
     its = secrecy(blind)
     assert not its.exceeds
     assert its.left_bits == its.claimed_bits
@@ -269,9 +269,9 @@ def test_a_blind_tap_leaves_all_and_lights_no_alarm() -> None:
 
 
 def test_a_tap_that_guesses_every_symbol_leaves_little() -> None:
-    board = board_after(500)
-    its = secrecy(replace(board, taps={"nearest-centre": board.taps["nearest-centre"]}))
-    assert its.claimed_bits == plant_of(board).agreements
+    state = state_after(500)
+    its = secrecy(replace(state, taps={"nearest-centre": state.taps["nearest-centre"]}))
+    assert its.claimed_bits == plant_of(state).agreements
     assert its.exceeds
     assert its.left is not None
     assert its.left.value == 0
@@ -280,24 +280,24 @@ def test_a_tap_that_guesses_every_symbol_leaves_little() -> None:
 
 def test_what_is_forgotten_still_counts_once_and_in_every_session() -> None:
     """An alarm over a window that moves on would be lit by chance sooner or later."""
-    board = Board()
+    state = State()
     scored: dict[int, bool] = {}
     for batch in batches(6000):
-        board = reduce_all(board, batch)
-        tap = board.taps.get("nearest-centre")
+        state = reduce_all(state, batch)
+        tap = state.taps.get("nearest-centre")
         for k, guess in {} if tap is None else tap.guesses.items():
-            if (truth := board.truths.get(k)) is not None and truth.symbol >= 0:
+            if (truth := state.truths.get(k)) is not None and truth.symbol >= 0:
                 scored[k] = guess.symbol == truth.symbol
-    its = score(board, board.taps["nearest-centre"])
-    assert its.scored == len(scored) > sum(t.symbol >= 0 for t in board.truths.values())
+    its = score(state, state.taps["nearest-centre"])
+    assert its.scored == len(scored) > sum(t.symbol >= 0 for t in state.truths.values())
     assert its.right == sum(scored.values())
-    other = with_plant(board, session="f" * 16, tail_k=(), tail_x=(), tail_role=(), tail_symbol=())
+    other = with_plant(state, session="f" * 16, tail_k=(), tail_x=(), tail_role=(), tail_symbol=())
     assert score(other, other.taps["nearest-centre"]) == its
 
 
 def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
-    board = board_after(500)
-    alone = replace(board, taps={"nearest-centre": board.taps["nearest-centre"]})
+    state = state_after(500)
+    alone = replace(state, taps={"nearest-centre": state.taps["nearest-centre"]})
 
     def told(**changes: object) -> SecrecyScore:
         tap = alone.taps["nearest-centre"]
@@ -308,16 +308,16 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
     assert (failed.left, failed.why, failed.failed) == (None, "she failed", ("nearest-centre",))
     assert failed.exceeds, "what she had shown before she failed stays shown"
     silent = replace(alone.taps["nearest-centre"], guesses={})
-    assert secrecy(replace(board, taps={"nearest-centre": silent})).why == "nobody guessed"
-    assert secrecy(replace(board, taps={})).why == "nobody listens"
+    assert secrecy(replace(state, taps={"nearest-centre": silent})).why == "nobody guessed"
+    assert secrecy(replace(state, taps={})).why == "nobody listens"
     own = told(bits_left=2.5)
     assert (own.left_bits, own.why) == (2.5, "her own account")
-    assert board.plant is not None
-    assert told(bits_left=1651.9).left_bits == board.plant.agreements * math.log2(board.candidates)
+    assert state.plant is not None
+    assert told(bits_left=1651.9).left_bits == state.plant.agreements * math.log2(state.candidates)
     both = replace(
-        board,
+        state,
         taps={
-            "set-membership": board.taps["set-membership"],
+            "set-membership": state.taps["set-membership"],
             "nearest-centre": replace(
                 alone.taps["nearest-centre"],
                 status=alone.taps["nearest-centre"].status.model_copy(update={"failed": "x"}),
@@ -330,10 +330,10 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
 
 
 def test_a_tap_that_holds_the_message_leaves_nothing_however_she_guesses_symbols() -> None:
-    board = board_after(500)
-    blind = replace(board, taps={"set-membership": board.taps["set-membership"]})
+    state = state_after(500)
+    blind = replace(state, taps={"set-membership": state.taps["set-membership"]})
     told = with_tap(
-        replace(blind, taps={**blind.taps, "list-decoder": board.taps["list-decoder"]}),
+        replace(blind, taps={**blind.taps, "list-decoder": state.taps["list-decoder"]}),
         "list-decoder",
         message=MESSAGE_TEXT,
         tail_symbol=(),
@@ -346,58 +346,58 @@ def test_a_tap_that_holds_the_message_leaves_nothing_however_she_guesses_symbols
 
 
 def test_a_key_never_hides_more_than_one_symbol() -> None:
-    board = board_after(500)
-    truth = {k: t.symbol for k, t in board.truths.items()}
-    tap = board.taps["list-decoder"]
+    state = state_after(500)
+    truth = {k: t.symbol for k, t in state.truths.items()}
+    tap = state.taps["list-decoder"]
     wrong = {k: replace(g, symbol=1 - max(0, truth[k])) for k, g in tap.guesses.items()}
-    its = score(board, replace(tap, guesses=wrong))
+    its = score(state, replace(tap, guesses=wrong))
     assert its.right == 0
     assert its.bits_per_key == 1
     assert not its.leads
 
 
 def test_text_is_judged_against_the_true_message_it_fits_best() -> None:
-    board = with_plant(board_after(2000), last_message="Second message")
-    assert truth_for(board, "Secord mess") == "Second message"
-    after = with_tap(board, "list-decoder", message="Secord mess")
+    state = with_plant(state_after(2000), last_message="Second message")
+    assert truth_for(state, "Secord mess") == "Second message"
+    after = with_tap(state, "list-decoder", message="Secord mess")
     assert characters_right(after, after.taps["list-decoder"]) == (10, 14)
-    assert truth_for(board, "") == MESSAGE_TEXT
+    assert truth_for(state, "") == MESSAGE_TEXT
 
 
 def test_a_character_counts_once_with_its_combining_marks() -> None:
     text = "e\u0301te\u0301 第"
-    board = with_plant(board_after(20), last_message=text)
-    near = with_tap(board, "list-decoder", message="ete\u0301 第")
+    state = with_plant(state_after(20), last_message=text)
+    near = with_tap(state, "list-decoder", message="ete\u0301 第")
     assert characters_right(near, near.taps["list-decoder"]) == (4, 5)
 
 
 def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
-    assert board_after(2000).taps["list-decoder"].watched
-    assert board_after(2000).taps["list-decoder"].status.solved_k >= 0
-    late = with_tap(board_after(2000), "late", solved_k=9)
+    assert state_after(2000).taps["list-decoder"].watched
+    assert state_after(2000).taps["list-decoder"].status.solved_k >= 0
+    late = with_tap(state_after(2000), "late", solved_k=9)
     assert not late.taps["late"].watched
-    blind = reduce(Board(), Arrival(1, board_after(20).taps["list-decoder"].status))
+    blind = reduce(State(), Arrival(1, state_after(20).taps["list-decoder"].status))
     assert not blind.taps["list-decoder"].watched, "nobody knows the truth yet"
 
 
 def test_model_error_is_relative_and_zero_for_the_true_model() -> None:
-    board = board_after(100)
-    model = board.model
+    state = state_after(100)
+    model = state.model
     assert model is not None
-    exact = with_tap(board, "list-decoder", A=model.A, B=model.B)
+    exact = with_tap(state, "list-decoder", A=model.A, B=model.B)
     assert model_error(exact, exact.taps["list-decoder"]) == 0
-    nothing = with_tap(board, "list-decoder", A=((0.0, 0.0), (0.0, 0.0)), B=((0.0,), (0.0,)))
+    nothing = with_tap(state, "list-decoder", A=((0.0, 0.0), (0.0, 0.0)), B=((0.0,), (0.0,)))
     off = model_error(nothing, nothing.taps["list-decoder"])
     assert off is not None
     assert math.isclose(off, 1)
-    assert model_error(board, board.taps["set-membership"]) is None
-    misshapen = with_tap(board, "list-decoder", A=((1.0,),), B=((1.0,),))
+    assert model_error(state, state.taps["set-membership"]) is None
+    misshapen = with_tap(state, "list-decoder", A=((1.0,),), B=((1.0,),))
     assert model_error(misshapen, misshapen.taps["list-decoder"]) is None
 
 
 def test_the_tap_that_reads_the_text_ranks_before_one_that_only_guesses_keys() -> None:
-    board = board_after(500)
-    garbled = with_tap(board, "nearest-centre", message="#" * 20)
+    state = state_after(500)
+    garbled = with_tap(state, "nearest-centre", message="#" * 20)
     half = with_tap(garbled, "list-decoder", tail_symbol=(0,) * 64)
     assert [tap.status.name for tap, _ in ranked(half)] == [
         "list-decoder",
@@ -456,5 +456,5 @@ def test_watching_publishes_nothing_so_no_truth_reaches_a_tap() -> None:
             if not isinstance(arrival.message, TapStatus):
                 key = key_of(type(arrival.message), "loop")
                 MemoryBus(ops).publisher(key).put(arrival.message.wire())
-        reduce_all(Board(), source.drain())
+        reduce_all(State(), source.drain())
     assert heard == []

@@ -7,7 +7,7 @@ import pytest
 from protocol.messages import PlantModel
 from tools.picture import DOCS, PICTURE, RECORDING, SIZE, draw, main, read, thin, write
 from tools.rehearsal import Rehearsal
-from wyner.dashboard.model import Arrival, Board, reduce_all
+from wyner.dashboard.model import Arrival, State, reduce_all
 
 
 def rehearsed(steps: int) -> list[Arrival]:
@@ -32,15 +32,15 @@ def test_thinning_keeps_what_the_moment_shows(k: int) -> None:
     kept = thin(arrivals, k)
     assert len(kept) < 150 < len(arrivals)
     last = kept[-1].t_ns
-    board = reduce_all(Board(), kept)
-    whole = reduce_all(Board(), [a for a in arrivals if a.t_ns <= last])
-    assert (board.model, board.plant) == (whole.model, whole.plant)
-    assert board.plant is not None
-    assert board.plant.pictured_symbol >= 0
-    assert k - 60 < board.plant.k <= k
-    recent = range(max(0, board.plant.k - 150), board.plant.k)
-    assert {s: board.truths[s] for s in recent} == {s: whole.truths[s] for s in recent}
-    assert board.sent == whole.sent
+    state = reduce_all(State(), kept)
+    whole = reduce_all(State(), [a for a in arrivals if a.t_ns <= last])
+    assert (state.model, state.plant) == (whole.model, whole.plant)
+    assert state.plant is not None
+    assert state.plant.pictured_symbol >= 0
+    assert k - 60 < state.plant.k <= k
+    recent = range(max(0, state.plant.k - 150), state.plant.k)
+    assert {s: state.truths[s] for s in recent} == {s: whole.truths[s] for s in recent}
+    assert state.sent == whole.sent
 
 
 def test_the_command_draws_and_says_what_is_missing(

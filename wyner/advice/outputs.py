@@ -7,9 +7,6 @@ from protocol.agreement import Gauge
 from protocol.box_observer import Box, BoxObserver
 from protocol.scenario import Scenario
 
-STEPS: Final = 200
-"""Readings after which the box of a quiet loop has settled."""
-
 BOUNDS: Final = 1e6
 """Half-width of the box before the first reading."""
 
@@ -28,12 +25,16 @@ class OutputsVerdict:
         How far apart two inputs must be to be told apart in every case.
     possible : float
         How far apart they may be: for her within (alpha - 1) D_c, and within U.
+    alpha : float
+        From which on she finds inputs possible that are so far apart as is needed; infinite where
+        U has no room for them.
     """
 
     outputs: tuple[int, ...]
     radius: tuple[float, ...]
     needed: float
     possible: float
+    alpha: float
 
     @property
     def carries(self) -> bool:
@@ -49,11 +50,11 @@ class OutputsVerdict:
         )
         if self.carries:
             return text + "it carries keys"
-        return (
-            text
-            + "no key is sure, as the state is known to no better than "
-            + ", ".join(f"{r:.3g}" for r in self.radius)
-        )
+        known = ", ".join(f"{r:.3g}" for r in self.radius)
+        text += f"no key is sure, as the state is known to no better than {known}"
+        if self.alpha == float("inf"):
+            return text
+        return f"{text}; it would carry keys from alpha = {self.alpha:.3g} on"
 
 
 def outputs_verdict(
@@ -83,12 +84,29 @@ def outputs_verdict(
     C = tuple(tuple(float(j == i - 1) for j in range(scenario.n)) for i in outputs)
     bounds = (BOUNDS,) * scenario.n
     observer = BoxObserver(scenario.A, scenario.B, C, D_c.half_widths, noise, bounds)
-    quiet = (0.0,) * len(outputs)
-    box: Box = observer.begin(quiet)
-    for _ in range(STEPS):
-        box = observer.step(box, ((0.0,),), quiet).box
+    radius = observer.quiet()
+    box = Box(tuple(-r for r in radius), radius)
     moved, blur = observer.needed(box, (1.0,))
     needed = min((b / a for a, b in zip(moved, blur, strict=True) if a > 0), default=float("inf"))
     push = Gauge.from_rows(*D_c.rows())([row[0] for row in scenario.B])
     room = (scenario.secrecy.alpha - 1) / push if push else float("inf")
-    return OutputsVerdict(outputs, box.radius, needed, min(room, 2 * U.half_widths[0]))
+    width = 2 * U.half_widths[0]
+    alpha = 1 + needed * push if needed <= width else float("inf")
+    return OutputsVerdict(outputs, radius, needed, min(room, width), alpha)
+
+
+def outputs_of(scenario: Scenario) -> tuple[dict[int, float], bool]:
+    """The states that the scenario reads, from 1, with their noise; and whether each is one state.
+
+    Of a sum of states there is no verdict: :func:`outputs_verdict` asks about states.
+    """
+    observer = scenario.observer
+    if observer is None:
+        return {}, False
+    read = {}
+    for row, width in zip(observer.C, observer.noise, strict=True):
+        places = [i for i, c in enumerate(row) if c]
+        if len(places) != 1:
+            return {}, False
+        read[places[0] + 1] = width / abs(row[places[0]])
+    return read, True

@@ -240,8 +240,11 @@ def _caught(
     found = outcome.summary["attack"] or {}
     delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
     steps = f"{delay} step{'' if delay == 1 else 's'}"
-    told = f"caught {steps} after its onset under a secret key"
-    line = f"4. Attacked: a spoofed sensor is {told if caught else 'NOT caught'}"
+    told = f"caught {steps} after its onset under a secret key" if caught else "NOT caught"
+    if not caught and not found.get("watched"):
+        summary = outcome.summary
+        told += f", for no key was there ({summary['missed']} of {summary['steps']} steps missed)"
+    line = f"4. Attacked: a spoofed sensor is {told}"
     return outcome, line, bool(caught and not found.get("false_alarms"))
 
 

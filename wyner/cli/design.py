@@ -5,7 +5,10 @@ import json
 from typing import TYPE_CHECKING, Any
 
 from runtime.errors import DONE, Failure, UsageError
+from runtime.options import picked
 from wyner.cli.alphas import ABOUT, show_alphas
+from wyner.cli.noise import NoiseOptions, refuse_alone, show_noise
+from wyner.cli.noise import add_arguments as add_noise_arguments
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -55,6 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="instead: whether it carries keys if read by these states alone, the Ith with a noise "
         "of half-width W",
     )
+    add_noise_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -73,6 +77,11 @@ def run(args: argparse.Namespace) -> int:
         return show_outputs(scenario, args.outputs, as_json=args.json)
     if args.alphas is not None:
         return show_alphas(scenario, args.alphas, as_json=args.json, figure=args.plot)
+    asked = picked(NoiseOptions, vars(args))
+    if asked.noise is None:
+        refuse_alone(asked)
+    else:
+        return show_noise(scenario, asked, as_json=args.json, figure=args.plot)
     begin = time.perf_counter()
     try:
         with shown_progress(args.patience) as progress:
@@ -88,7 +97,9 @@ def run(args: argparse.Namespace) -> int:
     result["rate"] = expected_rate(scenario, law, folder) if linear else None
     result["simulated"] = linear
     result["network"] = expected_misses(scenario, folder)
-    reasons = _why(scenario, law) if result["rate"] is not None else None
+    whole = scenario.plant.C is None
+    reasons = _why(scenario, law) if result["rate"] is not None and whole else None
+    result["outputs"] = None if whole else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
     if args.plot is not None:
         _plot(args.plot, scenario, design, law)
@@ -120,6 +131,19 @@ def show_outputs(scenario: "Scenario", text: str, *, as_json: bool) -> int:
     said = {**asdict(verdict), "carries": verdict.carries}
     print(json.dumps(said) if as_json else f"{scenario.name}, {verdict.line()}")
     return DONE
+
+
+def _output_line(scenario: "Scenario") -> str | None:
+    """Whether what the scenario reads is enough for keys, and why; None where nobody can say."""
+    from wyner.advice.outputs import outputs_of, outputs_verdict
+
+    read, single = outputs_of(scenario)
+    if not single:
+        return None
+    try:
+        return outputs_verdict(scenario, tuple(read), tuple(read.values())).line()
+    except ValueError:
+        return None
 
 
 def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
@@ -321,6 +345,8 @@ def render(r: dict[str, Any]) -> str:
     )
     lines += safety_lines(r)
     lines += network_lines(r["network"])
+    if r["outputs"] is not None:
+        lines.append(r["outputs"])
     rate = r["rate"]
     if not r["simulated"]:
         lines.append("expected rate: not simulated, as plant code runs in the plant alone")

@@ -15,7 +15,7 @@ from runtime.services import SERVICES
 COMMANDS: Final[dict[str, dict[str, str]]] = {
     "run": {
         "up": "controller, plant and tap here, watched",
-        "demo": "the whole story in three short runs",
+        "demo": "the whole story in four lines",
         "controller": "one service by itself",
         "plant": "one service by itself",
         "tap": "one service by itself",
@@ -30,8 +30,7 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
     "design": {
         "new": "a scenario file of one's own, with comments",
-        "design": "sets, gains and rate; --alphas: how many symbols",
-        "bound": "bits left from any tap who sees through noise",
+        "design": "sets, gains, rate; --alphas, --noise, --outputs",
         "fit": "a plant and a certified D_c from recordings",
         "scenarios": "what is shipped; --knowledge: what she is told",
         "sweep": "a grid of experiments; --plot its rows",
@@ -53,6 +52,7 @@ GONE: Final = {
     "secrecy": "wyner score RUN",
     "unsealed": "wyner score RUN --unsealed",
     "plot": "wyner sweep ROWS.csv --plot",
+    "bound": "wyner design SCENARIO --noise",
     "capacity": "wyner design SCENARIO --alphas",
     "knowledge": "wyner scenarios SCENARIO --knowledge",
     "secret": "wyner certs --secret FILE",

@@ -1,4 +1,4 @@
-"""The live screen: draws the board a few times a second and acts on keys."""
+"""The live screen: draws the state a few times a second and acts on keys."""
 
 import os
 import sys
@@ -10,36 +10,35 @@ from enum import Enum
 from pathlib import Path
 from typing import IO, Final
 
-from rich.console import Console, ConsoleDimensions
+from rich.console import Console, ConsoleDimensions, RenderableType
 from rich.live import Live
 from rich.padding import Padding
 from rich.text import Text
 
 from wyner.dashboard.keymap import Action, action_of
-from wyner.dashboard.model import Board, reduce
-from wyner.dashboard.score import ranked
+from wyner.dashboard.model import State, reduce
 from wyner.dashboard.screenshot import save
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import MOMENTS, Moment, next_moment
-from wyner.dashboard.terminal import BACKSPACES, ENTERS, ESCAPE, cbreak, hold_stderr
+from wyner.dashboard.terminal import ESCAPE, cbreak, hold_stderr
 from wyner.dashboard.view import ViewState, screen
 
 REFRESH_S: Final = 0.1
 """Time between two looks at keys and messages."""
 
+FRAME_NS: Final = 200_000_000
+"""Time between two pictures of what came; a key is answered at once."""
+
 REDRAW_NS: Final = 1_000_000_000
 """A screen without news is drawn again after so long, so that silence shows."""
 
 STOPPING: Final = "The run is over; its services stop. She thinks to the end of what she heard."
-GO_ON: Final = "Space goes on.  Left, Right: other steps.  Enter: more.  q leaves."
-LEAVE: Final = "The run is over.  Any key leaves; Enter, Left, Right, s and ? look at it first."
+GO_ON: Final = "Space goes on.  Left, Right: other steps.  s saves.  q leaves."
+LEAVE: Final = "The run is over.  Any key leaves; Left, Right, s and ? look at it first."
 """What the last line says while a caption is shown."""
 
-LOOKING: Final = frozenset(Action) - {Action.QUIT, Action.FREEZE, Action.FILTER}
+LOOKING: Final = frozenset(Action) - {Action.QUIT, Action.FREEZE}
 """What can be asked of the last screen without leaving it."""
-
-NAME_LENGTH: Final = 32
-"""Characters of a filter."""
 
 Size = tuple[int, int]
 
@@ -53,7 +52,7 @@ class Ending(Enum):
 
 
 class Watch:
-    """The live screen's state: the board that grows, the one that is shown, and the wishes.
+    """The live screen's state: the state that grows, the one that is shown, and the view.
 
     It touches neither terminal nor clock, so a test can press keys and look at what is drawn.
     With ``story`` it pauses at the moments of `wyner.dashboard.story`; what comes meanwhile is
@@ -61,162 +60,139 @@ class Watch:
     """
 
     def __init__(self, *, unicode: bool, folder: Path, story: bool = False) -> None:
-        self.board = Board()
+        self.state = State()
         self._told = set() if story else set(range(len(MOMENTS)))
-        self._moments: deque[tuple[Moment, Board, int]] = deque()
+        self._moments: deque[tuple[Moment, State, int]] = deque()
         self._ending: tuple[str, ...] = ()
-        self.wishes = ViewState(unicode=unicode)
+        self.view = ViewState(unicode=unicode)
         self.quit = False
         self.saved: list[Path] = []
         self._folder = folder
-        self._held: Board | None = None
+        self._held: State | None = None
         self._held_ns = 0
-        self._dirty = True
+        self._dirty, self._news = True, False
         self._drawn: tuple[Size, int] = ((0, 0), 0)
 
     def take(self, source: Source) -> None:
         """Reduce what came; also while the view is frozen."""
         arrivals = source.drain()
-        if arrivals or self.board.unreadable != source.malformed:
+        if arrivals or self.state.unreadable != source.malformed:
             for arrival in arrivals:
-                self.board = reduce(self.board, arrival)
+                self.state = reduce(self.state, arrival)
                 self._look_for_moments(arrival.t_ns)
-            self.board = replace(self.board, unreadable=source.malformed)
-            self._dirty = True
+            self.state = replace(self.state, unreadable=source.malformed)
+            self._news = True
 
     def _look_for_moments(self, t_ns: int) -> None:
-        found = next_moment(self.board, self._told)
+        found = next_moment(self.state, self._told)
         if found is not None:
             place, moment = found
             self._told.add(place)
-            self._moments.append((moment, self.board, t_ns))
+            self._dirty = True
+            self._moments.append((moment, self.state, t_ns))
             self._show_moment()
 
     def _show_moment(self) -> None:
         """Hold the view at the next moment of the story, unless one is shown already."""
-        if not self._moments or self.wishes.caption or self._held is not None:
+        if not self._moments or self.view.caption or self._held is not None:
             return
         moment, self._held, self._held_ns = self._moments.popleft()
-        self.wishes = replace(
-            self.wishes, caption=moment.caption, press=GO_ON, frozen=True, step=moment.step
+        self.view = replace(
+            self.view, caption=moment.caption, press=GO_ON, frozen=True, step=moment.step
         )
 
     def end(self, lines: Sequence[str]) -> None:
         """The run is over: show its last lines, and what they say."""
         self._ending = ("What this run shows", *lines)
         self._dirty = True
-        if not self.wishes.caption:
+        if not self.view.caption:
             self._release()
 
     def _release(self) -> None:
-        """Leave a pause, a freeze or a page; the next moment or the end of the run follows."""
+        """Leave a pause or a freeze; the next moment or the end of the run follows."""
         self._held = None
-        self.wishes = replace(
-            self.wishes, caption=(), press="", frozen=False, step=None, detail=False
-        )
+        self.view = replace(self.view, caption=(), press="", frozen=False, step=None)
         self._show_moment()
-        if self._ending and not self.wishes.caption:
+        if self._ending and not self.view.caption:
             # Nobody speaks any more, and that is no silence to be told.
-            self._held, self._held_ns = self.board, self.board.last_seen_ns
-            self.wishes = replace(self.wishes, caption=self._ending, press=LEAVE)
+            self._held, self._held_ns = self.state, self.state.last_seen_ns
+            self.view = replace(self.view, caption=self._ending, press=LEAVE)
 
     def press(self, key: str, size: Size, now_ns: int) -> None:
         """Act on one key."""
         self._dirty = True
-        self.wishes = replace(self.wishes, note="")
-        if self.wishes.typing:
-            self._type(key)
-            return
+        self.view = replace(self.view, note="")
         action = action_of(key)
-        if self.wishes.press == LEAVE and action not in LOOKING:
+        if self.view.press == LEAVE and action not in LOOKING:
             self.quit = True
             return
         match action:
             case Action.QUIT:
                 self.quit = True
             case Action.HELP:
-                self.wishes = replace(self.wishes, help=not self.wishes.help)
-            case Action.FREEZE if self.wishes.frozen:
+                self.view = replace(self.view, help=not self.view.help)
+            case Action.FREEZE if self.view.frozen:
                 self._release()
             case Action.FREEZE:
                 self._hold(now_ns)
             case Action.BACK | Action.ON:
                 self._hold(now_ns)
                 self._choose_step(-1 if action is Action.BACK else 1)
-            case Action.UP | Action.DOWN:
-                self._choose_tap(-1 if action is Action.UP else 1)
-            case Action.DETAIL:
-                self.wishes = replace(self.wishes, detail=not self.wishes.detail)
-            case Action.FILTER:
-                self.wishes = replace(self.wishes, typing=True, help=False, filter="")
             case Action.SAVE:
                 self._save(size, now_ns)
             case None:
                 if key == ESCAPE:
-                    self.wishes = replace(self.wishes, filter="", help=False, detail=False)
+                    self.view = replace(self.view, help=False)
 
     def _hold(self, now_ns: int) -> None:
         if self._held is None:
-            self._held, self._held_ns = self.board, now_ns
-            self.wishes = replace(self.wishes, frozen=True)
+            self._held, self._held_ns = self.state, now_ns
+            self.view = replace(self.view, frozen=True)
 
     def _choose_step(self, by: int) -> None:
         """The pictured step before or after the one chosen."""
-        board = self._held or self.board
-        known = sorted(board.pictures)
+        state = self._held or self.state
+        known = sorted(state.pictures)
         if not known:
             return
-        now = self.wishes.step
-        if now is None and board.pictured is not None:
-            now = board.pictured.pictured_k
+        now = self.view.step
+        if now is None and state.pictured is not None:
+            now = state.pictured.pictured_k
         at = known.index(now) if now in known else len(known) - 1
-        self.wishes = replace(self.wishes, step=known[min(max(at + by, 0), len(known) - 1)])
-
-    def _choose_tap(self, by: int) -> None:
-        """The tap above or below the one chosen, the strongest first."""
-        names = [tap.status.name for tap, _ in ranked(self._held or self.board)]
-        if names:
-            at = names.index(self.wishes.tap) + by if self.wishes.tap in names else 0
-            self.wishes = replace(self.wishes, tap=names[at % len(names)])
+        self.view = replace(self.view, step=known[min(max(at + by, 0), len(known) - 1)])
 
     def due(self, size: Size, now_ns: int) -> bool:
         """Whether the screen is worth drawing: news, a key, another size, or a second gone."""
         drawn_size, drawn_ns = self._drawn
-        return self._dirty or size != drawn_size or now_ns - drawn_ns >= REDRAW_NS
+        waited_ns = now_ns - drawn_ns
+        return (
+            self._dirty
+            or size != drawn_size
+            or waited_ns >= (FRAME_NS if self._news else REDRAW_NS)
+        )
 
-    def draw(self, size: Size, now_ns: int) -> list[Text]:
-        """The lines of the screen."""
-        self._dirty = False
+    def draw(self, size: Size, now_ns: int) -> RenderableType:
+        """The whole screen."""
+        self._dirty = self._news = False
         self._drawn = (size, now_ns)
-        return self._lines(size, now_ns)
+        return self._whole(size, now_ns)
 
-    def _lines(self, size: Size, now_ns: int) -> list[Text]:
-        shown, wishes = self.board, self.wishes
+    def _whole(self, size: Size, now_ns: int) -> RenderableType:
+        shown, view = self.state, self.view
         if self._held is not None:
             shown, now_ns = self._held, self._held_ns
-            wishes = replace(wishes, held_steps=_steps_between(shown, self.board))
-        return screen(shown, *size, wishes, now_ns)
-
-    def _type(self, key: str) -> None:
-        text = self.wishes.filter
-        if key in ENTERS:
-            self.wishes = replace(self.wishes, typing=False)
-        elif key == ESCAPE:
-            self.wishes = replace(self.wishes, typing=False, filter="")
-        elif key in BACKSPACES:
-            self.wishes = replace(self.wishes, filter=text[:-1])
-        elif key.isprintable():
-            self.wishes = replace(self.wishes, filter=(text + key)[:NAME_LENGTH])
+            view = replace(view, held_steps=_steps_between(shown, self.state))
+        return screen(shown, *size, view, now_ns)
 
     def _save(self, size: Size, now_ns: int) -> None:
         try:
-            svg, text = save(self._lines(size, now_ns), size[0], self._folder)
+            svg, text = save(self._whole(size, now_ns), size, self._folder)
         except OSError as error:
             note = f"not saved: {self._folder}: {error.strerror}"
         else:
             self.saved += [svg, text]
             note = f"saved {svg.name} and {text.name}"
-        self.wishes = replace(self.wishes, note=note)
+        self.view = replace(self.view, note=note)
 
 
 class Stage:
@@ -316,7 +292,7 @@ def run_dashboard(
         else stage.console
     )
     watch = Watch(unicode=speaks_unicode(stream), folder=run_dir or Path(), story=story)
-    watch.wishes = replace(watch.wishes, title=title)
+    watch.view = replace(watch.view, title=title)
     over = False
     ending = Ending.FINISHED
     try:
@@ -337,16 +313,16 @@ def run_dashboard(
                 watch.take(source)
                 if watch.due(size, source.now_ns()):
                     console.size = ConsoleDimensions(*size)
-                    live.update(Text("\n").join(watch.draw(size, source.now_ns())), refresh=True)
+                    live.update(watch.draw(size, source.now_ns()), refresh=True)
                 if finished and not over:
                     over = True
-                    watch.wishes = replace(watch.wishes, note=STOPPING)
-                    live.update(Text("\n").join(watch.draw(size, source.now_ns())), refresh=True)
+                    watch.view = replace(watch.view, note=STOPPING)
+                    live.update(watch.draw(size, source.now_ns()), refresh=True)
                     if conclude is None or not keys.connected:
                         break
                     lines = conclude()
                     watch.take(source)
-                    watch.wishes = replace(watch.wishes, note="")
+                    watch.view = replace(watch.view, note="")
                     watch.end(lines)
                     continue
                 for key in keys.read(REFRESH_S):
@@ -381,13 +357,13 @@ def speaks_unicode(stream: IO[str]) -> bool:
     return True
 
 
-def _steps_between(held: Board, board: Board) -> int | None:
+def _steps_between(held: State, state: State) -> int | None:
     """Steps that the plant made since; None when its session is another one."""
-    if board.plant is None:
+    if state.plant is None:
         return 0
-    if held.plant is None or held.plant.session != board.plant.session:
+    if held.plant is None or held.plant.session != state.plant.session:
         return None
-    return max(0, board.plant.k - held.plant.k)
+    return max(0, state.plant.k - held.plant.k)
 
 
 def _size(stream: IO[str]) -> Size:

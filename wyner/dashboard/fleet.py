@@ -2,19 +2,23 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from io import StringIO
 from typing import TYPE_CHECKING, Final
 
 from pydantic import ValidationError
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
 
 from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
-from protocol.text import printable
 from protocol.topics import every_loop
 from runtime.fleet import LARGEST
 from runtime.inbox import Inbox
 from wyner.dashboard.model import TAPS_KEPT
+from wyner.dashboard.parts import WIDE, Column, fitting, line, table
 from wyner.dashboard.source import WAITING_AT_MOST
+from wyner.dashboard.text import drawn
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
@@ -27,11 +31,6 @@ LATELY_S: Final = 10.0
 
 REFRESH_S: Final = 1.0
 PRINT_S: Final = 10.0
-
-HEADER: Final = (
-    f"{'loop':<20} {'state':<10} {'steps':>8} {'missed':>7} {'lately':>7} {'Hz':>6} "
-    f"{'agreed':>7} {'messages':>8} {'keys':>6} {'queue':>5}  eavesdropper"
-)
 
 
 @dataclass(slots=True)
@@ -74,6 +73,10 @@ class LoopRow:
             return "silent"
         return self.plant.phase
 
+    def waiting(self) -> str:
+        """How many messages wait at the controller."""
+        return "" if self.controller is None else str(self.controller.queue)
+
     def claim(self) -> str:
         """The surest eavesdropper's claim, beside the truth where the plant has told it."""
         surest = max(self.taps.values(), key=lambda tap: tap.confidence, default=None)
@@ -86,18 +89,37 @@ class LoopRow:
         lost = f", {surest.lost} lost" if surest.lost else ""
         bits = max(tap.key_bits_held for tap in self.taps.values())
         lost += f", {bits} bits of keys held" if bits > 0 else ""
-        return f"{surest.name} is {100 * surest.confidence:.0f} % sure{verdict}{lost}"
+        return f"{drawn(surest.name)} is {100 * surest.confidence:.0f} % sure{verdict}{lost}"
 
-    def line(self, now_s: float) -> str:
-        """The loop's line of the table."""
-        plant = self.plant
-        numbers = "" if plant is None else (
-            f"{plant.k:>8} {plant.missed:>7} {self.lately:>7} {plant.rate_hz:>6.1f} "
-            f"{plant.agreements:>7} {plant.messages:>8} {plant.keys_made:>6}"
-        )  # fmt: skip
-        queue = "" if self.controller is None else f"{self.controller.queue:>5}"
-        text = f"{self.loop:<20} {self.state(now_s):<10} {numbers:<54} {queue:>5}  {self.claim()}"
-        return printable(text.rstrip())
+
+_Seen = tuple[LoopRow, float]
+
+
+def _of_plant(told: Callable[[PlantStatus], str]) -> Callable[[_Seen], str]:
+    return lambda of: "" if of[0].plant is None else told(of[0].plant)
+
+
+COLUMNS: Final[tuple[Column[_Seen], ...]] = (
+    Column("state", 10, 0, lambda of: of[0].state(of[1])),
+    Column("steps", 8, 3, _of_plant(lambda plant: str(plant.k))),
+    Column("missed", 7, 2, _of_plant(lambda plant: str(plant.missed))),
+    Column("of them lately", 14, 5, lambda of: "" if of[0].plant is None else str(of[0].lately)),
+    Column("steps/s", 7, 6, _of_plant(lambda plant: f"{plant.rate_hz:.1f}")),
+    Column("key symbols", 11, 7, _of_plant(lambda plant: str(plant.agreements))),
+    Column("messages", 8, 4, _of_plant(lambda plant: str(plant.messages))),
+    Column("keys made", 9, 8, _of_plant(lambda plant: str(plant.keys_made))),
+    Column(
+        "waiting", 7, 10, lambda of: "" if of[0].controller is None else f"{of[0].controller.queue}"
+    ),
+    Column("the surest eavesdropper", WIDE, 1, lambda of: of[0].claim()),
+)
+"""Left to right; the loop's name stands before them."""
+
+NAME: Final = 14
+"""Cells of a loop's name."""
+
+PRINTED: Final = 240
+"""Cells of a line that is printed and not shown."""
 
 
 class FleetTable:
@@ -133,8 +155,8 @@ class FleetTable:
             if loop in self._rows or len(self._rows) < LARGEST:
                 self._rows.setdefault(loop, LoopRow(loop)).note(status, now_s)
 
-    def lines(self, now_s: float, most: int | None = None) -> list[str]:
-        """The table: a sum, the header, the loops; with ``most`` no more lines than that."""
+    def shown(self, now_s: float, width: int = PRINTED, most: int | None = None) -> Group:
+        """A sum, the table, and how many loops it leaves out; ``most`` lines in all."""
         rows = sorted(self._rows.values(), key=lambda row: _order(row, now_s))
         running = sum(row.state(now_s) == "running" for row in rows)
         missed = sum(row.plant.missed for row in rows if row.plant is not None)
@@ -146,49 +168,52 @@ class FleetTable:
             total += f"; {self.malformed} messages were malformed"
         if self._arrived.dropped:
             total += f"; {self._arrived.dropped} came faster than they were read"
-        shown = [row.line(now_s) for row in rows]
-        if most is not None and len(shown) > most - 3:
-            hidden = len(shown) - (most - 3)
-            shown = [*shown[: most - 3], f"... and {hidden} more that are well or better"]
-        return [total, HEADER, *shown]
+        room = len(rows) if most is None else most - 3
+        hidden = max(0, len(rows) - room)
+        columns = fitting(COLUMNS, width - NAME - 1)
+        seen = [(row.loop, (row, now_s)) for row in rows[: len(rows) - hidden]]
+        told = [line(f"... and {hidden} more that are well or better")] if hidden else []
+        return Group(line(total), table("loop", NAME, columns, seen), *told)
 
 
 def _order(row: LoopRow, now_s: float) -> tuple[bool, int, str]:
     return (row.state(now_s) == "running", -row.lately, row.loop)
 
 
-def watch(table: FleetTable, until: Callable[[], bool], *, screen: bool) -> None:
+def watch(fleet: FleetTable, until: Callable[[], bool], *, screen: bool) -> None:
     """Show the table until told to stop: on the screen, or printed every few seconds."""
     if screen:
-        _on_screen(table, until)
+        _on_screen(fleet, until)
         return
     next_s = 0.0
     while not until():
         now_s = time.monotonic()
-        table.take(now_s)
+        fleet.take(now_s)
         if now_s >= next_s:
             next_s = now_s + PRINT_S
-            _print(table.lines(now_s))
+            _print(fleet.shown(now_s))
         time.sleep(0.1)
-    table.take(time.monotonic())
-    _print(table.lines(time.monotonic()))
+    fleet.take(time.monotonic())
+    _print(fleet.shown(time.monotonic()))
 
 
-def _print(lines: Iterable[str]) -> None:
-    sys.stdout.write("\n".join([*lines, "", ""]))
+def plain(shown: RenderableType) -> list[str]:
+    """The lines of what is shown, without colours, whatever they are printed to."""
+    console = Console(file=StringIO(), width=PRINTED, color_system=None, record=True)
+    console.print(shown)
+    return [text.rstrip() for text in console.export_text().splitlines()]
+
+
+def _print(shown: RenderableType) -> None:
+    sys.stdout.write("\n".join([*plain(shown), "", ""]))
     sys.stdout.flush()
 
 
-def _on_screen(table: FleetTable, until: Callable[[], bool]) -> None:
-    from rich.console import Console
-    from rich.live import Live
-    from rich.text import Text
-
+def _on_screen(fleet: FleetTable, until: Callable[[], bool]) -> None:
     console = Console()
     with Live(console=console, screen=True, auto_refresh=False) as live:
         while not until():
             now_s = time.monotonic()
-            table.take(now_s)
-            lines = table.lines(now_s, most=console.size.height)
-            live.update(Text("\n".join(lines), no_wrap=True, overflow="crop"), refresh=True)
+            fleet.take(now_s)
+            live.update(fleet.shown(now_s, *console.size), refresh=True)
             time.sleep(REFRESH_S)

@@ -7,9 +7,11 @@ the edge of D_e (1 to alpha), so that the half that matters is as wide as the on
 from collections.abc import Sequence
 from typing import Final
 
+from rich.table import Table
 from rich.text import Text
 
 from protocol.agreement import INSIDE
+from wyner.dashboard.parts import line
 from wyner.dashboard.text import STYLES, Glyphs, longest, number
 
 INDEX: Final = 4
@@ -36,8 +38,8 @@ def bars(
     glyphs: Glyphs,
     *,
     own_shape: bool = False,
-) -> list[Text]:
-    """One line a candidate, and a line that names the marks.
+) -> Table:
+    """One row a candidate, and a row that names the marks.
 
     Parameters
     ----------
@@ -55,19 +57,23 @@ def bars(
         Whether alpha D_c only holds D_e, which has a shape of its own.
     """
     half = max(NARROWEST, (width - INDEX - WORDS - 4) // 2)
-    rows = [_bar(i, gauges[i], alpha, half, glyphs) for i in shown_first(gauges, most)]
-    scale = Text(" " * INDEX + "0".ljust(half), style=STYLES["label"])
-    hidden = len(gauges) - len(rows)
+    grid = Table.grid()
+    grid.add_column(width=INDEX, no_wrap=True)
+    grid.add_column(no_wrap=True, overflow="crop")
+    shown = shown_first(gauges, most)
+    for i in shown:
+        grid.add_row(line(f" {i}"), _bar(gauges[i], alpha, half, glyphs))
+    scale = line().append("0".ljust(half) + "D_c".ljust(half + 1), style=STYLES["label"])
+    hidden = len(gauges) - len(shown)
     more = f"   and {hidden} more" if hidden else ""
-    scale.append("D_c".ljust(half + 1))
     relation = "within" if own_shape else "="
-    scale.append(
-        longest(width - scale.cell_len, f"D_e {relation} {number(alpha)} D_c{more}", "D_e")
-    )
-    return [*rows, scale]
+    room = width - INDEX - scale.cell_len
+    scale.append(longest(room, f"D_e {relation} {number(alpha)} D_c{more}", f"D_e{more}"))
+    grid.add_row(line(), scale)
+    return grid
 
 
-def _bar(i: int, gauge: float, alpha: float, half: int, glyphs: Glyphs) -> Text:
+def _bar(gauge: float, alpha: float, half: int, glyphs: Glyphs) -> Text:
     inside = gauge <= INSIDE
     beyond = gauge > alpha
     if inside:
@@ -76,15 +82,15 @@ def _bar(i: int, gauge: float, alpha: float, half: int, glyphs: Glyphs) -> Text:
         at = 2 * half + 1
     else:
         at = half + 1 + round((gauge - 1) / (alpha - 1) * (half - 1))
-    cells = [glyphs.rule] * half + [glyphs.edge] + [glyphs.faint] * half + [glyphs.edge]
-    line = Text(f" {i:<{INDEX - 1}}")
+    cells = [glyphs.line] * half + [glyphs.edge] + [glyphs.faint] * half + [glyphs.edge]
+    bar = line()
     for j, cell in enumerate(cells):
         if j == at:
-            line.append(glyphs.beyond if beyond else glyphs.dot, style=STYLES["next"])
+            bar.append(glyphs.beyond if beyond else glyphs.dot, style=STYLES["next"])
         else:
-            line.append(cell, style=STYLES["defender" if j <= half else "eavesdropper"])
+            bar.append(cell, style=STYLES["defender" if j <= half else "eavesdropper"])
     word = "in D_c" if inside else "beyond" if beyond else "outside"
     value = longest(5, f"{gauge:.2f}", number(gauge))
-    line.append(f" {value:>5} ")
-    line.append(word, style=STYLES["good" if inside else ""])
-    return line
+    bar.append(f" {value:>5} ")
+    bar.append(word, style=STYLES["good" if inside else ""])
+    return bar

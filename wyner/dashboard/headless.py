@@ -9,7 +9,7 @@ from typing import IO, Final
 from protocol.messages import PlantModel, PlantStatus
 from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
-from wyner.dashboard.model import Board, TapBoard, reduce_all
+from wyner.dashboard.model import State, TapState, reduce_all
 from wyner.dashboard.score import (
     characters_right,
     rate_in_words,
@@ -37,48 +37,48 @@ class Reporter:
     ``told`` is the session and the step k that the last line of progress was about.
     """
 
-    before: Board = field(default_factory=Board)
+    before: State = field(default_factory=State)
     next_progress_ns: int = 0
     told: tuple[str, int] | None = None
 
-    def report(self, board: Board, now_ns: int) -> tuple[list[str], "Reporter"]:
+    def report(self, state: State, now_ns: int) -> tuple[list[str], "Reporter"]:
         """Lines for what is new since the last call, at most `LINES_AT_ONCE` and one more."""
-        lines = list(_events(self.before, board))
+        lines = list(_events(self.before, state))
         if len(lines) > LINES_AT_ONCE:
             more = len(lines) - LINES_AT_ONCE
             lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
-        now = (board.plant.session, board.plant.k) if board.plant is not None else None
+        now = (state.plant.session, state.plant.k) if state.plant is not None else None
         if now is None or now == self.told or now_ns < self.next_progress_ns:
-            return lines, replace(self, before=board)
-        return [*lines, progress(board)], Reporter(board, now_ns + PROGRESS_NS, now)
+            return lines, replace(self, before=state)
+        return [*lines, progress(state)], Reporter(state, now_ns + PROGRESS_NS, now)
 
 
-def progress(board: Board) -> str:
+def progress(state: State) -> str:
     """One line on where the loop, the message and the strongest tap stand."""
-    plant = board.plant
+    plant = state.plant
     assert plant is not None
-    recovered, sent = len(letters(board.recovered)), len(letters(board.sent))
+    recovered, sent = len(letters(state.recovered)), len(letters(state.sent))
     parts = [
         f"step {plant.k}",
         f"x ({', '.join(component(v) for v in plant.x)})",
         f"keys {plant.agreements}",
         f"missed {plant.missed}",
-        rate_in_words(board),
-        f"recovered {recovered}/{sent} {_quoted(board.recovered)}",
+        rate_in_words(state),
+        f"recovered {recovered}/{sent} {_quoted(state.recovered)}",
     ]
-    if board.model is not None and board.model.keys_claim:
-        parts.append(f"distilled keys {plant.keys_made}, {held(board, 99)[0]}")
-    if board.controller is not None and board.controller.alarms:
-        parts.append(board.controller.alarm_sentence())
-    left = time_left_s(board)
+    if state.model is not None and state.model.keys_claim:
+        parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
+    if state.controller is not None and state.controller.alarms:
+        parts.append(state.controller.alarm_sentence())
+    left = time_left_s(state)
     if left is not None:
         parts.append(f"{duration(left)} to go")
-    its = secrecy(board)
+    its = secrecy(state)
     if its.strongest:
-        tap = board.taps[its.strongest]
-        scored = score(board, tap)
-        right, total = characters_right(board, tap)
-        old = "" if truth_for(board, tap.status.message) == board.sent else ", old"
+        tap = state.taps[its.strongest]
+        scored = score(state, tap)
+        right, total = characters_right(state, tap)
+        old = "" if truth_for(state, tap.status.message) == state.sent else ", old"
         parts.append(
             f"{printable(its.strongest)}: {keys_right(scored)} % of key symbols,"
             f" {right}/{total} characters{old}"
@@ -86,9 +86,9 @@ def progress(board: Board) -> str:
     return "  ".join(parts)
 
 
-def secrecy_line(board: Board) -> str:
+def secrecy_line(state: State) -> str:
     """What the paper's rule counts against what is true, in words."""
-    its = secrecy(board)
+    its = secrecy(state)
     told = f"{its.claimed_bits:.0f} bit by the paper's rule"
     failed = f"; FAILED: {', '.join(map(printable, its.failed))}" if its.failed else ""
     if its.left_bits is None:
@@ -110,7 +110,7 @@ def run_headless(
     Lines carry no control codes. Whoever reads them may go away: a broken pipe is the caller's.
     """
     stream = out or sys.stdout
-    board, reporter = Board(), Reporter()
+    state, reporter = State(), Reporter()
     told: set[int] = set()
 
     def say(lines: list[str]) -> None:
@@ -124,10 +124,10 @@ def run_headless(
     try:
         while True:
             finished = until()
-            board = replace(reduce_all(board, source.drain()), unreadable=source.malformed)
-            lines, reporter = reporter.report(board, source.now_ns())
+            state = replace(reduce_all(state, source.drain()), unreadable=source.malformed)
+            lines, reporter = reporter.report(state, source.now_ns())
             say(lines)
-            while story and (found := next_moment(board, told)) is not None:
+            while story and (found := next_moment(state, told)) is not None:
                 told.add(found[0])
                 title, *captions = found[1].caption
                 say([f"* {title}", *(f"  {line}" for line in captions)])
@@ -136,17 +136,17 @@ def run_headless(
             time.sleep(REFRESH_S)
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
-    if board.plant is not None:
-        say([progress(board), secrecy_line(board)])
+    if state.plant is not None:
+        say([progress(state), secrecy_line(state)])
     for line in source.problems():
         print(line, file=sys.stderr)
     return ending
 
 
-def _events(before: Board, board: Board) -> Iterator[str]:
-    plant, was = board.plant, before.plant
+def _events(before: State, state: State) -> Iterator[str]:
+    plant, was = state.plant, before.plant
     if plant is not None:
-        yield from _session(before, plant, board.model)
+        yield from _session(before, plant, state.model)
         if was is None or was.phase != plant.phase:
             yield f"plant {plant.phase}{_because(plant.detail)}"
         if plant.attack and (was is None or was.attack != plant.attack):
@@ -162,19 +162,19 @@ def _events(before: Board, board: Board) -> Iterator[str]:
                 "is the last recovered" if was is None else f"recovered at step {_whole_at(plant)}"
             )
             yield f"message {plant.messages} {how}: {_quoted(plant.last_message)}"
-    controller, was_controller = board.controller, before.controller
+    controller, was_controller = state.controller, before.controller
     if controller is not None and (
         was_controller is None or was_controller.phase != controller.phase
     ):
         yield f"controller {controller.phase}{_because(controller.detail)}"
-    for name, tap in board.taps.items():
-        yield from _tap_events(printable(name), before, tap, board)
-    yield from _key_events(before, board)
-    if board.malformed > before.malformed:
-        yield f"{board.malformed - before.malformed} messages were malformed"
+    for name, tap in state.taps.items():
+        yield from _tap_events(printable(name), before, tap, state)
+    yield from _key_events(before, state)
+    if state.malformed > before.malformed:
+        yield f"{state.malformed - before.malformed} messages were malformed"
 
 
-def _session(before: Board, plant: PlantStatus, model: PlantModel | None) -> Iterator[str]:
+def _session(before: State, plant: PlantStatus, model: PlantModel | None) -> Iterator[str]:
     """Which session this is, of which plant: as soon as both are known."""
     if model is None:
         return
@@ -193,7 +193,7 @@ def _whole_at(plant: PlantStatus) -> int:
     return plant.message_k if plant.message_k >= 0 else plant.k
 
 
-def _tap_events(name: str, before: Board, tap: TapBoard, board: Board) -> Iterator[str]:
+def _tap_events(name: str, before: State, tap: TapState, state: State) -> Iterator[str]:
     was, text = before.taps.get(tap.status.name), tap.status.message
     if was is None:
         yield f"tap {name} heard"
@@ -206,28 +206,28 @@ def _tap_events(name: str, before: Board, tap: TapBoard, board: Board) -> Iterat
     newly_sure = solved >= 0 and (was is None or was.status.solved_k != solved)
     if tap.exact and (was is None or not (was.exact or newly_sure)):
         # Where the truth is what came last, she may have held the message for long.
-        new = board.plant is not None and was is not None and text in before.texts
-        at = f" by step {board.plant.k}" if board.plant is not None and new else ""
+        new = state.plant is not None and was is not None and text in before.texts
+        at = f" by step {state.plant.k}" if state.plant is not None and new else ""
         unsure = ", and is not sure yet" if at and solved < 0 else ""
         yield f"tap {name} holds the true message{at}{unsure}: {_quoted(text)}"
     if newly_sure:
         judged = ", and it is the true one" if tap.exact else ", but it is not a true one"
-        if not board.texts:  # a replay: nobody here knows the truth
+        if not state.texts:  # a replay: nobody here knows the truth
             judged = f": {_quoted(text)}"
         elif not tap.watched:  # it may have been another message than the one that she holds now
             judged = ""
         yield f"tap {name} was sure of a message at step {solved}{judged}"
 
 
-def _key_events(before: Board, board: Board) -> Iterator[str]:
+def _key_events(before: State, state: State) -> Iterator[str]:
     """The first bits that she holds, and what has come up against the claim."""
-    was, now = attacker(before), attacker(board)
+    was, now = attacker(before), attacker(state)
     if now is None:
         return
     if now.key_bits_held and not (was is not None and was.key_bits_held):
         yield f"tap {printable(now.name)} holds {now.key_bits_held} bits of keys"
     known = {text.split()[1] for text in contradictions(before)}
-    for text in contradictions(board):
+    for text in contradictions(state):
         if text.split()[1] not in known:
             yield printable(text)
 

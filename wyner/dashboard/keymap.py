@@ -11,13 +11,9 @@ class Action(Enum):
     QUIT = "quit"
     HELP = "help"
     FREEZE = "freeze"
-    FILTER = "filter"
     SAVE = "save"
     BACK = "back"
     ON = "on"
-    UP = "up"
-    DOWN = "down"
-    DETAIL = "detail"
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,21 +34,16 @@ KEYS: Final[tuple[Binding, ...]] = (
     Binding("q", "q", Action.QUIT, "quit", "leave the dashboard"),
     Binding("?", "?", Action.HELP, "help", "show or hide this page"),
     Binding(" ", "Space", Action.FREEZE, "freeze", "hold the view; capture goes on and is counted"),
-    Binding("/", "/", Action.FILTER, "filter", "show only taps whose name holds a text (Esc: all)"),
     Binding(
         "s", "s", Action.SAVE, "save", "save the screen as SVG and as text; the names are printed"
     ),
-    Binding("\r", "Enter", Action.DETAIL, "more", "all about the chosen step and tap; again: back"),
     Binding("left", "Left", Action.BACK, "", "the pictured step before (freezes the view)"),
     Binding(
         "right", "Right", Action.ON, "", "the pictured step after, up to the moment of the freeze"
     ),
-    Binding("up", "Up", Action.UP, "", "choose the tap above, in the table of taps"),
-    Binding("down", "Down", Action.DOWN, "", "choose the tap below"),
 )
 
 
 def action_of(character: str) -> Action | None:
     """The action bound to a character, or to a named key such as ``left``, if there is one."""
-    character = "\r" if character == "\n" else character
     return next((key.action for key in KEYS if key.character == character), None)

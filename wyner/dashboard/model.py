@@ -1,7 +1,7 @@
-"""What the dashboard knows: a frozen board, replaced by a pure reducer, one message at a time.
+"""What the dashboard knows: a frozen state, replaced by a pure reducer, one message at a time.
 
 Nothing here reads a clock, a socket or a terminal. The time of arrival comes with the message, so a
-recorded list of arrivals always gives the same board.
+recorded list of arrivals always gives the same state.
 """
 
 from collections.abc import Collection, Iterable, Mapping
@@ -60,7 +60,7 @@ class ShownGuess:
 
 
 @dataclass(frozen=True, slots=True)
-class TapBoard:
+class TapState:
     """One eavesdropper as the dashboard sees her.
 
     ``exact`` and ``watched`` are set by the dashboard, never by the tap: her message was, at least
@@ -93,7 +93,7 @@ class Automata:
 
 
 @dataclass(frozen=True, slots=True)
-class Board:
+class State:
     """All that the screen and the plain lines are made from.
 
     ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn,
@@ -111,7 +111,7 @@ class Board:
     pictured_ns: int = -1
     pictures: Mapping[int, PlantStatus] = field(default_factory=dict)
     automata: Automata | None = None
-    taps: Mapping[str, TapBoard] = field(default_factory=dict)
+    taps: Mapping[str, TapState] = field(default_factory=dict)
     truths: Mapping[int, ShownTruth] = field(default_factory=dict)
     states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     true_states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
@@ -154,36 +154,36 @@ class Board:
         return self.controller.sending if self.controller is not None else self.recovered
 
 
-def reduce(board: Board, arrival: Arrival) -> Board:
-    """The board after one more arrival; anything else than these only counts."""
-    board = replace(board, received=board.received + 1)
+def reduce(state: State, arrival: Arrival) -> State:
+    """The state after one more arrival; anything else than these only counts."""
+    state = replace(state, received=state.received + 1)
     match arrival.message:
         case PlantModel() as model:
-            return replace(board, model=model)
+            return replace(state, model=model)
         case PlantStatus() as status:
-            return _plant(board, status, arrival.t_ns)
+            return _plant(state, status, arrival.t_ns)
         case ControllerStatus() as status:
-            return _controller(board, status, arrival.t_ns)
+            return _controller(state, status, arrival.t_ns)
         case TapStatus() as status:
-            return _tap(board, status, arrival.t_ns)
+            return _tap(state, status, arrival.t_ns)
         case _:
-            return board
+            return state
 
 
-def reduce_all(board: Board, arrivals: Iterable[Arrival]) -> Board:
+def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
     """`reduce` over many arrivals, in order."""
     for arrival in arrivals:
-        board = reduce(board, arrival)
-    return board
+        state = reduce(state, arrival)
+    return state
 
 
-def compare_automata(board: Board) -> Automata | None:
+def compare_automata(state: State) -> Automata | None:
     """Both automata's states after the transitions that the controller had counted.
 
     The two statuses are snapshots of different moments, so the plant's state is read back from its
     tail. None: not comparable at the moment.
     """
-    plant, controller = board.plant, board.controller
+    plant, controller = state.plant, state.controller
     if plant is None or controller is None or plant.session != controller.session:
         return None
     behind = plant.transitions - controller.transitions
@@ -191,17 +191,17 @@ def compare_automata(board: Board) -> Automata | None:
         return Automata(plant.transitions, controller.automaton, plant.automaton)
     if not 0 < behind < len(plant.tail_automaton):
         return None
-    state = plant.tail_automaton[-1 - behind]
-    return Automata(controller.transitions, controller.automaton, state)
+    receiver = plant.tail_automaton[-1 - behind]
+    return Automata(controller.transitions, controller.automaton, receiver)
 
 
-def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
-    if board.plant is not None and _stale(board.plant, status):
-        return board
-    if board.plant is not None and board.plant.session != status.session:
+def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
+    if state.plant is not None and _stale(state.plant, status):
+        return state
+    if state.plant is not None and state.plant.session != status.session:
         # Steps may be counted afresh in a new session: what was known by step is void.
-        board = replace(
-            board,
+        state = replace(
+            state,
             automata=None,
             pictured=None,
             pictures={},
@@ -210,10 +210,10 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
             true_states={},
             taps={
                 name: replace(tap, guesses={})
-                for name, tap in _forgotten(board, board.truths).items()
+                for name, tap in _forgotten(state, state.truths).items()
             },
         )
-    truths, states = dict(board.truths), dict(board.states)
+    truths, states = dict(state.truths), dict(state.states)
     tail = zip(
         status.tail_k,
         status.tail_x,
@@ -226,60 +226,60 @@ def _plant(board: Board, status: PlantStatus, t_ns: int) -> Board:
         truths[k] = ShownTruth(role, symbol, coin)
         states[k] = x
     states[status.k] = status.x
-    true_states = dict(board.true_states)
+    true_states = dict(state.true_states)
     for k, true in zip(status.tail_k, status.tail_true_x, strict=False):
         true_states[k + 1] = true
-    board = _picture(board, status, t_ns)
+    state = _picture(state, status, t_ns)
     kept = _newest(truths, STEPS_KEPT)
     if len(kept) < len(truths):
         gone = truths.keys() - kept.keys()
-        board = replace(board, taps=_forgotten(replace(board, truths=truths), gone))
+        state = replace(state, taps=_forgotten(replace(state, truths=truths), gone))
     return _judge(
         replace(
-            board,
+            state,
             plant=status,
             plant_seen_ns=t_ns,
             truths=kept,
             states=_newest(states, STATES_KEPT),
             true_states=_newest(true_states, STATES_KEPT),
-            texts=_with_text(board.texts, status.last_message),
+            texts=_with_text(state.texts, status.last_message),
         )
     )
 
 
-def _picture(board: Board, status: PlantStatus, t_ns: int) -> Board:
+def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
     """Draw another step when the last one has been seen long enough, an agreement at once."""
     if status.pictured_k < 0:
-        return board
-    kept = {**board.pictures, status.pictured_k: status}
-    board = replace(board, pictures=_newest(kept, PICTURES_KEPT))
-    shown = board.pictured
-    over = t_ns - board.pictured_ns >= PICTURE_NS
+        return state
+    kept = {**state.pictures, status.pictured_k: status}
+    state = replace(state, pictures=_newest(kept, PICTURES_KEPT))
+    shown = state.pictured
+    over = t_ns - state.pictured_ns >= PICTURE_NS
     better = shown is None or (status.pictured_symbol >= 0 > shown.pictured_symbol)
     if not over and not better:
-        return board
-    return replace(board, pictured=status, pictured_ns=t_ns)
+        return state
+    return replace(state, pictured=status, pictured_ns=t_ns)
 
 
-def _controller(board: Board, status: ControllerStatus, t_ns: int) -> Board:
-    if board.controller is not None and _stale(board.controller, status):
-        return board
+def _controller(state: State, status: ControllerStatus, t_ns: int) -> State:
+    if state.controller is not None and _stale(state.controller, status):
+        return state
     return _judge(
         replace(
-            board,
+            state,
             controller=status,
             controller_seen_ns=t_ns,
-            texts=_with_text(board.texts, status.sending),
+            texts=_with_text(state.texts, status.sending),
         )
     )
 
 
-def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
-    before = board.taps.get(status.name)
+def _tap(state: State, status: TapStatus, t_ns: int) -> State:
+    before = state.taps.get(status.name)
     if before is not None and _stale(before.status, status):
-        return board
-    if before is None and len(board.taps) >= TAPS_KEPT:
-        return replace(board, refused=board.refused + 1)
+        return state
+    if before is None and len(state.taps) >= TAPS_KEPT:
+        return replace(state, refused=state.refused + 1)
     guesses = dict(before.guesses) if before is not None else {}
     tail = zip(
         status.tail_k,
@@ -292,9 +292,9 @@ def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
         guesses[k] = ShownGuess(symbol, probability, agreed)
     kept = _newest(guesses, STEPS_KEPT)
     gone = _compared(
-        board, guesses, guesses.keys() - kept.keys() if len(kept) < len(guesses) else ()
+        state, guesses, guesses.keys() - kept.keys() if len(kept) < len(guesses) else ()
     )
-    tap = TapBoard(
+    tap = TapState(
         status,
         t_ns,
         kept,
@@ -302,35 +302,35 @@ def _tap(board: Board, status: TapStatus, t_ns: int) -> Board:
         right=gone[1] + (0 if before is None else before.right),
         exact=before is not None and before.exact,
         watched=(before is not None and before.watched)
-        or (status.solved_k < 0 and bool(board.texts)),
+        or (status.solved_k < 0 and bool(state.texts)),
     )
-    return _judge(replace(board, taps={**board.taps, status.name: tap}))
+    return _judge(replace(state, taps={**state.taps, status.name: tap}))
 
 
 def _compared(
-    board: Board, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
+    state: State, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
 ) -> tuple[int, int]:
     """Of these steps the agreed ones that a tap has guessed, and those guessed right."""
     scored = right = 0
     for k in steps:
-        guess, truth = guesses.get(k), board.truths.get(k)
+        guess, truth = guesses.get(k), state.truths.get(k)
         if guess is not None and truth is not None and truth.symbol >= 0:
             scored += 1
             right += guess.symbol == truth.symbol
     return scored, right
 
 
-def compared(board: Board, tap: TapBoard) -> tuple[int, int]:
+def compared(state: State, tap: TapState) -> tuple[int, int]:
     """The agreed steps that a tap has guessed so far, and those guessed right."""
-    scored, right = _compared(board, tap.guesses, tap.guesses)
+    scored, right = _compared(state, tap.guesses, tap.guesses)
     return tap.scored + scored, tap.right + right
 
 
-def _forgotten(board: Board, steps: Collection[int]) -> dict[str, TapBoard]:
+def _forgotten(state: State, steps: Collection[int]) -> dict[str, TapState]:
     """The taps without their guesses of these steps, which are counted."""
     taps = {}
-    for name, tap in board.taps.items():
-        scored, right = _compared(board, tap.guesses, steps)
+    for name, tap in state.taps.items():
+        scored, right = _compared(state, tap.guesses, steps)
         guesses = {k: guess for k, guess in tap.guesses.items() if k not in steps}
         taps[name] = replace(
             tap, guesses=guesses, scored=tap.scored + scored, right=tap.right + right
@@ -338,15 +338,15 @@ def _forgotten(board: Board, steps: Collection[int]) -> dict[str, TapBoard]:
     return taps
 
 
-def _judge(board: Board) -> Board:
+def _judge(state: State) -> State:
     """Compare the automata, and mark the taps whose message is a true one now."""
-    board = replace(board, automata=compare_automata(board) or board.automata)
+    state = replace(state, automata=compare_automata(state) or state.automata)
     found = {
         name: replace(tap, exact=True)
-        for name, tap in board.taps.items()
-        if not tap.exact and tap.status.message and tap.status.message in board.texts
+        for name, tap in state.taps.items()
+        if not tap.exact and tap.status.message and tap.status.message in state.texts
     }
-    return replace(board, taps={**board.taps, **found}) if found else board
+    return replace(state, taps={**state.taps, **found}) if found else state
 
 
 def _stale(

@@ -1,4 +1,4 @@
-"""The panels of the screen, each a function of the board to lines of a given width."""
+"""The panels of the screen, each a function of the state to a renderable of rich's."""
 
 import itertools
 from bisect import bisect_left
@@ -8,13 +8,16 @@ from math import nan
 from typing import Final
 
 from rich.cells import cell_len, set_cell_size
+from rich.console import RenderableType
+from rich.padding import Padding
+from rich.progress_bar import ProgressBar
+from rich.table import Table
 from rich.text import Text
 
-from protocol.messages import PlantStatus
-from wyner.dashboard.model import Board, TapBoard
+from wyner.dashboard.model import State
+from wyner.dashboard.parts import VALUE_AT, Row, labelled, line, rule, titled
 from wyner.dashboard.picture import agreement
 from wyner.dashboard.score import (
-    Score,
     SecrecyScore,
     ranked,
     rate_in_words,
@@ -24,7 +27,6 @@ from wyner.dashboard.score import (
 )
 from wyner.dashboard.text import (
     ASCII,
-    LABEL,
     STYLES,
     UNICODE,
     component,
@@ -35,8 +37,6 @@ from wyner.dashboard.text import (
     letters,
     longest,
     number,
-    row,
-    rule,
     sparkline,
     symbol_of,
 )
@@ -52,26 +52,24 @@ TOO_MANY: Final = 20
 STATE_CELLS: Final = 13
 """Cells of a component of the state with its name, its history aside."""
 
+BAR: Final = 30
+"""Cells of the bar of a message on its way."""
+
 
 @dataclass(frozen=True, slots=True)
 class ViewState:
     """What the user asked of the view, and what the terminal can show.
 
     ``held_steps`` counts the steps made since the view was frozen, None when another session began
-    meanwhile; ``typing`` is set while the filter is being typed; ``note`` stands in the last line
-    instead of the keys. ``step`` and ``tap`` are what was chosen, ``detail`` asks for all about
-    them. ``caption`` is a title and its lines: a pause of the story, or the end of the run,
+    meanwhile; ``note`` stands in the last line instead of the keys; ``step`` is the one that was
+    chosen. ``caption`` is a title and its lines: a pause of the story, or the end of the run,
     and ``press`` says how to go on.
     """
 
     frozen: bool = False
     held_steps: int | None = 0
     help: bool = False
-    filter: str = ""
-    typing: bool = False
     step: int | None = None
-    tap: str = ""
-    detail: bool = False
     title: str = ""
     caption: tuple[str, ...] = ()
     press: str = ""
@@ -82,25 +80,21 @@ class ViewState:
 class Panels:
     """The panels that one screen is put together from."""
 
-    def __init__(self, board: Board, width: int, wishes: ViewState, now_ns: int) -> None:
-        self.board = board
+    def __init__(self, state: State, width: int, view: ViewState, now_ns: int) -> None:
+        self.state = state
         self.width = width
-        self.wishes = wishes
+        self.view = view
         self.now_ns = now_ns
-        self.glyphs = UNICODE if wishes.unicode else ASCII
-        self.taps = ranked(board)
-        self.secrecy: SecrecyScore = secrecy(board, self.taps)
+        self.glyphs = UNICODE if view.unicode else ASCII
+        self.taps = ranked(state)
+        self.secrecy: SecrecyScore = secrecy(state, self.taps)
 
-    def rule(self, title: str, width: int, *notes: str) -> Text:
-        """A titled rule, with the longest of the notes that there is room for."""
-        return rule(self.glyphs, title, width, *notes)
-
-    def loop(self, width: int, extra: int) -> list[Text]:
-        """Step, state with history, rate and time left, missed and late steps."""
-        plant, model = self.board.plant, self.board.model
-        lines = [self.rule("Loop", width)]
+    def loop(self, width: int, extra: int) -> tuple[int, RenderableType]:
+        """Step, state with history, rate and time left, missed and late steps; how many rows."""
+        plant, model = self.state.plant, self.state.model
+        title = rule("Control loop", width, *self._trouble(), style=self._trouble_style())
         if plant is None:
-            return [*lines, Text(" no word from the plant yet"), Text(), Text(), Text()]
+            return 5, titled(title, line(" no word from the plant yet"))
         step = f" step {plant.k}"
         pace = f"  {longest(7, f'{plant.rate_hz:.1f}', number(plant.rate_hz))} steps/s"
         room = width - len(step) - len(pace)
@@ -108,108 +102,118 @@ class Panels:
         if model is not None:
             seconds = plant.k * model.period_s
             time = longest(room, f"  {seconds:.1f} s of plant time", f"  {seconds:.1f} s")
-        lines.append(Text(step + time + pace))
-        lines += self._states(plant.x, width, 2 + max(0, extra))
-        lines.append(self._carried(width))
+        body: list[RenderableType] = [line(step + time + pace)]
+        states = self._states(plant.x, width, 2 + max(0, extra))
+        body.append(states)
+        body.append(self._carried(width))
         if extra > 0:
-            lines.append(self._trouble(plant, width))
-        if extra > 1:
-            lines.append(self._control(width))
-        return lines
+            body.append(self._control(width))
+        return len(body) + states.row_count, titled(title, *body)
 
     def _carried(self, width: int) -> Text:
-        """What the link carries, and how long the message on its way still takes."""
-        rate = f" {rate_in_words(self.board)}"
-        left = time_left_s(self.board)
+        """What the link carries, and how many steps found no input in time."""
+        rate = f" message {rate_in_words(self.state)}"
         missed = self._missed_short()
+        left = time_left_s(self.state)
         room = width - len(rate) - len(missed)
-        wait = "" if left is None else f"  message whole in {duration(left)}"
-        short = "" if left is None else f"  {duration(left)} to go"
-        return Text.assemble(rate, longest(room, wait, short), (missed, self._missed_style()))
+        wait = "" if left is None else f"  whole in {duration(left)}"
+        return Text.assemble(
+            line(rate + longest(room, wait)), (missed, self._missed_style()), no_wrap=True
+        )
 
     def _missed_short(self) -> str:
-        plant = self.board.plant
+        plant = self.state.plant
         assert plant is not None
         return f"  missed {count(plant.missed)}" if plant.missed else ""
 
     def _missed_style(self) -> str:
         """Red from one step in twenty on: a few are what a busy machine makes."""
-        plant = self.board.plant
+        plant = self.state.plant
         assert plant is not None
         steps = plant.transitions + plant.missed
         return STYLES["bad"] if plant.missed * TOO_MANY > steps else ""
 
-    def _trouble(self, plant: PlantStatus, width: int) -> Text:
-        wrong = f"wrong keys at the plant {count(plant.symbol_errors)}"
-        late = f"late {count(plant.late)}"
-        session = f"session {count(plant.sessions)}"
-        style = STYLES["bad"] if plant.symbol_errors else ""
-        told = longest(width, f" {wrong}  {late}  {session}", f" {wrong}  {late}", f" {wrong}")
-        return Text(told, style=style)
+    def _trouble(self) -> tuple[str, ...]:
+        """Keys that the two ends do not share, and steps that came late, in words of any length."""
+        plant = self.state.plant
+        if plant is None:
+            return ()
+        wrong = f"wrong keys {count(plant.symbol_errors)}"
+        late = f"{wrong}  late {count(plant.late)}"
+        return f"{late}  session {count(plant.sessions)}", late, wrong
+
+    def _trouble_style(self) -> str:
+        plant = self.state.plant
+        return STYLES["bad"] if plant is not None and plant.symbol_errors else ""
 
     def _control(self, width: int) -> Text:
         """Where the state is, among the controller's sets."""
-        controller = self.board.controller
+        controller = self.state.controller
         if controller is not None and controller.alarms:
             alarms = controller.alarm_sentence()
             told = longest(width, f" {alarms}", f" {alarms.rpartition(': read')[0]}")
-            return Text(told, style=STYLES["bad"])
+            return line(told, STYLES["bad"])
         if controller is None or controller.set_index < 0:
-            return Text(" control: outside of every set, or silent")
+            return line(" control: outside of every set, or silent")
         at = controller.set_index
         if at == 0:
-            return Text(" control: inside the target set")
+            return line(" control: inside the target set")
         told = longest(
             width,
             f" control: at most {count(at)} steps to the target set",
             f" control: {count(at)} steps off",
         )
-        return Text(told)
+        return line(told)
 
-    def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
+    def _states(self, x: Sequence[float], width: int, rows: int) -> Table:
         """Each component with its history: one to a row, or where rows are short more.
 
         Of an attacked plant the true one, t, stands beside the one that is reported, in one scale.
         """
-        board, attacked = self.board, bool(self.board.true_states)
+        state, attacked = self.state, bool(self.state.true_states)
         entries = len(x) * (1 + attacked)
         per_row = max(1, min(-(-entries // rows), (width - 1) // STATE_CELLS))
         each = (width - 1) // per_row
         bars = max(0, each - 14)
-        cells: list[str] = []
+        cells: list[Text] = []
         for i, value in enumerate(x):
-            shown, true = _history(board.states, i, bars), _history(board.true_states, i, bars)
+            shown, true = _history(state.states, i, bars), _history(state.true_states, i, bars)
             told = [(f"x{i + 1}", value, shown)]
             if attacked:
                 told.append((f"t{i + 1}", true[-1] if true else nan, true))
             for name, now, history in told:
                 bar = sparkline(history, self.glyphs.levels, [*shown, *true])
-                cells.append(f" {name} {component(now, '+'):>8}  {bar}"[:each].ljust(each))
+                cells.append(line(f" {name} {component(now, '+'):>8}  {bar}"))
         room = per_row * rows
         if len(cells) > room:
-            cells[room - 1 :] = [f" {len(cells) - room + 1} more"]
-        lines = [Text("".join(cells[i : i + per_row])) for i in range(0, len(cells), per_row)]
-        return lines + [Text()] * (min(2, rows) - len(lines))
+            cells[room - 1 :] = [line(f" {len(cells) - room + 1} more")]
+        grid = Table.grid()
+        for _ in range(per_row):
+            grid.add_column(width=each, no_wrap=True, overflow="crop")
+        for i in range(0, len(cells), per_row):
+            grid.add_row(*cells[i : i + per_row])
+        for _ in range(min(2, rows) - grid.row_count):
+            grid.add_row()
+        return grid
 
-    def keys(self, width: int) -> list[Text]:
+    def keys(self, width: int) -> RenderableType:
         """Key symbols agreed, the strongest shown tap's guesses below them, and both automata."""
-        plant = self.board.plant
-        room = max(0, width - LABEL - 2)
-        agreed = [k for k in sorted(self.board.truths) if self.board.truths[k].symbol >= 0]
-        shown = self.filtered()
-        if shown:
+        plant = self.state.plant
+        room = max(0, width - VALUE_AT)
+        agreed = [k for k in sorted(self.state.truths) if self.state.truths[k].symbol >= 0]
+        if self.taps:
             # A tap that lags is compared at the last steps that she has a guess for.
-            guesses = shown[0][0].guesses
+            guesses = self.taps[0][0].guesses
             agreed = [k for k in agreed if k in guesses] or agreed
-        size = self.board.candidates
+        size = self.state.candidates
         wide = len(symbol_of(0, size))
         agreed = agreed[-(room // wide) :]
-        truth = "".join(symbol_of(self.board.truths[k].symbol, size) for k in agreed)
+        truth = "".join(symbol_of(self.state.truths[k].symbol, size) for k in agreed)
         total = plant.agreements if plant else 0
-        lines = [row(f"{count(total)} keys", Text(truth))]
-        if shown:
-            tap = shown[0][0]
-            guessed, marks = Text(), Text()
+        rows: list[Row] = [(f"{count(total)} keys", line(truth))]
+        if self.taps:
+            tap = self.taps[0][0]
+            guessed, marks = line(), line()
             heard = any(k in tap.guesses for k in agreed)
             for k in agreed:
                 guess = tap.guesses.get(k)
@@ -217,97 +221,109 @@ class Panels:
                     guessed.append(" " * wide)
                     marks.append(" " * wide)
                     continue
-                right = guess.symbol == self.board.truths[k].symbol
+                right = guess.symbol == self.state.truths[k].symbol
                 said = symbol_of(guess.symbol, size)
                 guessed.append(said, style=STYLES["" if right else "wrong"])
                 marks.append((" " if right else "^").ljust(wide), style=STYLES["bad"])
-            lines += [
-                row(tap.status.name, guessed),
-                row(f"{marks.plain.count('^')} wrong" if heard else "no guess yet", marks),
-            ]
+            wrong = f"{marks.plain.count('^')} wrong" if heard else "no guess yet"
+            rows += [(tap.status.name, guessed), (wrong, marks)]
         else:
-            lines += self._nobody()
-        lines += self.automata()
-        return lines
+            rows += _NOBODY
+        return labelled([*rows, self.automata()])
 
-    def last_steps(self, width: int, rows: int) -> list[Text]:
+    def last_steps(self, width: int, rows: int) -> RenderableType:
         """What happened in the last transitions, the newest first, and what the tap made of it."""
-        lines = [self.rule("Last steps", width)]
-        tap = self.filtered()[0][0] if self.filtered() else None
-        for k in sorted(self.board.truths, reverse=True)[: rows - 1]:
-            truth = self.board.truths[k]
+        tap = self.taps[0][0] if self.taps else None
+        whose = "" if tap is None else f"and what {drawn(tap.status.name)} says, with her own odds"
+        grid = Table.grid(padding=(0, 2, 0, 0))
+        for _ in range(4):
+            grid.add_column(no_wrap=True)
+        for k in sorted(self.state.truths, reverse=True)[: rows - 1]:
+            truth = self.state.truths[k]
             what = "message" if truth.role == "message" else "no key"
             if truth.symbol >= 0:
                 what = f"key {truth.symbol}"
-            line = Text(f" {k:<7} input {truth.coin}  {what:<7} ")
+            hers = line()
             guess = tap.guesses.get(k) if tap is not None else None
             if guess is not None:
                 wrong = truth.symbol >= 0 and guess.symbol != truth.symbol
-                line.append(f" she says {guess.symbol}, {guess.probability:.2f}")
-                line.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
-            lines.append(line)
-        return lines
+                hers.append(f"she says {guess.symbol}, {guess.probability:.2f}")
+                hers.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
+            grid.add_row(line(f"{k:<7}"), line(f"input {truth.coin}"), line(f"{what:<7}"), hers)
+        return titled(rule("Last steps", width, whose), Padding(grid, (0, 0, 0, 1)))
 
-    def automata(self) -> list[Text]:
+    def automata(self) -> Row:
         """What both ends are at, and whether they agree on it."""
-        plant, controller, both = self.board.plant, self.board.controller, self.board.automata
+        plant, controller, both = self.state.plant, self.state.controller, self.state.automata
         if both is not None and both.in_step:
-            line = row("both ends", Text(DOING[both.sender] + ", "))
-            line.append("in step", style=STYLES["good"])
-            return [line]
+            told = line(DOING[both.sender] + ", ")
+            told.append("in step", style=STYLES["good"])
+            return "both ends", told
         sender = both.sender if both else controller.automaton if controller else 0
         receiver = both.receiver if both else plant.automaton if plant else 0
         if both is not None:
-            line = row("both ends", Text("OUT OF STEP ", style=STYLES["bad"]))
-            line.append(f"controller {sender}, plant {receiver}")
-            return [line]
+            told = line().append("OUT OF STEP ", style=STYLES["bad"])
+            told.append(f"controller {sender}, plant {receiver}")
+            return "both ends", told
         if not sender and not receiver:
-            return [row("both ends", Text("not heard yet"))]
-        return [row("controller", Text(f"{DOING[sender]}; plant: {DOING[receiver]}"))]
+            return "both ends", line("not heard yet")
+        return "controller", line(f"{DOING[sender]}; plant: {DOING[receiver]}")
 
-    def picture(self, width: int, rows: int) -> list[Text]:
+    def picture(self, width: int, rows: int) -> RenderableType:
         """The agreement test of the last pictured step, or of the one chosen while frozen."""
-        status = self.board.pictured
-        if self.wishes.step is not None:
-            status = self.board.pictures.get(self.wishes.step, status)
+        status = self.state.pictured
+        if self.view.step is not None:
+            status = self.state.pictures.get(self.view.step, status)
         return agreement(
-            self.board.model, status, width, rows, self.glyphs, unicode=self.wishes.unicode
+            self.state.model, status, width, rows, self.glyphs, unicode=self.view.unicode
         )
 
-    def message(self, taps: int) -> list[Text]:
+    def message(self, taps: int, *, bar: bool) -> RenderableType:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
-        board = self.board
-        sent, recovered = letters(board.sent), letters(board.recovered)
-        shown = [tap for tap, _ in self.filtered() if tap.status.key_bits_held < 0][:taps]
+        state = self.state
+        sent, recovered = letters(state.sent), letters(state.recovered)
+        shown = [tap for tap, _ in self.taps if tap.status.key_bits_held < 0][:taps]
         start = self._start(sent, len(recovered))
-        notes = [f"{len(recovered)} of {len(sent)} characters"]
-        if board.controller is not None:
-            its = board.controller
-            notes.insert(0, f"{notes[0]}, {its.frame_symbols} of {its.frame_length} symbols")
-            done = f"{its.delivered} delivered, {its.queue} queued"
-            notes[:0] = [f"{notes[0]}, {done}", f"{notes[1]}, {done}"]
-        lines = [self.rule("Message", self.width, *notes)]
-        lines.append(row("sent", Text("".join(cell for _, cell in self._cells(sent, sent, start)))))
-        lines.append(row("recovered", self._marked(recovered, sent, start)[0]))
+        rows: list[Row] = [
+            *([("on its way", self._under_way(len(sent), len(recovered)))] if bar else []),
+            ("sent", line("".join(cell for _, cell in self._cells(sent, sent, start)))),
+            ("plant has", self._marked(recovered, sent, start)[0]),
+        ]
         for tap in shown:
-            truth = letters(truth_for(board, tap.status.message))
+            truth = letters(truth_for(state, tap.status.message))
             same = truth == sent
             hers = letters(tap.status.message)
             hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
             guess, marks = self._marked(hers, truth, start if same else 0)
-            lines.append(row(tap.status.name, guess))
+            rows.append((tap.status.name, guess))
             if tap.status.failed:
-                lines.append(row("FAILED", Text(drawn(tap.status.failed), style=STYLES["bad"])))
+                rows.append(("FAILED", line(drawn(tap.status.failed), STYLES["bad"])))
                 continue
             wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
-            lines.append(row(wrong if same else f"{wrong}, old", marks))
+            rows.append((wrong if same else f"{wrong}, old", marks))
         if not shown:
-            lines += self._nobody()
-        return lines
+            rows += _NOBODY
+        title = rule("Message", self.width, "what was sent, what the plant has, what she reads")
+        return titled(title, labelled(rows))
+
+    def _under_way(self, sent: int, recovered: int) -> RenderableType:
+        """How much of the message the plant has, as a bar and in words."""
+        its = self.state.controller
+        told = [f"{recovered} of {sent} characters"]
+        if its is not None:
+            told.append(f"{told[-1]}, {its.frame_symbols} of {its.frame_length} symbols")
+            told.append(f"{told[-1]}; {its.delivered} delivered, {its.queue} waiting")
+        words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
+        grid = Table.grid(padding=(0, 2, 0, 0))
+        grid.add_column(width=min(BAR, max(5, self.width - VALUE_AT - 2 - len(words))))
+        grid.add_column(no_wrap=True)
+        bar = ProgressBar(total=max(1, sent), completed=recovered)
+        grid.add_row(bar, line(words))
+        return grid
 
     def _start(self, sent: Letters, grown: int) -> int:
         """The first character shown of a message that has grown so far."""
-        room = self.width - LABEL - 2
+        room = self.width - VALUE_AT
         at = list(itertools.accumulate((cell_len(glyph(c)) for c in sent), initial=0))
         if at[-1] <= room:
             return 0
@@ -316,7 +332,7 @@ class Panels:
 
     def _cells(self, text: Letters, truth: Letters, start: int) -> Iterator[tuple[int, str]]:
         """The characters that there is room for, each as wide as the true one in its place."""
-        room = self.width - LABEL - 2
+        room = self.width - VALUE_AT
         for i in range(start, len(text)):
             shown = glyph(text[i])
             width = cell_len(glyph(truth[i]) if i < len(truth) else shown)
@@ -326,22 +342,16 @@ class Panels:
             yield i, set_cell_size(shown if cell_len(shown) <= width else "·", width)
 
     def _marked(self, text: Letters, truth: Letters, start: int) -> tuple[Text, Text]:
-        shown, marks = Text(), Text()
+        shown, marks = line(), line()
         for i, cell in self._cells(text, truth, start):
             right = i < len(truth) and text[i] == truth[i]
             shown.append(cell, style=STYLES["good" if right else "wrong"])
             marks.append(("" if right else "^").ljust(cell_len(cell)), style=STYLES["bad"])
         return shown, marks
 
-    def _nobody(self) -> list[Text]:
-        """Two lines in place of a tap."""
-        why = "none by that name" if self.taps else "no tap heard"
-        return [Text(f" {why}", style=STYLES["label"]), Text()]
 
-    def filtered(self) -> list[tuple[TapBoard, Score]]:
-        """The taps that the filter lets through, strongest first."""
-        wanted = self.wishes.filter.lower()
-        return [pair for pair in self.taps if wanted in pair[0].status.name.lower()]
+_NOBODY: Final[list[Row]] = [("no tap heard", line()), ("", line())]
+"""Two rows in place of a tap's."""
 
 
 def _history(states: Mapping[int, Sequence[float]], i: int, bars: int) -> list[float]:

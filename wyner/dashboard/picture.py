@@ -3,12 +3,14 @@
 import itertools
 from typing import Final
 
+from rich.console import Group, RenderableType
 from rich.text import Text
 
 from protocol.messages import PlantModel, PlantStatus
 from wyner.dashboard import plane
 from wyner.dashboard.gauges import bars
-from wyner.dashboard.text import STYLES, Glyphs, fit, longest, rule
+from wyner.dashboard.parts import line, rule, titled
+from wyner.dashboard.text import STYLES, Glyphs, longest
 
 PLANE_ROWS: Final = 3
 """Rows below which the plane is left to the bars."""
@@ -24,62 +26,54 @@ def agreement(
     glyphs: Glyphs,
     *,
     unicode: bool,
-) -> list[Text]:
-    """The last pictured step, in exactly ``rows`` lines of ``width`` cells.
+) -> RenderableType:
+    """The last pictured step, for a place of ``rows`` lines of ``width`` cells.
 
     Bars come first, then the verdict; the plane takes what is left, from `PLANE_ROWS` on.
     """
     if status is None:
-        lines = [rule(glyphs, "Agreement", width), Text(" no step pictured yet")]
-    elif model is None or not plane.fits(model, status):
-        title = f"Agreement at step {status.pictured_k}"
-        lines = [rule(glyphs, title, width), Text(" the plant's model was not heard yet")]
-    else:
-        axes = plane.axes_of(model.B, model.defender_H, model.defender_h)
-        title = f"Agreement at step {status.pictured_k}"
-        lines = [rule(glyphs, title, width, axes.words, axes.short)]
-        gauges = status.pictured_gauges
-        room = rows - 3  # rule, scale, verdict
-        with_plane = room - min(len(gauges), 2) >= PLANE_ROWS + 1
-        most = room - (PLANE_ROWS + 1 if with_plane else 0)
-        lines += bars(
-            gauges,
-            plane.spread(model),
-            width,
-            max(1, min(most, BARS_AT_MOST)),
-            glyphs,
-            own_shape=bool(model.eavesdropper_H),
-        )
-        agreed = status.pictured_symbol >= 0
-        lines.append(Text(f" {plane.verdict(status)}", style=STYLES["good"] if agreed else ""))
-        if with_plane:
-            lines += _plane(model, status, width, rows - len(lines) - 1, unicode=unicode)
-            lines.append(_legend(glyphs, width))
-    lines += [Text()] * (rows - len(lines))
-    return [fit(line, width) for line in lines[:rows]]
+        return titled(rule("Key test", width), line(" no step pictured yet"))
+    title = f"Key test at step {status.pictured_k}"
+    if model is None or not plane.fits(model, status):
+        return titled(rule(title, width), line(" the plant's model was not heard yet"))
+    axes = plane.axes_of(model.B, model.defender_H, model.defender_h)
+    gauges = status.pictured_gauges
+    room = rows - 3  # rule, scale, verdict
+    with_plane = room - min(len(gauges), 2) >= PLANE_ROWS + 1
+    most = max(1, min(room - (PLANE_ROWS + 1 if with_plane else 0), BARS_AT_MOST, len(gauges)))
+    own_shape = bool(model.eavesdropper_H)
+    agreed = status.pictured_symbol >= 0
+    body: list[RenderableType] = [
+        bars(gauges, plane.spread(model), width, most, glyphs, own_shape=own_shape),
+        line(f" {plane.verdict(status)}", STYLES["good"] if agreed else ""),
+    ]
+    if with_plane:
+        body.append(_plane(model, status, width, room - most - 1, unicode=unicode))
+        body.append(_legend(glyphs, width))
+    return titled(rule(title, width, axes.words, axes.short), *body)
 
 
 def _plane(
     model: PlantModel, status: PlantStatus, width: int, rows: int, *, unicode: bool
-) -> list[Text]:
+) -> Group:
     lines = []
     for cells in plane.draw(model, status, width - 2, rows, unicode=unicode):
-        line = Text(" ")
+        drawn = line(" ")
         for kind, run in itertools.groupby(cells, key=lambda cell: cell.kind):
-            line.append("".join(cell.character for cell in run), style=STYLES[kind])
-        lines.append(line)
-    return lines
+            drawn.append("".join(cell.character for cell in run), style=STYLES[kind])
+        lines.append(drawn)
+    return Group(*lines)
 
 
 def _legend(glyphs: Glyphs, width: int) -> Text:
     dot = glyphs.dot
-    return Text(
+    return line(
         " "
         + longest(
             width - 1,
-            f"{dot} next state   0 1 predictions, each in its D_c   arrows: D_e goes on",
-            f"{dot} next state  0 1 predictions in D_c",
+            f"{dot} next state   0 1 where each input leads, in its D_c   arrows: D_e goes on",
+            f"{dot} next state  0 1 where inputs lead",
             f"{dot} next state  0 1 predictions",
         ),
-        style=STYLES["label"],
+        STYLES["label"],
     )

@@ -56,7 +56,8 @@ class Axes:
     @property
     def short(self) -> str:
         """The same in fewer characters."""
-        return f"x{self.across + 1}" + (f" by x{self.up + 1}" if self.up >= 0 else "")
+        across = f"x{self.across + 1}"
+        return f"x{self.up + 1} against {across}" if self.up >= 0 else across
 
 
 def axes_of(B: Matrix, H: Matrix, h: Vector) -> Axes:

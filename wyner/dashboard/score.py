@@ -11,7 +11,7 @@ from typing import Final
 from protocol.agreement import Gauge
 from protocol.messages import PlantModel
 from protocol.statistics import CONFIDENCE, Interval, better_than, bits_left, confidence_sequence
-from wyner.dashboard.model import TAPS_KEPT, Board, TapBoard, compared
+from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
 from wyner.dashboard.text import letters, number
 
 ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
@@ -88,24 +88,24 @@ class SecrecyScore:
         return None if self.left is None else self.left.high
 
 
-def score(board: Board, tap: TapBoard) -> Score:
+def score(state: State, tap: TapState) -> Score:
     """Score one tap on all agreed steps so far."""
-    scored, right = compared(board, tap)
-    size = board.candidates
+    scored, right = compared(state, tap)
+    size = state.candidates
     leads = better_than(1.0 / size, right, scored, ALARM)
     return Score(scored, right, confidence_sequence(right, scored), size, leads)
 
 
-def ranked(board: Board) -> list[tuple[TapBoard, Score]]:
+def ranked(state: State) -> list[tuple[TapState, Score]]:
     """The taps, strongest first: a true message, else most of its text, else the best guesses.
 
     Those that failed come last, but for one that holds a true message.
     """
-    scored = [(tap, score(board, tap)) for tap in board.taps.values()]
+    scored = [(tap, score(state, tap)) for tap in state.taps.values()]
 
-    def strength(pair: tuple[TapBoard, Score]) -> tuple[bool, bool, int, float, str]:
+    def strength(pair: tuple[TapState, Score]) -> tuple[bool, bool, int, float, str]:
         tap, its = pair
-        right, total = characters_right(board, tap)
+        right, total = characters_right(state, tap)
         # In tenths of the text, so that a character right by chance changes no order.
         tenths = 10 * right // total if total else 0
         failed = bool(tap.status.failed) and not tap.exact
@@ -114,7 +114,7 @@ def ranked(board: Board) -> list[tuple[TapBoard, Score]]:
     return sorted(scored, key=strength)
 
 
-def left_by(board: Board, tap: TapBoard, its: Score) -> Interval | None:
+def left_by(state: State, tap: TapState, its: Score) -> Interval | None:
     """Bits that one tap leaves of the agreed keys; None where nobody knows.
 
     None of them where she holds a true message. By her own account where she gives one, but no more
@@ -124,10 +124,10 @@ def left_by(board: Board, tap: TapBoard, its: Score) -> Interval | None:
         return Interval(0.0, 0.0, 0.0)
     if tap.status.failed:
         return None
-    keys = board.plant.agreements if board.plant is not None else 0
+    keys = state.plant.agreements if state.plant is not None else 0
     if tap.status.bits_left is not None:
         told = tap.status.bits_left
-        told = min(told, keys * math.log2(its.size)) if board.plant is not None else told
+        told = min(told, keys * math.log2(its.size)) if state.plant is not None else told
         return Interval(told, told, told)
     if not its.scored:
         return None
@@ -142,23 +142,23 @@ def _hidden_widths(model: PlantModel | None) -> int:
     return len(box or model.defender_h)
 
 
-def secrecy(board: Board, taps: Sequence[tuple[TapBoard, Score]] | None = None) -> SecrecyScore:
+def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) -> SecrecyScore:
     """What the paper's rule counts against the truth, from all taps.
 
     ``taps`` are those of `ranked` where it was called.
     """
-    symbols = board.plant.agreements if board.plant is not None else 0
-    transitions = board.plant.transitions if board.plant is not None else 0
-    claimed = symbols * math.log2(board.candidates)
-    widths = _hidden_widths(board.model)
-    cuts = board.candidates if widths > 1 else 2
+    symbols = state.plant.agreements if state.plant is not None else 0
+    transitions = state.plant.transitions if state.plant is not None else 0
+    claimed = symbols * math.log2(state.candidates)
+    widths = _hidden_widths(state.model)
+    cuts = state.candidates if widths > 1 else 2
     when = widths * math.log2(cuts * transitions + 1)
-    taps = ranked(board) if taps is None else taps
+    taps = ranked(state) if taps is None else taps
     failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
     exceeds = symbols > 0 and any(tap.exact or its.leads for tap, its in taps)
-    best: tuple[Interval, TapBoard, Score] | None = None
+    best: tuple[Interval, TapState, Score] | None = None
     for tap, its in taps:
-        left = left_by(board, tap, its)
+        left = left_by(state, tap, its)
         if left is not None and (best is None or left.high < best[0].high):
             best = left, tap, its
     if best is None:
@@ -170,22 +170,22 @@ def secrecy(board: Board, taps: Sequence[tuple[TapBoard, Score]] | None = None) 
     return SecrecyScore(claimed, left, tap.status.name, exceeds, when, its.scored, why, failed)
 
 
-def course(board: Board, points: int) -> list[tuple[float, float | None]]:
+def course(state: State, points: int) -> list[tuple[float, float | None]]:
     """Bits by the paper's rule, and bits left at most by the strongest tap, over the steps held.
 
     Of her guesses up to each of ``points`` moments, evenly spread; None while there were none, and
     where the figure is her own account, which is known of the last moment alone. From the step on
     at which she was sure of a true message, nothing is left.
     """
-    agreed = [k for k in sorted(board.truths) if board.truths[k].symbol >= 0]
-    its = secrecy(board)
-    if not agreed or points < 1 or board.plant is None:
+    agreed = [k for k in sorted(state.truths) if state.truths[k].symbol >= 0]
+    its = secrecy(state)
+    if not agreed or points < 1 or state.plant is None:
         return []
-    tap = board.taps.get(its.strongest)
-    size = board.candidates
+    tap = state.taps.get(its.strongest)
+    size = state.candidates
     bits = math.log2(size)
-    before = max(0, board.plant.agreements - len(agreed))
-    first, last = min(board.truths), max(board.truths)
+    before = max(0, state.plant.agreements - len(agreed))
+    first, last = min(state.truths), max(state.truths)
     found: list[tuple[float, float | None]] = []
     scored, right = (tap.scored, tap.right) if tap is not None else (0, 0)
     at = 0
@@ -195,7 +195,7 @@ def course(board: Board, points: int) -> list[tuple[float, float | None]]:
             guess = tap.guesses.get(agreed[at]) if tap is not None else None
             if guess is not None:
                 scored += 1
-                right += guess.symbol == board.truths[agreed[at]].symbol
+                right += guess.symbol == state.truths[agreed[at]].symbol
             at += 1
         left: float | None = None
         if tap is not None and tap.status.bits_left is not None:
@@ -208,22 +208,22 @@ def course(board: Board, points: int) -> list[tuple[float, float | None]]:
     return found
 
 
-def rate_of(board: Board) -> float | None:
+def rate_of(state: State) -> float | None:
     """Message bits per second of plant time, over the session; None: the period is not known.
 
     A count of what was sent, and no estimate: it has no interval.
     """
-    plant, model = board.plant, board.model
+    plant, model = state.plant, state.model
     if plant is None or model is None:
         return None
     if plant.k == 0 or model.period_s <= 0:
         return 0.0
-    return plant.recovered_symbols * math.log2(board.candidates) / (plant.k * model.period_s)
+    return plant.recovered_symbols * math.log2(state.candidates) / (plant.k * model.period_s)
 
 
-def rate_in_words(board: Board) -> str:
+def rate_in_words(state: State) -> str:
     """The same with its unit."""
-    rate = rate_of(board)
+    rate = rate_of(state)
     return f"{'-' if rate is None else number(rate)} bit/s"
 
 
@@ -231,9 +231,9 @@ SETTLED: Final = 20
 """Transitions from which on the time left is said."""
 
 
-def time_left_s(board: Board) -> float | None:
+def time_left_s(state: State) -> float | None:
     """Seconds on the wall clock until the message on its way is whole; None: not to be said."""
-    plant, controller = board.plant, board.controller
+    plant, controller = state.plant, state.controller
     if plant is None or controller is None or not plant.recovered_symbols or not plant.rate_hz:
         return None
     if plant.transitions < SETTLED:  # the first second's pace is that of the start, not of the run
@@ -244,25 +244,25 @@ def time_left_s(board: Board) -> float | None:
     return missing * plant.transitions / plant.recovered_symbols / plant.rate_hz
 
 
-def truth_for(board: Board, text: str) -> str:
+def truth_for(state: State, text: str) -> str:
     """The true message that a tap's text fits best; the one on its way where several fit alike."""
-    best, best_right = board.sent, _right(board.sent, text)
-    for truth in board.texts:
+    best, best_right = state.sent, _right(state.sent, text)
+    for truth in state.texts:
         right = _right(truth, text)
         if right > best_right:
             best, best_right = truth, right
     return best
 
 
-def characters_right(board: Board, tap: TapBoard) -> tuple[int, int]:
+def characters_right(state: State, tap: TapState) -> tuple[int, int]:
     """How many characters of the tap's message are right, and how many the true message has."""
-    truth = truth_for(board, tap.status.message)
+    truth = truth_for(state, tap.status.message)
     return _right(truth, tap.status.message), len(letters(truth))
 
 
-def model_error(board: Board, tap: TapBoard) -> float | None:
+def model_error(state: State, tap: TapState) -> float | None:
     """Distance of her [A B] from the plant's, relative, Frobenius norm; None: she has no model."""
-    model, status = board.model, tap.status
+    model, status = state.model, tap.status
     if model is None or not status.A or not status.B:
         return None
     hers = [*_entries(status.A), *_entries(status.B)]

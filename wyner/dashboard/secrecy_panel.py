@@ -1,18 +1,18 @@
 """The secrecy panel: what counts as secret against what is true, keys, and the taps in a table."""
 
 import math
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from rich.cells import cell_len
+from rich.table import Table
 from rich.text import Text
 
 from protocol.messages import TapStatus
-from wyner.dashboard.model import Board, TapBoard
+from wyner.dashboard.model import State, TapState
+from wyner.dashboard.parts import LABEL, VALUE_AT, Column, Row, fitting, line, table
 from wyner.dashboard.score import Score, SecrecyScore, characters_right, course, model_error
 from wyner.dashboard.text import (
-    LABEL,
     STYLES,
     Glyphs,
     bars_of,
@@ -22,7 +22,6 @@ from wyner.dashboard.text import (
     longest,
     number,
     percent,
-    row,
 )
 
 CURVE: Final = 60
@@ -66,35 +65,36 @@ def explanation(its: SecrecyScore, width: int) -> Text:
     return Text(f" {text}", style=STYLES["label"])
 
 
-def distilled(board: Board, width: int) -> list[Text]:
+def distilled(state: State, width: int) -> list[Row]:
     """Keys made of nonces and what she holds of them; then the claim, and what contradicts it.
 
     Nothing where the scenario makes none.
     """
-    plant, model = board.plant, board.model
+    plant, model = state.plant, state.model
     if plant is None or model is None or not (model.keys_claim or plant.keys_refused):
         return []
-    room = width - LABEL - 1
+    room = width - VALUE_AT
     claim, refused = drawn(model.keys_claim), drawn(plant.keys_refused)
     if refused and not plant.keys_made:
         told = longest(room, f"none: {refused}", "none")
         return [
-            row("distilled keys", Text(told, style=STYLES["bad"])),
-            row("assumption", Text(claim)),
+            ("distilled keys", line(told, STYLES["bad"])),
+            ("assumption", line(claim)),
         ]
     seconds = plant.key_block_steps * model.period_s
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
     n = plant.key_blocks_lost
     lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
     made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; {lost}"
-    line = row("distilled keys", Text(made))
-    hers, style = held(board, room - cell_len(made))
-    line.append(hers, style=STYLES[style])
-    against = [*contradictions(board)]
+    told_of = line(made)
+    hers, style = held(state, room - cell_len(made))
+    told_of.append(hers, style=STYLES[style])
+    keys: Row = "distilled keys", told_of
+    against = [*contradictions(state)]
     if plant.keys_stopped:
         against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
-    elif board.controller is not None and board.controller.keys_stopped:
-        against.insert(0, f"STOPPED at the controller: {drawn(board.controller.keys_stopped)}")
+    elif state.controller is not None and state.controller.keys_stopped:
+        against.insert(0, f"STOPPED at the controller: {drawn(state.controller.keys_stopped)}")
     if refused:
         against.insert(0, f"refused: {refused}")
     if against:
@@ -102,20 +102,20 @@ def distilled(board: Board, width: int) -> list[Text]:
         fewer = ("; ".join(heads[:most]) for most in range(len(heads), 0, -1))
         red = longest(room, "; ".join(against), *fewer)
         left = room - cell_len(red)
-        line_2 = row("assumption", Text(red, style=STYLES["bad"]))
-        return [line, Text.assemble(line_2, longest(left, f"; {claim}"))]
-    return [line, row("assumption", Text(claim))]
+        second = line().append(red, style=STYLES["bad"]).append(longest(left, f"; {claim}"))
+        return [keys, ("assumption", second)]
+    return [keys, ("assumption", line(claim))]
 
 
-def attacker(board: Board) -> TapStatus | None:
+def attacker(state: State) -> TapStatus | None:
     """The tap that holds most of the keys, of those that go for them."""
-    trying = [tap.status for tap in board.taps.values() if tap.status.key_bits_held >= 0]
+    trying = [tap.status for tap in state.taps.values() if tap.status.key_bits_held >= 0]
     return max(trying, key=lambda its: its.key_bits_held, default=None)
 
 
-def held(board: Board, room: int) -> tuple[str, str]:
+def held(state: State, room: int) -> tuple[str, str]:
     """What she holds, in words, and its style."""
-    hers = attacker(board)
+    hers = attacker(state)
     if hers is None:
         return longest(room, "no tap goes for them"), "label"
     bits = f"she holds {count(hers.key_bits_held)} bits"
@@ -126,9 +126,9 @@ def held(board: Board, room: int) -> tuple[str, str]:
     return told, "bad" if hers.key_bits_held else "good"
 
 
-def contradictions(board: Board) -> Iterator[str]:
+def contradictions(state: State) -> Iterator[str]:
     """What her tap found against the claim."""
-    hers = attacker(board)
+    hers = attacker(state)
     if hers is None:
         return
     if hers.claim_refuted:
@@ -143,67 +143,53 @@ def contradictions(board: Board) -> Iterator[str]:
         )
 
 
-def curves(board: Board, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Text]:
+def curves(state: State, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Row]:
     """What the paper's rule counts and what is true over time, on one scale, with last figures."""
     claimed = f" {its.claimed_bits:.0f} bit"
     left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
     figures = max(len(claimed), len(left))
     loud, who = "", f" ({its.why})"
-    room = width - LABEL - 2 - figures
+    room = width - VALUE_AT - figures
     if its.exceeds:
         loud = longest(room, " PAPER'S RULE EXCEEDS TRUE", " EXCEEDS TRUE")
     if its.strongest:
         who = longest(room, f" ({drawn(its.strongest)})")
     if its.failed:
         who = longest(room, f"{who} FAILED: {', '.join(map(drawn, its.failed))}", " FAILED", who)
-    shown = course(board, max(0, min(CURVE, room - max(cell_len(loud), cell_len(who)))))
-    lines = []
-    for label, values, told, note, style in (
-        ("paper's rule", [c for c, _ in shown], claimed, loud, "bad"),
-        ("true, at most", [t for _, t in shown], left, who, "bad" if its.failed else "label"),
+    shown = course(state, max(0, min(CURVE, room - max(cell_len(loud), cell_len(who)))))
+    rows: list[Row] = []
+    for label, style, values, told, note, noted in (
+        ("paper's rule", "claimed", [c for c, _ in shown], claimed, loud, "bad"),
+        ("true, at most", "true", [t for _, t in shown], left, who, "bad" if its.failed else ""),
     ):
         bars = bars_of(values, max(its.claimed_bits, 1.0), glyphs.levels)
-        line = row(
-            label, Text(bars, style=STYLES["claimed" if label == "paper's rule" else "true"])
-        )
-        line.append(told.rjust(figures))
-        line.append(longest(width - line.cell_len, note), style=STYLES[style])
-        lines.append(line)
-    return lines
+        value = line().append(bars, style=STYLES[style]).append(told.rjust(figures))
+        value.append(longest(room + figures - value.cell_len, note), style=STYLES[noted])
+        rows.append((label, value))
+    return rows
 
 
-def table(
-    board: Board, shown: Sequence[tuple[TapBoard, Score]], width: int, chosen: str = ""
-) -> list[Text]:
+def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]], width: int) -> Table:
     """A row for each tap, under the columns that the width has room for."""
-    columns = _columns(width)
-    head = "".join(f" {column.title:>{column.width}}" for column in columns)
-    lines = [Text(f" {'eavesdropper':<{LABEL}}{head}", style=STYLES["label"])]
-    for tap, its in shown:
-        line = row(tap.status.name, Text())
-        line.right_crop(1)
-        if chosen and tap.status.name == chosen:
-            line = Text.assemble((">", STYLES["title"]), line[1:])
-        for column in columns:
-            line.append(f" {column.value(board, tap, its):>{column.width}}")
-        lines.append(line)
+    rows = [(tap.status.name, (state, tap, its)) for tap, its in shown]
+    found = table("eavesdropper", LABEL, fitting(_COLUMNS, width - LABEL - 2), rows)
     if not shown:
-        lines.append(Text(" none heard" if not board.taps else " none by that name"))
-    return lines
+        found.add_row(line("none heard"))
+    return found
 
 
-def _follows(tap: TapBoard) -> str:
+def _follows(tap: TapState) -> str:
     left = tap.status.candidates_left
     return count(left) if left else "-"
 
 
-def _message_right(board: Board, tap: TapBoard) -> str:
-    right, total = characters_right(board, tap)
+def _message_right(state: State, tap: TapState) -> str:
+    right, total = characters_right(state, tap)
     return longest(9, f"{right}/{total}", percent(right, total)) if total else "-"
 
 
-def _model_off(board: Board, tap: TapBoard) -> str:
-    off = model_error(board, tap)
+def _model_off(state: State, tap: TapState) -> str:
+    off = model_error(state, tap)
     if off is None:
         return "-"
     return "0 %" if off == 0 else f"{number(100 * off)} %"
@@ -217,7 +203,7 @@ def keys_right(its: Score) -> str:
     return f"{100 * its.right // its.scored} [{low},{high}]"
 
 
-def _broke(tap: TapBoard) -> str:
+def _broke(tap: TapState) -> str:
     if tap.status.failed:
         return "FAILED, exact" if tap.exact else "FAILED"
     solved = tap.status.solved_k
@@ -229,36 +215,17 @@ def _broke(tap: TapBoard) -> str:
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
 
 
-@dataclass(frozen=True, slots=True)
-class _Column:
-    """A column of the table of taps; a narrow screen does without those of the last ranks."""
+_Judged = tuple[State, TapState, Score]
 
-    title: str
-    width: int
-    rank: int
-    value: Callable[[Board, TapBoard, Score], str]
-
-
-_COLUMNS: Final = (
-    _Column("keys found %", 12, 0, lambda _, __, its: keys_right(its)),
-    _Column("keys", 6, 6, lambda _, __, its: count(its.scored)),
-    _Column("bits left", 9, 3, lambda _, __, its: figure(its.bits_per_key)),
-    _Column("readings", 8, 4, lambda _, tap, __: _follows(tap)),
-    _Column("model error", 11, 5, lambda board, tap, _: _model_off(board, tap)),
-    _Column("text read", 9, 2, lambda board, tap, _: _message_right(board, tap)),
-    _Column("whole at step", 14, 1, lambda _, tap, __: _broke(tap)),
-    _Column("waiting", 7, 7, lambda _, tap, __: count(tap.status.behind)),
-    _Column("missed", 6, 8, lambda _, tap, __: count(tap.status.lost)),
+_COLUMNS: Final[tuple[Column[_Judged], ...]] = (
+    Column("keys found %", 12, 0, lambda of: keys_right(of[2])),
+    Column("keys so far", 11, 6, lambda of: count(of[2].scored)),
+    Column("secret bit/key", 14, 3, lambda of: figure(of[2].bits_per_key)),
+    Column("texts tried", 11, 5, lambda of: _follows(of[1])),
+    Column("model error", 11, 4, lambda of: _model_off(of[0], of[1])),
+    Column("letters right", 13, 2, lambda of: _message_right(of[0], of[1])),
+    Column("whole at step", 14, 1, lambda of: _broke(of[1])),
+    Column("steps to read", 13, 7, lambda of: count(of[1].status.behind)),
+    Column("steps missed", 12, 8, lambda of: count(of[1].status.lost)),
 )
 """Left to right."""
-
-
-def _columns(width: int) -> list[_Column]:
-    """The columns that the width has room for, those of the first ranks."""
-    room = width - LABEL - 1
-    kept = []
-    for column in sorted(_COLUMNS, key=lambda column: column.rank):
-        if column.width + 1 <= room:
-            kept.append(column)
-            room -= column.width + 1
-    return sorted(kept, key=_COLUMNS.index)

@@ -1,6 +1,6 @@
 """The moments of a run at which ``wyner up --story`` pauses, each with a caption.
 
-A pure function of the board: the moments are found in the order in which they can be understood,
+A pure function of the state: the moments are found in the order in which they can be understood,
 and each is told once. The pictures are of what was really published.
 """
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Set
 from dataclasses import dataclass
 from typing import Final
 
-from wyner.dashboard.model import Board
+from wyner.dashboard.model import State
 from wyner.dashboard.score import score
 
 
@@ -29,20 +29,20 @@ class Moment:
         return (self.title, *self.lines)
 
 
-Tell = Callable[[Board], Moment | None]
+Tell = Callable[[State], Moment | None]
 
 
-def _agreed(board: Board) -> list[int]:
+def _agreed(state: State) -> list[int]:
     """The pictured steps in which a key was agreed."""
-    return [k for k, shown in board.pictures.items() if shown.pictured_symbol >= 0]
+    return [k for k, shown in state.pictures.items() if shown.pictured_symbol >= 0]
 
 
-def _first_agreement(board: Board) -> Moment | None:
-    agreed = _agreed(board)
+def _first_agreement(state: State) -> Moment | None:
+    agreed = _agreed(state)
     if not agreed:
         return None
     first = min(agreed)
-    key = board.pictures[first].pictured_symbol
+    key = state.pictures[first].pictured_symbol
     return Moment(
         f"The first agreement seen, at step {first}",
         (
@@ -54,10 +54,10 @@ def _first_agreement(board: Board) -> Moment | None:
     )
 
 
-def _first_message_symbol(board: Board) -> Moment | None:
-    agreed = _agreed(board)
+def _first_message_symbol(state: State) -> Moment | None:
+    agreed = _agreed(state)
     # The one after an agreement that was seen, so that the two captions follow each other.
-    its = (k for k, truth in board.truths.items() if truth.role == "message" and agreed)
+    its = (k for k, truth in state.truths.items() if truth.role == "message" and agreed)
     steps = [k for k in its if k > min(agreed)]
     if not steps:
         return None
@@ -72,11 +72,11 @@ def _first_message_symbol(board: Board) -> Moment | None:
     )
 
 
-def _nearest_centre(board: Board) -> Moment | None:
-    tap = board.taps.get("nearest-centre")
+def _nearest_centre(state: State) -> Moment | None:
+    tap = state.taps.get("nearest-centre")
     if tap is None:
         return None
-    its = score(board, tap)
+    its = score(state, tap)
     if its.scored < 8:
         return None
     return Moment(
@@ -89,8 +89,8 @@ def _nearest_centre(board: Board) -> Moment | None:
     )
 
 
-def _list(board: Board) -> Moment | None:
-    tap = board.taps.get("list-decoder")
+def _list(state: State) -> Moment | None:
+    tap = state.taps.get("list-decoder")
     if tap is None or tap.status.candidates_left < 2 or not tap.status.message.strip("·"):
         return None
     return Moment(
@@ -103,9 +103,9 @@ def _list(board: Board) -> Moment | None:
     )
 
 
-def _she_has_it(board: Board) -> Moment | None:
-    plant = board.plant
-    for name, tap in board.taps.items():
+def _she_has_it(state: State) -> Moment | None:
+    plant = state.plant
+    for name, tap in state.taps.items():
         if tap.exact and tap.status.solved_k >= 0:
             both = plant is not None and plant.last_message == tap.status.message
             k = plant.message_k if plant is not None and both else -1
@@ -129,14 +129,14 @@ MOMENTS: Final[tuple[Tell, ...]] = (
 )
 
 
-def next_moment(board: Board, told: Set[int]) -> tuple[int, Moment] | None:
-    """The first moment not ``told`` yet that the board shows by now, and its place.
+def next_moment(state: State, told: Set[int]) -> tuple[int, Moment] | None:
+    """The first moment not ``told`` yet that the state shows by now, and its place.
 
     None before the plant's model was heard: a caption stands beside a picture.
     """
-    if board.model is None:
+    if state.model is None:
         return None
     for place, tell in enumerate(MOMENTS):
-        if place not in told and (moment := tell(board)) is not None:
+        if place not in told and (moment := tell(state)) is not None:
             return place, moment
     return None

@@ -11,8 +11,6 @@ from collections.abc import Iterator
 from typing import Final
 
 ESCAPE: Final = "\x1b"
-BACKSPACES: Final = ("\x7f", "\x08")
-ENTERS: Final = ("\r", "\n")
 
 ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 """Names of the arrow keys, by the last character of what a terminal sends."""

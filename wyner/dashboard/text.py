@@ -1,21 +1,16 @@
-"""Lines and figures as text: exact widths, short numbers, nothing that could move a cursor."""
+"""Words and figures: short numbers, sparklines, nothing that could move a cursor."""
 
 import math
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import accumulate
 from typing import Final
 
-from rich.cells import cell_len, set_cell_size
-from rich.text import Span, Text
+from rich.cells import cell_len
 
 SYMBOLS: Final = "0123456789abcdefghijklmnopqrstuvwxyz"
 """A character for each symbol of an alphabet that has no more."""
-
-LABEL: Final = 14
-"""Columns of the labels at the left."""
 
 FIGURE: Final = 8
 """Cells of a component of the state, its sign included."""
@@ -24,7 +19,6 @@ MARKS: Final = 4
 """Combining marks that a character keeps; those beyond stand by themselves."""
 
 STYLES: Final[dict[str, str]] = {
-    "rule": "cyan",
     "title": "bold cyan",
     "label": "dim",
     "good": "green",
@@ -42,9 +36,9 @@ STYLES: Final[dict[str, str]] = {
 
 @dataclass(frozen=True, slots=True)
 class Glyphs:
-    """Characters of rules, sparklines and bars."""
+    """Characters of sparklines and of the bars of the agreement test."""
 
-    rule: str
+    line: str
     levels: str
     edge: str
     faint: str
@@ -56,26 +50,6 @@ UNICODE: Final = Glyphs("─", "▁▂▃▄▅▆▇█", "┤", "·", "●", "
 """For terminals whose encoding is Unicode."""
 ASCII: Final = Glyphs("-", "_.:-=+*#", "|", ".", "*", ">")
 """For all others."""
-
-
-def fit(line: Text, width: int, style: str = "") -> Text:
-    """A line cut with an ellipsis, or padded, to a width in cells."""
-    line = line.copy()
-    line.truncate(width, overflow="ellipsis", pad=True)
-    if style:
-        line.stylize(style)
-    return line
-
-
-def in_ascii(line: Text) -> Text:
-    """The same line in ASCII, cell for cell."""
-    known = {"…": "~", "·": "."}
-    shown = [
-        c if c.isascii() else set_cell_size(known.get(c, "?"), cell_len(c)) for c in line.plain
-    ]
-    at = list(accumulate(map(len, shown), initial=0))
-    spans = [Span(at[span.start], at[span.end], span.style) for span in line.spans]
-    return Text("".join(shown), style=line.style, spans=spans)
 
 
 def longest(room: int, *texts: str) -> str:
@@ -177,25 +151,6 @@ def percent(right: int, scored: int) -> str:
 def figure(value: float | None) -> str:
     """A figure with two decimals, or a dash where there is none."""
     return "-" if value is None else f"{value:.2f}"
-
-
-def row(label: str, value: Text) -> Text:
-    """A labelled line."""
-    label = fit(Text(drawn(label)), LABEL).plain
-    return Text.assemble((f" {label} ", STYLES["label"]), value)
-
-
-def rule(glyphs: Glyphs, title: str, width: int, *notes: str) -> Text:
-    """A titled rule, with the longest of the notes that there is room for."""
-    line = Text()
-    line.append(glyphs.rule * 2 + " ", style=STYLES["rule"])
-    line.append(title, style=STYLES["title"])
-    line.append(" ")
-    note = longest(width - cell_len(line.plain) - 1, *notes)
-    if note:
-        line.append(note + " ")
-    line.append(glyphs.rule * max(0, width - cell_len(line.plain)), style=STYLES["rule"])
-    return fit(line, width)
 
 
 def duration(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""The figure of `wyner bound`."""
+"""The figure of `wyner design --noise`."""
 
 from typing import Any
 
@@ -8,7 +8,7 @@ from wyner.drawing.style import COLOURS, MARKERS
 
 
 def draw_table(figure: Figure, table: dict[str, Any]) -> None:
-    """What `wyner bound` prints: the proof below, a measured tap above, the claim flat."""
+    """What `wyner design --noise` prints: the proof below, a measured tap above, the claim flat."""
     axes = figure.subplots()
     rows = table["rows"]
     ratios = [row["ratio"] for row in rows]

@@ -339,17 +339,19 @@ class Simulation:
     def _new_plant(self, lives: int) -> PlantCore:
         # A plant that died before it saved a step tosses its coin for that step again.
         draws = self._run if lives == 1 else self._run + 1000 * lives
+        # Where outputs are read such a step is made again with the d that it had.
+        disturbed = draws if self._scenario.plant.C is None else self._run
         self._plant = open_core(
             self._scenario,
             self._plant_journal,
             SeededSymbols(self._seed, COIN, run=draws),
-            Stream(self._seed, DISTURBANCE, width=self._width, run=draws),
+            Stream(self._seed, DISTURBANCE, width=self._width, run=disturbed),
             self._identifier,
             self.now_s,
             Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
             folder=self._folder,
-            sensors=Stream(self._seed, SENSOR, width=self._scenario.n, run=self._run),
+            sensors=Stream(self._seed, SENSOR, width=self._scenario.readings, run=self._run),
         )
         return self._plant
 

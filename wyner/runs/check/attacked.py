@@ -22,14 +22,17 @@ def wrong_labels(
     *,
     restarted: bool,
     noisy: bool = False,
+    states: int = 0,
 ) -> str:
     """What is wrong with a step's labels; empty where nothing is.
 
-    ``restarted``: a process died before it, with the truth of what is counted from its journal.
+    ``states`` are the truth's, where outputs alone are read. ``restarted``: a process died before
+    it, with the truth of what is counted from its journal.
     """
     x, u = step.true_x_next, step.true_u
     if noisy and (attack is None or attack.at == "bus"):
-        return "" if x is None or len(x) == len(step.x) else "the truth is of another shape"
+        fits = x is None or len(x) == (states or len(step.x))
+        return "" if fits else "the truth is of another shape"
     if attack is None or attack.at == "bus":
         return "" if x is None and u is None else "a truth, and no attack on the plant"
     if x is None or u is None:

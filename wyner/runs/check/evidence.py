@@ -75,8 +75,7 @@ class Evidence:
     steps: Steps = field(init=False)
 
     def __post_init__(self) -> None:
-        rules = self.rules
-        self.steps = Steps(Shape(rules.states, rules.inputs, rules.size))
+        self.steps = Steps(Shape.of(self.rules))
 
     @property
     def run_dir(self) -> Path:

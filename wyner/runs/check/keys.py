@@ -8,12 +8,22 @@ from typing import ClassVar, Final
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array
+from protocol.box_observer import BoxObserver
 from protocol.schemes.base import decrypt
 from protocol.secret.records import Side
 from wyner.runs.check.attacked import lies, rewrites
 from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.paper import ROUNDING, Automata, Line, f_c, key_symbols, scale
+from wyner.runs.check.paper import (
+    ROUNDING,
+    Automata,
+    Line,
+    f_c,
+    key_symbols,
+    output_scale,
+    scale,
+)
 from wyner.runs.check.records import TracedTransition, Walked
 
 TINY: Final = 1e-12
@@ -26,6 +36,7 @@ class _Opinion:
     def __init__(self, e: Evidence, side: str) -> None:
         self._s = e.scenario
         self._linear = not e.rules.predicted
+        self._observer: BoxObserver | None = e.scenario.observer
         self._A, self._B = np.array(e.scenario.A), np.array(e.scenario.B)
         H, h = e.scenario.test_set.rows()
         self._D_c = np.array(H), np.array(h)
@@ -45,6 +56,8 @@ class _Opinion:
         """What the paper says otherwise of each; empty where it says the same."""
         x_next = np.array([t.x_next for t in ts])
         with np.errstate(over="ignore", invalid="ignore"):  # a damaged trace holds any number
+            if self._observer is not None:
+                return self._of_outputs(self._observer, ts, x_next)
             if self._linear:
                 x, u = np.array([t.x for t in ts]), np.array([t.candidates for t in ts])
                 centres = f_c(self._A, self._B, x, u)
@@ -58,6 +71,25 @@ class _Opinion:
                 )
             keys = key_symbols(reached, hers)
         return [self._wrong(*row) for row in zip(ts, keys.tolist(), reached.tolist(), strict=True)]
+
+    def _of_outputs(
+        self, o: BoxObserver, ts: Sequence[TracedTransition], y_next: Array
+    ) -> list[str]:
+        """The same where outputs alone are read, and the state is in a box."""
+        A, B, C = np.array(o.A), np.array(o.B), np.array(o.C)
+        u = np.array([t.candidates for t in ts])
+        box, D_c, N = np.array([t.box for t in ts]), np.array(o.disturbance), np.array(o.noise)
+        reached = output_scale(A, B, C, box, u, D_c, N, y_next)
+        moved = u @ B.T
+        hers = np.max([scale(*self._room, c, moved) for c in moved.swapaxes(0, 1)], axis=0)
+        keys = key_symbols(reached, hers).tolist()
+        if np.count_nonzero(C) > 1:  # a box contracted through several may rule out more than each
+            keys = [
+                [*row, NO_SYMBOL, *(i for i, g in enumerate(gauges) if g <= 1 + ROUNDING)]
+                for row, gauges in zip(keys, reached.tolist(), strict=True)
+            ]
+        rows = zip(ts, keys, reached.tolist(), strict=True)
+        return [self._wrong(*row) for row in rows]
 
     def _wrong(self, t: TracedTransition, keys: list[int], reached: list[float]) -> str:
         if t.session != self._session:

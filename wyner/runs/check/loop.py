@@ -6,6 +6,7 @@ import numpy as np
 
 from protocol.agreement import Gauge, predict
 from protocol.arrays import Array
+from protocol.box_observer import Box, Seen
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
@@ -48,6 +49,8 @@ class Switching(Clause):
         plant = self.evidence.scenario.plant
         self._x: Vector = plant.initial_state if plant.noise is None else ()
         self._u: Vector = (0.0,) * self.evidence.rules.inputs
+        self._seen: Seen | None = None  # of the last transition, where outputs are read
+        self._applied = -1
 
     def feed(self, part: Part) -> None:
         for item in part.plant:
@@ -56,10 +59,18 @@ class Switching(Clause):
                 self._begin_after_the_cut()
             if isinstance(item, Walked):
                 self._step(item.t, item.t.j)
+                self._seen, self._applied = item.verdict.seen, item.t.k
             elif isinstance(item, MissedLine):
                 self._step(item, -1)
             elif isinstance(item, Break):
                 self._restarted = True
+
+    def _instead(self, step: MissedLine) -> Vector:
+        """The fallback's input in a missed step."""
+        outputs = self.evidence.rules.outputs
+        if outputs is None:
+            return self._fallback.input(step.x, self._u)
+        return outputs.instead(self._seen, step.k - self._applied - 1, self._u)
 
     def _begin_after_the_cut(self) -> None:
         assert self.evidence.plant is not None
@@ -75,6 +86,8 @@ class Switching(Clause):
             self._begin()
         if step.session != self._session and step.k < self._place and self._restarted:
             self._x, self._u, self._place = step.x, step.u, step.k  # its journal was an older copy
+        if step.session != self._session:
+            self._seen, self._applied = None, -1
         self._session, self._restarted = step.session, False
         x = self._x or step.x
         where = (step.session, j, step.k)
@@ -94,7 +107,7 @@ class Switching(Clause):
                 fail(*where, f"an interrupted step had {step.u}, expected {expected}")
         else:
             self._missed += 1
-            expected = self._fallback.input(step.x, self._u)
+            expected = self._instead(step)
             if step.u != expected and not (self._may_stand and step.u == self._u):
                 fail(*where, f"a missed step applied {step.u}, expected {expected}")
         self._x, self._u, self._place = step.x_next, step.u, step.k + 1
@@ -138,14 +151,30 @@ class Reachable(Clause):
                 continue
             step = item.t if isinstance(item, Walked) else item
             attack = self.evidence.plant.attack
-            if text := wrong_labels(attack, step, restarted=self._restarted, noisy=self._noisy):
+            if text := wrong_labels(
+                attack,
+                step,
+                restarted=self._restarted,
+                noisy=self._noisy,
+                states=self.evidence.scenario.n,
+            ):
                 self._restarted = False
                 self.counter.count(False, *_place(step), text)
                 continue
             self._restarted = False
+            if isinstance(item, Walked) and not self._held(item.t):
+                text = f"x(k) = {self._true} is not in the box that both ends have"
+                self.counter.count(self._leaves, *_place(step), text)
             gauge = self._gauge_of(item, step)
             if gauge is not None:
                 self._judge(step, gauge)
+
+    def _held(self, t: TracedTransition) -> bool:
+        """Whether the state before it is in its box, as far as both are known."""
+        if t.box is None or self._true is None:
+            return True
+        low, high = t.box
+        return all(a <= v <= b for a, v, b in zip(low, self._true, high, strict=True))
 
     def _gauge_of(self, item: Walked | MissedLine, step: Step) -> float | None:
         """How far the true state came from where the input led; None where nobody knows."""
@@ -155,10 +184,14 @@ class Reachable(Clause):
             return None  # what was applied is not known, or where it leads nobody predicted
         if true is not None and step.true_u is not None:
             self._truths += 1
-            apart = [abs(a - b) for a, b in zip(true, step.x_next, strict=True)]
+            apart = [abs(a - b) for a, b in zip(self._read(true), step.x_next, strict=True)]
             self._away = max(self._away, *apart)
             if e.rules.predicted:
                 return None
+            if e.rules.outputs is not None and not known:
+                if not isinstance(item, Walked) or item.t.coin is None:
+                    return None
+                return item.verdict.gauges[item.t.coin]
             if self._noisy and known:  # by itself the state is disturbed within D_c
                 centre = predict(e.scenario.A, e.scenario.B, x, step.true_u)
                 return self._D_c([a - b for a, b in zip(true, centre, strict=True)])
@@ -169,7 +202,14 @@ class Reachable(Clause):
             assert item.t.coin is not None
             if item.t.candidates[item.t.coin] == item.t.u:
                 return item.verdict.gauges[item.t.coin]
+        if e.rules.outputs is not None:
+            return None  # the state before it stood in no reading
         return _gauge(e, step.x, step.u or (), step.x_next)
+
+    def _read(self, x: Vector) -> Vector:
+        """What exact sensors would read."""
+        outputs = self.evidence.rules.outputs
+        return x if outputs is None else outputs.observer.read(x)
 
     def _judge(self, step: Step, gauge: float) -> None:
         self._largest = max(self._largest, gauge)
@@ -202,6 +242,11 @@ class Reachable(Clause):
 
 def _place(step: Step) -> tuple[str, int, int]:
     return step.session, step.j if isinstance(step, TracedTransition) else -1, step.k
+
+
+def _state(t: TracedTransition) -> Vector:
+    """The state for which its candidates were found: the centre of its box, where it has one."""
+    return t.x if t.box is None else Box(*t.box).centre
 
 
 def _gauge(e: Evidence, x: Vector, u: Vector, x_next: Vector) -> float:
@@ -240,7 +285,7 @@ class Admissible(Clause):
         for plant, controller in part.pairs:
             t = (controller or plant).t  # type: ignore[union-attr]
             try:
-                of.setdefault(law.index(t.x), []).append(t)
+                of.setdefault(law.index(_state(t)), []).append(t)
             except LookupError as error:
                 self.counter.count(False, t.session, t.j, t.k, str(error))
         for i, ts in of.items():
@@ -253,7 +298,7 @@ class Admissible(Clause):
         from controller_service.sets.design import candidate_target
 
         s = self.evidence.scenario
-        X = np.array([t.x for t in ts])
+        X = np.array([_state(t) for t in ts])
         U = np.array([t.candidates for t in ts])
         K = law.gain(i)
         if K is not None:

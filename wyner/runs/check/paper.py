@@ -62,6 +62,21 @@ def key_symbols(of_defender: Array, of_eavesdropper: Array) -> Keys:
     return np.stack(found, axis=1)
 
 
+def output_scale(
+    A: Array, B: Array, C: Array, box: Array, u: Array, D_c: Array, N: Array, y_next: Array
+) -> Array:
+    """How much x, d and n must grow about their centres for y(k+1) = C (A x + B u + d) + n.
+
+    The states x are in a ``box``, shape (K, 2, n), low and high; d and n are in boxes of these
+    half-widths. Up to 1 a candidate explains the reading; of several outputs each by itself.
+    """
+    centre, radius = box.mean(axis=1), np.ptp(box, axis=1) / 2
+    reach = radius @ np.abs(C @ A).T + np.abs(C) @ D_c + N
+    away = np.abs(y_next[:, None, :] - f_c(A, B, centre, u) @ C.T)
+    found: Array = np.max(away / reach[:, None, :], axis=2)
+    return found
+
+
 class Line(NamedTuple):
     """What Fig. 5 makes of one transition, as a trace has it: role, key, m[p], p, s, new key."""
 

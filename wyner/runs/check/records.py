@@ -8,6 +8,7 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
 from protocol.agreement import AgreementResult
+from protocol.link.session import Rules
 from protocol.schemes.base import Carry
 from protocol.vectors import Vector
 
@@ -17,6 +18,8 @@ STRICT: Final = ConfigDict(extra="forbid", strict=True)
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TracedTransition:
     """A transition as one side's trace holds it; from ``coin`` on the fields are the plant's alone.
+
+    ``box`` is where the state lay before it, low and high, where some outputs alone are read.
 
     ``coin_key`` and ``coin_from`` are there where the coin is keyed; ``expected`` is the
     controller's alone. The last three are there where the plant is attacked.
@@ -41,6 +44,7 @@ class TracedTransition:
     s: int
     counts: int
     predictions: tuple[Vector, ...] = ()
+    box: tuple[Vector, Vector] | None = None
     coin_key: str | None = None
     coin_from: int = -1
     expected: int = -1
@@ -273,15 +277,24 @@ LARGEST_INTEGER: Final = 2**63 - 1
 
 
 class Shape(NamedTuple):
-    """The sizes of the plant: states, inputs, candidates."""
+    """The sizes of the plant: numbers of a reading, inputs, candidates; and states, where those
+    are read through some outputs alone.
+    """
 
     n: int
     m: int
     size: int
+    hidden: int = 0
+
+    @classmethod
+    def of(cls, rules: Rules) -> "Shape":
+        """That of a scenario's rules."""
+        hidden = 0 if rules.outputs is None else len(rules.outputs.observer.A)
+        return cls(rules.states, rules.inputs, rules.size, hidden)
 
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
-        n, m, size = self
+        n, m, size, hidden = self
         if abs(t.j) > LARGEST_INTEGER or abs(t.k) > LARGEST_INTEGER:
             return "j, k: expected numbers of 64 bits"
         if len(t.x) != n:
@@ -292,6 +305,10 @@ class Shape(NamedTuple):
             return f"candidates: expected {size} of {m} inputs"
         if len(t.gauges) != size:
             return f"gauges: got {len(t.gauges)}, expected {size}"
+        if (t.box is not None) != bool(hidden):
+            return f"box: expected {'one' if hidden else 'none'}"
+        if t.box is not None and not all(len(side) == hidden for side in t.box):
+            return f"box: expected two sides of {hidden} numbers"
         if not 0 <= t.cipher < size:
             return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
         if not 0 <= t.counts <= 3:

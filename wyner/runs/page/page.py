@@ -11,6 +11,7 @@ from typing import Final
 import numpy as np
 
 from protocol.agreement import predict
+from protocol.box_observer import Box
 from protocol.convex import corners
 from protocol.scenario import ConvexSet, Scenario
 from protocol.text import readable
@@ -172,7 +173,7 @@ class _Recorded:
         s = self._scenario
         self.steps = self.missed = self.symbols = 0
         self.cost = 0.0
-        self.states = [Series() for _ in range(s.n)]
+        self.states = [Series() for _ in range(s.readings)]
         self.inputs = [Series() for _ in range(s.m)]
         self.true_states = [Series() for _ in range(s.n)]
         self.agreed = array("q")
@@ -249,11 +250,13 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
         yield "<p>The plant left no trace.</p>"
         return
     T = e.scenario.plant.period_s
+    read = "x" if e.rules.outputs is None else "y"
     states = [
-        Curve(f"x{i + 1}", line.points(), i, banded=True) for i, line in enumerate(recorded.states)
+        Curve(f"{read}{i + 1}", line.points(), i, banded=True)
+        for i, line in enumerate(recorded.states)
     ]
     states += [
-        Curve(f"x{i + 1} in truth", points, e.scenario.n + i, banded=True)
+        Curve(f"x{i + 1} in truth", points, e.rules.states + i, banded=True)
         for i, line in enumerate(recorded.true_states)
         if (points := line.points())
     ]
@@ -272,7 +275,7 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
         "a band shows the range in each stretch. Here it is step by step:</p>"
     )
     stretches = recorded.windows.stretches()
-    yield from recorded.windows.drawn(e.scenario.n, e.scenario.m)
+    yield from recorded.windows.drawn(e.rules.states, e.scenario.m)
     if sum(len(steps) for steps in stretches) < recorded.steps:
         yield (
             f'<p class="note">{len(stretches)} stretches of {recorded.steps} steps; '
@@ -289,7 +292,10 @@ def _one_step(e: Evidence, recorded: _Recorded) -> Iterator[str]:
         yield f"<p>Step {t.k}: no offer came in time, so nothing was tested.</p>"
         return
     yield f"<p>{escape(_told_of(t, s))}</p>"
-    if s.n < 2:
+    x, star = t.x, t.x_next
+    if t.box is not None:
+        x, star = Box(*t.box).centre, t.true_x_next or ()
+    if s.n < 2 or not star:
         return
     reaches = (
         (_outline(s.defender.disturbance), "defender"),
@@ -297,11 +303,11 @@ def _one_step(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     )
     rings = []
     for i, u in enumerate(t.candidates):
-        c = predict(e.rules.agreement.A, e.rules.agreement.B, t.x, u)
+        c = predict(e.rules.agreement.A, e.rules.agreement.B, x, u)
         for ring, who in reaches:
             points = [(c[0] + a, c[1] + b) for a, b in ring]
             rings.append((f"reach of candidate {i}, {who}", points, 2 * i + (who != "defender")))
-    yield plane("One step", rings, (t.x_next[0], t.x_next[1]), ("x1", "x2"))
+    yield plane("One step", rings, (star[0], star[1]), ("x1", "x2"))
     yield '<p class="note">Star: where the state came to.</p>'
 
 

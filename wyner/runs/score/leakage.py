@@ -71,6 +71,8 @@ def view_of(t: Transition, knowledge: Knowledge) -> Vector:
     predictions: Sequence[Sequence[float]] = t.predictions
     if not predictions:
         A, B, x = knowledge.A, knowledge.B, t.x
+        if knowledge.C is not None:
+            raise ScoreError("plant.C: expected none, as a view is made of whole states")
         if A is None or B is None:
             raise ScoreError("capture: expected a model, A and B, in what the tap was told")
         predictions = [predict(A, B, x, u) for u in t.candidates]

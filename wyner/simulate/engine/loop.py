@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
-from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict
+from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict, spread
 from protocol.arrays import Array, Symbols
+from protocol.box_observer import Seen
 from protocol.brief import Brief
 from protocol.link.fallback import Fallback
+from protocol.link.outputs import OutputRule
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import SENSOR
@@ -62,7 +64,7 @@ class Runs(Brief):
     missed : bool array, shape (steps, R), optional
         Steps without an offer, where the scenario has a network: no transitions, their ``coin`` and
         ``symbol`` are -1.
-    x : array, shape (steps + 1, n, R), optional
+    x : array, shape (steps + 1, n or readings, R), optional
         States as they are read, y where sensors are noisy; with ``candidates`` and ``gauges`` only
         where the record was asked for.
     candidates : array, shape (steps, M, m, R), optional
@@ -163,7 +165,10 @@ class _Loop:
         R = len(runs)
         self.x = np.repeat(np.array(scenario.initial_state)[:, None], R, axis=1)
         self.y = self.x  # as read: the state itself where sensors are exact
-        if self.noise is not None:
+        self.outputs = rules_of(scenario).outputs
+        if self.outputs is not None:
+            self._begin_outputs(self.outputs)
+        elif self.noise is not None:
             self.y = self.x + self.drawn()
             self.x = self.y - self.last
         self.following = np.empty((self.n, R))
@@ -176,6 +181,54 @@ class _Loop:
         self.spare = np.empty(R)
         self.ratio = np.empty(R)
         self.inside = np.empty((self.M, R), dtype=bool)
+
+    def _begin_outputs(self, rule: OutputRule) -> None:
+        """Where outputs alone are read each run has a box of its own, from its first reading on."""
+        noise = self.drawn()
+        read = np.array([rule.observer.read(x) for x in self.x.T.tolist()]).T
+        self.y = read + noise
+        self.seen: list[Seen | None] = [None] * len(self.runs)
+        self.gone = [0] * len(self.runs)  # missed steps since the last transition
+        self.boxes = [rule.box(None, 0, tuple(y)) for y in self.y.T.tolist()]
+
+    @property
+    def states(self) -> Array:
+        """The states that the law is asked about, shape (R, n)."""
+        if self.outputs is None:
+            return self.y.T
+        return np.array([box.centre for box in self.boxes])
+
+    def _step_outputs(
+        self,
+        rule: OutputRule,
+        columns: list[list[Array]],
+        coin: Symbols,
+        d: Array,
+        missed: NDArray[np.intp],
+    ) -> None:
+        """The same as :meth:`step`, run by run: the box observer is the ends' own."""
+        without, noise = set(missed.tolist()), self.drawn()
+        read = np.empty_like(self.y)
+        for r in range(len(self.runs)):
+            offered = tuple([tuple([float(c[r]) for c in inputs]) for inputs in columns])
+            u = offered[coin[r]]
+            if r in without:
+                u = rule.instead(self.seen[r], self.gone[r], tuple(self.u[:, r].tolist()))
+            moved = predict(self.true_A, self.true_B, self.x[:, r].tolist(), u)
+            self.u[:, r] = u
+            self.x[:, r] = np.array(moved) + d[:, r]
+            read[:, r] = np.array(rule.observer.read(self.x[:, r].tolist())) + noise[:, r]
+            y = tuple(read[:, r].tolist())
+            if r in without:
+                self.gone[r] += 1
+            else:
+                verdict = rule.judge(self.boxes[r], offered, y)
+                self.gauges[:, r] = verdict.gauges
+                centres = rule.predictions(self.boxes[r], offered)
+                self.possible[:, r] = 1.0 + spread(rule.apart, centres)
+                self.seen[r], self.gone[r] = verdict.seen, 0
+            self.boxes[r] = rule.box(self.seen[r], self.gone[r], y)
+        self.y = read
 
     def choose(self, coin: Symbols, options: Sequence[Array], out: Array) -> None:
         """``out`` = options[coin], run by run."""
@@ -190,6 +243,9 @@ class _Loop:
 
         Of the runs ``missed`` the fallback is applied.
         """
+        if self.outputs is not None:
+            self._step_outputs(self.outputs, columns, coin, d, missed)
+            return
         rows_x, rows_y = list(self.x), list(self.y)
         in_force = self.u[:, missed].T.tolist()
         instead = [
@@ -234,7 +290,7 @@ class _Loop:
     def drawn(self) -> Array:
         """n of the next readings, shape (n, R)."""
         assert self.noise is not None
-        uniforms = self.sensors.take(self.n).T
+        uniforms = self.sensors.take(self.scenario.readings).T
         drawn: Array
         if self.noise.half_widths is None:
             corners = np.array(self.noise.corners())
@@ -336,7 +392,7 @@ def simulate_runs(
     made = np.zeros(R, dtype=np.intp)  # transitions so far
     everyone = np.arange(R)
     nobody = everyone[:0]
-    xs = np.empty((steps + 1, n, R)) if record else None
+    xs = np.empty((steps + 1, scenario.readings, R)) if record else None
     us = np.empty((steps, M, m, R)) if record else None
     gs = np.empty((steps, M, R)) if record else None
     applied = np.empty((steps, m, R)) if record else None
@@ -352,7 +408,7 @@ def simulate_runs(
             uniforms, coins = loop.draws.block(min(BLOCK, steps - k))
             d = disturbances(scenario.plant.disturbance, k, uniforms)
             tosses[k : k + len(coins)] = coins * M
-        X = loop.y.T
+        X = loop.states
         if missed is not None:
             missed[k] |= _outside(law, X)
             X = np.where(missed[k][:, None], 0.0, X)

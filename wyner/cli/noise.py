@@ -1,9 +1,10 @@
-"""``wyner bound``: bits that any tap leaves who watches the machine through noise."""
+"""``wyner design --noise``: bits that any tap leaves who watches the machine through noise."""
 
 import argparse
 import json
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 from runtime.errors import DONE, UsageError
 from wyner.cli.figure_file import save_table
@@ -28,70 +29,116 @@ DRAWS: Final = 2000
 SEED: Final = 7
 
 
+ABOUT: Final = (
+    "For each noise: the bits of a coin that any tap leaves who watches the states through it, "
+    "whatever she knows and computes; and the length of the key that a 2-universal hash makes of "
+    "the coins."
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoiseOptions:
+    """What is asked about her who watches.
+
+    Parameters
+    ----------
+    noise : str, optional
+        Standard deviations on every number that she reads, separated by commas; or empty. None:
+        nothing is asked.
+    watch : str, optional
+        The states that she sees, from 1 on; all if not given.
+    offers : str
+        What she hears of them: ``none``, ``noisy`` or ``clear``.
+    coins : int
+        Coins of one key.
+    eps : float
+        Its distance from uniform.
+    measure : bool
+        Whether to measure a tap beside the bound.
+    """
+
+    noise: str | None = None
+    watch: str | None = None
+    offers: Literal["none", "noisy", "clear"] = "none"
+    coins: int = 1000
+    eps: float = 1e-12
+    measure: bool = False
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "For SCENARIO and each noise: the bits of a coin that any tap leaves who watches the "
-        "states through that noise and hears no offer, whatever she knows and computes; and the "
-        "length of the key that a 2-universal hash makes of the coins."
-    )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
-    parser.add_argument(
+    """Add the options of this view of a design."""
+    group = parser.add_argument_group("bits left from any tap who sees through noise", ABOUT)
+    group.add_argument(
         "--noise",
+        nargs="?",
+        const="",
         metavar="S,S,...",
-        help="standard deviations on every number she reads (default: 0.5 to 4 half-widths of D_c)",
+        help="instead: this, for these deviations of what she reads (default: 0.5 to 4 half-widths "
+        "of D_c)",
     )
-    parser.add_argument(
+    group.add_argument(
         "--watch", metavar="I,I,...", help="the states that she sees, from 1 on (default: all)"
     )
-    parser.add_argument(
+    group.add_argument(
         "--offers",
         choices=("none", "noisy", "clear"),
         default="none",
         help="what she hears of them (default: none); clear leaves 0 bits",
     )
-    parser.add_argument("--coins", type=int, default=1000, metavar="N", help="coins of one key")
-    parser.add_argument(
+    group.add_argument("--coins", type=int, default=1000, metavar="N", help="coins of one key")
+    group.add_argument(
         "--eps", type=float, default=1e-12, metavar="E", help="distance of the key from uniform"
     )
-    parser.add_argument(
+    group.add_argument(
         "--measure",
         action="store_true",
         help="beside it what a tap leaves who weighs every sequence of a block (seconds)",
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--figure", metavar="FILE", help="draw it too, as FILE.svg or FILE.png")
 
 
-def run(args: argparse.Namespace) -> int:
+def refuse_alone(asked: NoiseOptions) -> None:
+    """Refuse what was asked about her noise where ``--noise`` was not.
+
+    Raises
+    ------
+    UsageError
+    """
+    usual = NoiseOptions()
+    for field in fields(asked):
+        value = getattr(asked, field.name)
+        if value != getattr(usual, field.name):
+            raise UsageError(f"--{field.name}: got {value!r}, expected --noise beside it")
+
+
+def show_noise(
+    scenario: "Scenario", asked: NoiseOptions, *, as_json: bool, figure: str | None
+) -> int:
     """Show the table."""
-    from runtime.scenario_file import scenario_of
     from wyner.bound.loop import BoundError, LinearLoop
 
-    if args.figure and Path(args.figure).suffix not in (".svg", ".png"):
-        raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
-    if not 1 <= args.coins <= 10_000_000:
-        raise UsageError(f"--coins: got {args.coins}, expected 1 to 10000000")
-    if not 0 < args.eps < 1:
-        raise UsageError(f"--eps: got {args.eps:g}, expected between 0 and 1")
-    scenario = scenario_of(args.scenario)
-    states = _states(args.watch, scenario.n)
+    if figure and Path(figure).suffix not in (".svg", ".png"):
+        raise UsageError(f"--plot: got {figure!r}, expected a name in .svg or .png")
+    if not 1 <= asked.coins <= 10_000_000:
+        raise UsageError(f"--coins: got {asked.coins}, expected 1 to 10000000")
+    if not 0 < asked.eps < 1:
+        raise UsageError(f"--eps: got {asked.eps:g}, expected between 0 and 1")
+    states = _states(asked.watch, scenario.n)
     try:
         loop = LinearLoop.of(scenario)
     except BoundError as error:
-        raise UsageError(f"{args.scenario}: {error}") from None
-    if args.measure and (args.offers != "none" or states):
+        raise UsageError(f"{scenario.name}: {error}") from None
+    if asked.measure and (asked.offers != "none" or states):
         raise UsageError("--measure: expected all states and no offers")
-    noises = _noises(args.noise, loop.half_width)
-    result = describe(scenario, loop, noises, args, states)
-    print(json.dumps(result) if args.json else render(result))
-    if args.figure:
-        save_table(args.figure, "wyner.drawing.bound:draw_table", result)
+    noises = _noises(asked.noise, loop.half_width)
+    result = describe(scenario, loop, noises, asked, states)
+    print(json.dumps(result) if as_json else render(result))
+    if figure:
+        save_table(figure, "wyner.drawing.bound:draw_table", result)
     return DONE
 
 
 def _noises(text: str | None, half_width: float) -> list[float]:
-    if text is None:
+    if not text:
         return [r * half_width for r in RATIOS]
     try:
         noises = sorted({float(part) for part in text.split(",")})
@@ -115,7 +162,7 @@ def describe(
     scenario: "Scenario",
     loop: "LinearLoop",
     noises: list[float],
-    args: argparse.Namespace,
+    asked: NoiseOptions,
     states: tuple[int, ...],
 ) -> dict[str, Any]:
     """The table as one object for machines."""
@@ -134,21 +181,21 @@ def describe(
             f"control.inputs: the linear law may need {loop.used:.3g} times U: where a constraint "
             "is active the response is not linear, and nothing is left for certain"
         )
-    elif args.offers == "clear":
+    elif asked.offers == "clear":
         why = "offers in clear carry K x, and so every coin: nothing is left"
     rows = []
     for noise in noises:
-        coin = loop.coin(noise, args.offers, states)
+        coin = loop.coin(noise, asked.offers, states)
         row: dict[str, Any] = {
             "noise": noise,
             "ratio": noise / loop.half_width,
             "gain": 1 / coin.deviation if coin.deviation else None,
             "guess": 1.0 if active else coin.guess,
             "bits_per_coin": 0.0 if active else coin.bits,
-            "key_bits": 0 if active else coin.key_bits(args.coins, args.eps),
+            "key_bits": 0 if active else coin.key_bits(asked.coins, asked.eps),
             "measured": None,
         }
-        if args.measure and not active and noise > 0:
+        if asked.measure and not active and noise > 0:
             coins = max(1, int(math.log(MOST_BLOCKS, M) + 1e-9))
             widths = np.array(scenario.plant.disturbance.half_widths)
             left = block_left(loop, widths, noise, coins, DRAWS, SEED, told=False)
@@ -169,10 +216,10 @@ def describe(
         "loop": LOOP,
         "nothing_because": why or None,
         "most_of_U": loop.used,
-        "offers": args.offers,
+        "offers": asked.offers,
         "watched": [i + 1 for i in states] or list(range(1, len(loop.A) + 1)),
-        "coins": args.coins,
-        "eps": args.eps,
+        "coins": asked.coins,
+        "eps": asked.eps,
         "rows": rows,
     }
 

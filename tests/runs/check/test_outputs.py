@@ -1,0 +1,89 @@
+"""``wyner check`` of a plant that is read through some outputs alone: its box, and its truth."""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller_service.laws import registry
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.small_run import law_of, read_lines, write_lines
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
+
+Line = dict[str, Any]
+
+
+@pytest.fixture(autouse=True)
+def _one_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "make_law", lambda scenario, _design: law_of(scenario.name)[1])
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """120 steps, in the middle of which both processes are killed."""
+    loop = RecordedLoop(tmp_path_factory.mktemp("outputs") / "run", b"hi", "encoder")
+    loop.run(lambda: loop.transitions >= 60)
+    for side in SIDES:
+        loop.kill(side)
+    for side in SIDES:
+        loop.start(side)
+    loop.run(lambda: loop.transitions >= 120)
+    loop.stop()
+    return loop.folder
+
+
+def failed(folder: Path) -> set[str]:
+    found = check(read_evidence(folder))
+    return {one.clause.name for one in found if one.result == "FAIL"}
+
+
+def test_a_clean_run_passes(clean: Path) -> None:
+    assert failed(clean) == set()
+    lines = read_lines(clean / PLANT_TRACE)
+    assert sum(line.get("symbol", -1) >= 0 for line in lines) > 50
+
+
+def low(line: Line) -> None:
+    line["box"][0][1] -= 1e-9
+
+
+def truth(line: Line) -> None:
+    line["true_x_next"][1] += 0.05
+
+
+def gauge(line: Line) -> None:
+    line["gauges"][0] *= 1 + 1e-12
+
+
+def no_box(line: Line) -> None:
+    del line["box"]
+
+
+@pytest.mark.parametrize(
+    ("traces", "edit", "clause"),
+    [
+        ((PLANT_TRACE,), low, "traces"),
+        ((PLANT_TRACE, CONTROLLER_TRACE), low, "traces"),
+        ((PLANT_TRACE,), no_box, "traces"),
+        ((PLANT_TRACE,), truth, "reachable"),
+        ((PLANT_TRACE, CONTROLLER_TRACE), gauge, "agreement"),
+    ],
+)
+def test_what_is_wrong_fails_its_clause(
+    clean: Path,
+    tmp_path: Path,
+    traces: tuple[Path, ...],
+    edit: Callable[[Line], None],
+    clause: str,
+) -> None:
+    folder = tmp_path / "run"
+    shutil.copytree(clean, folder)
+    for name in traces:
+        lines = read_lines(folder / name)
+        edit(next(x for x in lines[60:] if x.get("symbol", -1) >= 0))
+        write_lines(folder / name, lines)
+    assert clause in failed(folder)

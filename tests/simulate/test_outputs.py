@@ -1,0 +1,156 @@
+"""A plant read through some outputs alone: both ends, the engine, and what is refused."""
+
+from typing import Any
+
+import pytest
+
+from protocol.agreement import NO_SYMBOL
+from protocol.link.session import CountedTransition
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from tests.support.safety import violations
+from tests.support.small_run import law_of
+from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine.taps import listen
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
+
+LOSSES = {"to_plant": {"loss": 0.3}, "to_controller": {"loss": 0.3}}
+BURSTS = {
+    "to_plant": {"delay": "gamma", "delay_s": 0.05, "jitter_s": 0.05},
+    "to_controller": {"loss_bad": 0.9, "to_bad": 0.1, "to_good": 0.2},
+}
+
+
+def encoder(**changes: dict[str, Any]) -> Scenario:
+    """The shipped scenario with some fields changed."""
+    data = law_of("encoder")[0].model_dump(mode="json", exclude_none=True)
+    for table, fields in changes.items():
+        data[table] = data.get(table, {}) | fields
+    return parse_scenario(data, "changed")
+
+
+def held(t: CountedTransition) -> bool:
+    """Whether the state after a transition is in the box of both ends."""
+    assert t.truth is not None
+    assert t.verdict.seen is not None
+    low, high = t.verdict.seen.box
+    return all(a <= v <= b for a, v, b in zip(low, t.truth.x_next, high, strict=True))
+
+
+@pytest.mark.parametrize("fallback", ["hold", "zero", "regulator"])
+@pytest.mark.parametrize("network", [None, LOSSES, BURSTS])
+def test_the_engine_is_the_two_ends_to_the_last_bit(
+    network: dict[str, Any] | None, fallback: str
+) -> None:
+    """Readings, states, coins and symbols, over missed steps too; the box holds the state."""
+    changes: dict[str, Any] = {"link": {"fallback": fallback}}
+    scenario = encoder(**(changes if network is None else changes | {"network": network}))
+    _, law = law_of("encoder")
+    steps = 150
+    together = simulate_runs(scenario, law, seed=4, runs=range(2), steps=steps, record=True)
+    step_s = None if network is None else 0.1
+    history = Simulation(scenario, law, seed=4, run=1, step_s=step_s).run(steps=steps)
+    link = transfer(together)
+    assert together.x is not None
+    assert together.truth is not None
+    done = [t for t in history.plant.values() if t.k < steps]
+    assert len(done) > 30
+    for t in done:
+        assert t.x == tuple(together.x[t.k, :, 1])
+        assert t.x_next == tuple(together.x[t.k + 1, :, 1])
+        assert (t.coin, t.symbol) == (together.coin[t.k, 1], link.agreed[t.k, 1])
+        assert t.truth is not None
+        assert t.truth.x_next == tuple(together.truth[t.k + 1, :, 1])
+        assert held(t)
+    for at, t in history.controller.items():
+        assert history.plant[at].shared == t.shared
+
+
+def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:
+    """10 runs of 500 steps, seed 1, d in the corners of D_c and n in those of N."""
+    scenario = encoder(
+        plant={
+            "disturbance": {"kind": "corners", "half_widths": [0.000468, 0.00906]},
+            "noise": {"kind": "corners", "half_widths": [0.00012]},
+        }
+    )
+    runs = simulate_runs(scenario, law_of("encoder")[1], seed=1, runs=range(10), steps=500)
+    agreed = (runs.symbol != NO_SYMBOL) & (runs.largest <= scenario.secrecy.alpha)
+    assert agreed.mean() > 0.99
+    assert (runs.symbol == runs.coin)[agreed].all()
+
+
+def test_deaths_and_a_bad_network_break_nothing() -> None:
+    """Exactly once, the box at both ends the same and around the state, over 4 seeds."""
+    scenario, law = law_of("encoder")
+    for seed in range(4):
+        faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
+        both = Simulation(scenario, law, seed=seed, payloads=(b"a",), faults=faults, step_s=0.1)
+        history = both.run(seconds=300, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
+        assert list(violations(history, (b"a",))) == []
+        assert history.crashes > 0
+        assert history.inbox == [b"a"]
+        assert history.record is not None
+        assert history.record.symbol_errors == 0
+        assert all(map(held, history.plant.values()))
+
+
+def test_a_plant_that_lost_its_journal_begins_its_box_anew() -> None:
+    scenario, law = law_of("encoder")
+    faults = Faults(crash=0.05, amnesia=0.5, until_s=20)
+    both = Simulation(scenario, law, seed=3, payloads=(b"a",), faults=faults, step_s=0.1)
+    history = both.run(seconds=300, until=lambda: bool(both.history.inbox))
+    assert history.amnesias > 0
+    assert list(violations(history, (b"a",))) == []
+
+
+def test_who_hears_readings_alone_guesses_most_keys() -> None:
+    """4 runs of 300 steps: nearest-centre has over 90 % of keys; the paper's own half of them."""
+    scenario, law = law_of("encoder")
+    runs = simulate_runs(scenario, law, seed=2, runs=range(4), steps=300, record=True)
+    link = transfer(runs)
+    right = {"nearest-centre": 0, "set-membership": 0}
+    agreed = 0
+    for run in range(4):
+        for name, heard in zip(right, listen(runs, link, tuple(right), run), strict=True):
+            right[name] += heard.right
+            agreed += heard.agreements
+    assert agreed > 2 * 500
+    assert right["nearest-centre"] > 0.9 * agreed / 2
+    assert 0.4 < right["set-membership"] / (agreed / 2) < 0.6
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"defender": {"bounds": None}}, "defender.bounds: got none"),
+        ({"defender": {"bounds": [1.0]}}, "defender.bounds: got shape 1, expected 2"),
+        ({"defender": {"noise": None}}, "defender.noise: expected half_widths"),
+        ({"defender": {"noise": {"half_widths": [0.1, 0.1]}}}, "defender.noise: got shape 2"),
+        ({"plant": {"C": [[1.0]]}}, "plant.C: got shape"),
+        ({"plant": {"C": None}}, "defender.bounds: expected none"),
+        (
+            {
+                "plant": {"kind": "ode", "object": "a:b", "A": None, "B": None},
+                "defender": {"A": [[1.0, 0.1], [0.0, 0.8]], "B": [[0.01], [0.2]]},
+            },
+            "expected 'linear' where outputs are read",
+        ),
+        ({"control": {"disturbance": {"half_widths": [0.0005, 0.01]}}}, "control.disturbance"),
+    ],
+)
+def test_wrong_outputs_are_one_line(changes: dict[str, Any], says: str) -> None:
+    with pytest.raises(ScenarioError, match=says):
+        encoder(**changes)
+
+
+def test_the_fingerprint_covers_what_the_box_depends_on() -> None:
+    """C, bounds, N, and what is predicted of a missed step."""
+    plain = encoder()
+    others = (
+        encoder(defender={"bounds": [10.0, 11.0]}),
+        encoder(defender={"noise": {"half_widths": [0.00013]}}),
+        encoder(link={"fallback": "zero"}),
+        encoder(control={"gain": [[-5.0, -2.0]]}),
+    )
+    assert len({s.fingerprint() for s in (plain, *others)}) == 5
