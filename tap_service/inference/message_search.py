@@ -88,7 +88,7 @@ class Found:
     open : float
         Log weight of all such beginnings.
     missing : int
-        Steps in which the likeliest of them should be over; -1 where there is none.
+        Steps in which those of them that are nearly the likeliest may be over; -1 where none is.
     unsent : float
         Bits of the likeliest of them that the transcript does not hold.
     longest : float
@@ -144,8 +144,13 @@ class Opened:
     def __init__(self) -> None:
         self.best = self.total = -np.inf
         self.text = b""
-        self.missing = -1
+        self.missing: dict[int, float] = {}  # symbols, and the log weight of the likeliest
         self.unsent = 0.0
+
+    def soonest(self) -> int:
+        """Symbols that those lack which are nearly the likeliest, at least; -1 where none is."""
+        likely = [n for n, weight in self.missing.items() if weight > self.best - CLEARLY]
+        return min(likely, default=-1) if np.isfinite(self.best) else -1
 
 
 class Ended:
@@ -419,9 +424,11 @@ class MessageSearch:
         if weight[row] > opened.best:
             opened.best = float(weight[row])
             opened.text = beam.text[row, : beam.count[row]].tobytes()
-            opened.missing = int(missing[row] / self._lattice.rate)
             payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
             opened.unsent = payload * float(np.log2(self._size))
+        for symbols in np.unique(missing).tolist():
+            best = float(weight[missing == symbols].max())
+            opened.missing[symbols] = max(opened.missing.get(symbols, -np.inf), best)
         opened.total = float(np.logaddexp(opened.total, np.logaddexp.reduce(weight)))
 
     def _found(
@@ -451,7 +458,7 @@ class MessageSearch:
             likely,
             opened.text,
             opened.total,
-            opened.missing,
+            -1 if (symbols := opened.soonest()) < 0 else int(symbols / self._lattice.rate),
             opened.unsent,
             longest,
             ended.unchecked[1],

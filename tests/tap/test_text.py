@@ -4,6 +4,7 @@ import dataclasses
 import itertools
 import lzma
 import random
+import time
 import tracemalloc
 
 import numpy as np
@@ -481,6 +482,43 @@ def test_she_reads_a_sentence_of_which_a_third_was_missed() -> None:
     scored = score(run.truth, said)
     assert scored.keys_reviewed.right > 0.9 * scored.keys_reviewed.of
     assert 0 < said.belief.solved_k < 319  # live, before the end
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("live", [True, False])
+@pytest.mark.parametrize(
+    ("plant", "steps"),
+    [("packed", 160), ("packed-double-integrator", 160), ("packed-quadruple-tank", 120),
+     ("packed-batch-reactor", 120), ("sustained", 600)],
+)  # fmt: skip
+def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
+    plant: str, steps: int, live: bool
+) -> None:
+    """One input and two, both schemes, M = 2, 4 and 16; a tenth of the datagrams missed."""
+    payload = b"Go on now."
+    run = simulate(steps, 5, name=plant, payloads=[payload])
+    assert [text for _, text in run.truth.whole] == [payload]
+    view = View(seed=5, loss=0.1)
+    tap = Text(view.told(run.scenario.knowledge()), live=live)
+    said = said_about(tap, heard_by(run, view))
+    assert said.belief.whole == (payload,)
+    assert said.belief.bits_left is not None
+    assert said.belief.bits_left < 0.5
+
+
+@pytest.mark.slow
+def test_a_step_costs_what_a_live_loop_of_ten_a_second_affords() -> None:
+    """Processor time of a whole run, its message under way for 237 steps, and when she had it."""
+    run = simulate(320, 4, name="packed", payloads=[SENTENCES[0].encode("ascii")])
+    (over, _), *_ = run.truth.whole
+    view = View(seed=4, loss=0.3)
+    heard = heard_by(run, view)
+    tap = Text(view.told(run.scenario.knowledge()))
+    begun = time.process_time()
+    for t in heard:
+        tap.observe(t)
+    assert time.process_time() - begun < 0.1 * len(heard)
+    assert over < tap.belief().solved_k < over + 40
 
 
 @pytest.mark.slow
