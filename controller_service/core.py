@@ -18,7 +18,6 @@ from pydantic import ValidationError
 
 from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.defence.key_digits import fails
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
 from protocol.link.events import Alarm, Delivered, Queued, SessionBegan
@@ -130,6 +129,14 @@ class ControllerCore:
     status_s : float
         Seconds between statuses.
     nonces : NonceSource
+
+    Attributes
+    ----------
+    now, plant_at, greeting_at : float
+        The timers, in seconds: what it was told last, when the plant measured, when it may greet
+        again. They move together with the clock.
+    running_s : float
+        Seconds after which a plant that has not measured is away.
     """
 
     hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockAnnouncement)
@@ -193,8 +200,8 @@ class ControllerCore:
         self._state: State = "greeting"
         self._plant: str | None = None
         self._elsewhere: str | None = None
-        self._running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
-        self._plant_at = self._greeting_at = -inf
+        self.running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
+        self.plant_at = self.greeting_at = -inf
         # what waits for `finish_step`
         self._starting = False
         self._first_message = message
@@ -203,7 +210,7 @@ class ControllerCore:
         self._telemetry = telemetry
         self._status_s = status_s
         self._status_at = inf
-        self._health_at = self._now = -inf
+        self._health_at = self.now = -inf
         self._aim()
         if step is not None:
             measurement, offer = step
@@ -240,7 +247,7 @@ class ControllerCore:
 
     def start(self, now: float) -> Actions:
         """Count what a journal left to be counted, queue the first message, and greet."""
-        self._now = now
+        self.now = now
         if self._telemetry is not None:
             self._status_at = now
         if self.messages.queued_as(INITIAL_ID) is not None:
@@ -250,7 +257,7 @@ class ControllerCore:
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """A measurement, a hello or announcement of the plant, or the operator's command."""
-        self._now = now
+        self.now = now
         try:
             if kind is Measurement:
                 return self._measured(Measurement.model_validate_json(payload), payload)
@@ -270,7 +277,7 @@ class ControllerCore:
 
     def wake(self, now: float) -> Actions:
         """A status, if it is due."""
-        self._now = now
+        self.now = now
         if now < self._status_at:
             return NOTHING_TO_DO
         self._status_at = next_turn(now, self._status_s, phase_of(self.instance))
@@ -303,7 +310,7 @@ class ControllerCore:
 
     def key_task_done(self, done: Done, now: float) -> Actions:
         """The key maker has done a task; rows that nobody needs any more go at once."""
-        self._now = now
+        self.now = now
         if isinstance(done, CoinKeys):
             self.coins.done(done, now)
             return NOTHING_TO_DO
@@ -311,13 +318,22 @@ class ControllerCore:
             self.coins.confirmed()
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
 
+    def halt(self) -> Actions:
+        """A message was forged: where an alarm ends the offers, so does this."""
+        if not self.rules.halts or self.record.halted:
+            return NOTHING_TO_DO
+        self.record = self.record._replace(halted=True)
+        if self._telemetry is not None:
+            self._telemetry.phase = "alarmed"
+        return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
+
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keying, self.record.session, self.record.k, count)
 
     def stop(self, now: float) -> Actions:
         """The last status."""
-        self._now = now
+        self.now = now
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         publish, health = self._status(force=True)
@@ -342,7 +358,7 @@ class ControllerCore:
                 self._state, "session not taken up" if here else "session elsewhere"
             ]
             return self._remind() if answer == "remind" else NOTHING_TO_DO
-        self._plant_at = self._now
+        self.plant_at = self.now
         if measurement.k < record.k:
             self._stale += 1
             return NOTHING_TO_DO if self._stale < STALE else self._diverged(measurement)
@@ -450,9 +466,7 @@ class ControllerCore:
         if verdict.seen is not None:
             following = following._replace(seen=verdict.seen)
         expected = self.coins.expected(offer, measurement.applied_key)
-        failed = verdict.unexplained
-        if expected != NO_SYMBOL:
-            failed = failed or fails(verdict.gauges, expected)
+        failed = self.rules.fails(verdict, expected)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)
         if tests != record.failed or alarm:
             halted = record.halted or (alarm and self.rules.halts)
@@ -599,7 +613,7 @@ class ControllerCore:
 
     def _key_tasks(self, results: tuple[BlockResult, ...] = ()) -> tuple[Task, ...]:
         """What the keeper of keys must do now."""
-        return (*self.keying.tasks(results), *self.coins.tasks(self._now))
+        return (*self.keying.tasks(results), *self.coins.tasks(self.now))
 
     def _alarm(self, transition: CountedTransition, applied: Offer) -> Alarm:
         """What was read and what was expected, of a transition whose test makes an alarm."""
@@ -638,7 +652,7 @@ class ControllerCore:
             instance=self.instance,
             fingerprint=self.rules.fingerprint,
             plant=self._plant,
-            running=self._now - self._plant_at < self._running_s,
+            running=self.now - self.plant_at < self.running_s,
         )
         answer, self._state = TABLE[self._state, what]
         if self._state != "elsewhere":
@@ -763,9 +777,9 @@ class ControllerCore:
 
     def _remind(self) -> Actions:
         """Greet, but not too often."""
-        if self._now < self._greeting_at:
+        if self.now < self.greeting_at:
             return NOTHING_TO_DO
-        self._greeting_at = self._now + GREETING_S
+        self.greeting_at = self.now + GREETING_S
         return Actions(publish=(self._greeting(),))
 
     def _greeting(self) -> Outgoing:
@@ -866,9 +880,9 @@ class ControllerCore:
         if self._telemetry is None:
             return (), None
         status = self.status()
-        keep = force or self._now >= self._health_at
+        keep = force or self.now >= self._health_at
         if keep:
-            self._health_at = self._now + HEALTH_S
+            self._health_at = self.now + HEALTH_S
         return (Outgoing(ControllerStatus, status.wire()),), status if keep else None
 
 

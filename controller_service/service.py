@@ -26,7 +26,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import coin_keys, open_key_maker, refusal
+from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
@@ -101,6 +101,10 @@ def open_controller(
     trace = TraceWriter(
         config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
     )
+    telemetry = ControllerTelemetry(
+        config.law,
+        keys_refused="" if scenario.keys is None else refusal(scenario, config.seed) or "",
+    )
     core = ControllerCore(
         rules_of(scenario),
         config.law.candidates,
@@ -114,13 +118,12 @@ def open_controller(
         coin_keys=for_coin,
         predict=predict,
         message=config.message,
-        telemetry=ControllerTelemetry(
-            config.law,
-            keys_refused="" if scenario.keys is None else refusal(scenario, config.seed) or "",
-        ),
+        telemetry=telemetry,
         status_s=status_s,
     )
-    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
+    end = guarded(core, key_maker, scenario, record, core.halt)
+    telemetry.guard = end
+    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker, end)
 
 
 def _channel(config: ControllerConfig) -> Channel | None:
@@ -199,6 +202,6 @@ def run_controllers(
             scenario, folder, loop.id, law, loop.payload, pace, seed=loop.seed, bounds=bounds
         )
         core, files = open_controller(config, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), core, Measurement), files
+        return behind(_channel(config), files.guarded or core, Measurement), files
 
     return run_fleet(fleet, open_end, field, ops, stopping, logger("controller"))

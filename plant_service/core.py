@@ -128,6 +128,15 @@ class PlantCore:
     nonces : NonceSource
     round_trip_s : float
         Seconds within which the network brings an answer: the last word waits for so much more.
+
+    Attributes
+    ----------
+    now, answered_at, hello_at, measured_at : float
+        The timers, in seconds: what it was told last, when the controller was heard, when a hello
+        is due, when step ``measured_k`` was measured first. They move together with the clock.
+    pacing : Pacing
+    state : State
+        How it stands with its controller.
     """
 
     hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockAnnouncement)
@@ -169,13 +178,13 @@ class PlantCore:
         self.instance = instance
         self.code: int | None = None
         self.malformed = 0
-        self._pacing = pacing
+        self.pacing = pacing
         self._new_id = new_id
-        self._now = now
+        self.now = now
         self._fresh = fresh
         self._attack = () if attack is None else (attack,)
         # the step
-        self._coin = coin
+        self.coin = coin
         self._fallback = fallback
         self._steps = steps
         self._step: PlantStep | None = None
@@ -190,8 +199,8 @@ class PlantCore:
         self._back = back
         self._moved = record.k > 0 or step is not None
         self._left = True  # copy 0 of the newest measurement may have left
-        self._latest_late_k = self._measured_k = -1
-        self._measured_at = now
+        self._latest_late_k = self.measured_k = -1
+        self.measured_at = now
         # the frame under way
         self.deframer = Deframer(rules.size)
         self._covers = Deframer(rules.size)
@@ -213,11 +222,11 @@ class PlantCore:
         )
         self.controller: str | None = None
         """The controller process that was asked last in this process's life, if any."""
-        self._state: State = first_state(record)
+        self.state: State = first_state(record)
         self._met = record.transitions > 0 or record.sessions > 1
         self._taken_up = ("", "")
-        self._hello_at = -inf
-        self._answered_at = now
+        self.hello_at = -inf
+        self.answered_at = now
         # timers of its own
         self._watchdog_s = inf if watchdog_s is None else watchdog_s
         self._watchdog_at = inf
@@ -239,12 +248,12 @@ class PlantCore:
     @property
     def accepted(self) -> bool:
         """Whether the controller asked has accepted this session in this process's life."""
-        return self._state in WORKING
+        return self.state in WORKING
 
     @property
     def refused(self) -> bool:
         """Whether the only controller shares another model: there is nothing to go on with."""
-        return self._state == "refused"
+        return self.state == "refused"
 
     @property
     def _running(self) -> bool:
@@ -262,7 +271,7 @@ class PlantCore:
 
         The step that was under way when a plant's process died is missed.
         """
-        self._now = now
+        self.now = now
         self._watchdog_at = now + self._patience_s
         record = self.record
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
@@ -276,9 +285,9 @@ class PlantCore:
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """An offer, or a hello or announcement of the controller."""
-        self._now = now
+        self.now = now
         if not self._running:
-            self._pacing.tick(now, running=False)
+            self.pacing.tick(now, running=False)
         try:
             if kind is Offer:
                 return self._offered(Offer.model_validate_json(payload), payload)
@@ -295,22 +304,22 @@ class PlantCore:
             return -inf
         if self._finished:
             return self._last_at
-        accepted, pacing = self.accepted, self._pacing
+        accepted, pacing = self.accepted, self.pacing
         due = min(
             self._status_at,
             self._watchdog_at,
             pacing.due_at(running=self._moved or accepted, measuring=accepted),
         )
         if not accepted:
-            return min(due, self._hello_at)
+            return min(due, self.hello_at)
         if pacing.waiting:
             return due
-        return min(due, max(self._hello_at, self._answered_at + SILENCE_S))
+        return min(due, max(self.hello_at, self.answered_at + SILENCE_S))
 
     def wake(self, now: float) -> Actions:
         """A tick, a repeated measurement, a hello, a status: whatever is due."""
-        self._now = now
-        pacing = self._pacing
+        self.now = now
+        pacing = self.pacing
         if self.refused:
             self.code = USAGE
             return NOTHING_TO_DO
@@ -321,13 +330,13 @@ class PlantCore:
             self.plant.safe(why)
             raise PlantError(why)
         if pacing.waiting:
-            self._answered_at = now
+            self.answered_at = now
         publish: list[Outgoing] = []
-        silent = now >= self._answered_at + SILENCE_S  # as in wake_at, to the last bit
+        silent = now >= self.answered_at + SILENCE_S  # as in wake_at, to the last bit
         if silent:
-            self._state = TABLE[self._state, "silence"].next
-        if (silent or not self.accepted) and now >= self._hello_at:
-            self._hello_at = now + HELLO_S
+            self.state = TABLE[self.state, "silence"].next
+        if (silent or not self.accepted) and now >= self.hello_at:
+            self.hello_at = now + HELLO_S
             publish.append(self._hello())
         actions = NOTHING_TO_DO
         over = pacing.tick(now, running=self._running)
@@ -343,8 +352,8 @@ class PlantCore:
             status, health = self._status()
             publish += status
         if self.accepted and not actions.finish_step and pacing.measurement_due(now):
-            if self.record.k != self._measured_k:
-                self._measured_k, self._measured_at = self.record.k, now
+            if self.record.k != self.measured_k:
+                self.measured_k, self.measured_at = self.record.k, now
             publish.append(Outgoing(Measurement, self._measurement().wire()))
         return actions._replace(publish=(*actions.publish, *publish), health=health)
 
@@ -356,11 +365,11 @@ class PlantCore:
             actions = self._count(step, step.measurement)
             return actions if self._back is None else self._came_back(actions)
         self._apply(step)
-        return NOTHING_TO_DO if self._pacing.waiting else self._end()
+        return NOTHING_TO_DO if self.pacing.waiting else self._end()
 
     def key_task_done(self, done: Done, now: float) -> Actions:
         """The key maker has done a task; rows that are not needed any more are erased at once."""
-        self._now = now
+        self.now = now
         if isinstance(done, CoinKeys):
             self.coins.done(done, now)
             return NOTHING_TO_DO
@@ -372,7 +381,7 @@ class PlantCore:
 
     def stop(self, now: float) -> Actions:
         """The last status. The plant goes to its safe state and is closed."""
-        self._now = now
+        self.now = now
         self._tell_stopped()
         self.plant.safe("the process ended")
         failed = self.plant.close()
@@ -395,7 +404,7 @@ class PlantCore:
 
     def _offered(self, offer: Offer, payload: bytes) -> Actions:
         """If the offer is for this step: toss the coin, and begin."""
-        record, now = self.record, self._now
+        record, now = self.record, self.now
         if self._finished:  # all that matters now is that the last step was counted
             if offer.k == record.k and not self._counted:
                 self._counted, self._last_at = True, now
@@ -406,21 +415,21 @@ class PlantCore:
         except ValueError as error:
             return self._malformed(f"{error}; ignored")
         if what != "foreign":
-            self._answered_at = now
+            self.answered_at = now
         if what == "stale" and max(record.applied_k, self._latest_late_k) < offer.k < record.k:
             # Its step was missed. (An answer to a repeated measurement, whose step was made, is
             # not late; nor is it late twice.)
             self._latest_late_k = offer.k
-            self._pacing.answered_late()
+            self.pacing.answered_late()
             if self._telemetry is not None:
                 self._telemetry.late += 1
-        if what != "current" or self._pacing.waiting:
+        if what != "current" or self.pacing.waiting:
             return NOTHING_TO_DO
-        if self._measured_k == record.k and self._telemetry is not None:
-            self._telemetry.answered(now - self._measured_at)
+        if self.measured_k == record.k and self._telemetry is not None:
+            self._telemetry.answered(now - self.measured_at)
         self._payload = payload
         # tossed in any case: whether a key chose is not to show in the time that it takes
-        coin, digit = self._coin.toss(record.transitions), self.coins.digit(offer)
+        coin, digit = self.coin.toss(record.transitions), self.coins.digit(offer)
         self._keyed = digit is not None
         return self._begin(PlantStep(offer, coin if digit is None else digit))
 
@@ -464,10 +473,10 @@ class PlantCore:
 
     def _apply(self, step: PlantStep) -> None:
         self.plant.begin(self.record.k, self.record.x, step.u)
-        if self._telemetry is not None and self._pacing.timed:
-            self._telemetry.punctuality.acted(self._pacing.since_tick_s(self._now))
-        self._pacing.applied()
-        self._watchdog_at = self._now + self._watchdog_s
+        if self._telemetry is not None and self.pacing.timed:
+            self._telemetry.punctuality.acted(self.pacing.since_tick_s(self.now))
+        self.pacing.applied()
+        self._watchdog_at = self.now + self._watchdog_s
 
     # --- end: read, save, report ------------------------------------------------------------------
 
@@ -487,10 +496,10 @@ class PlantCore:
         report = self._report(step.offer, x_next)
         self._step = step._replace(measurement=report)
         wire = report.wire()
-        due = self.accepted and self._pacing.measurement_due(self._now)
+        due = self.accepted and self.pacing.measurement_due(self.now)
         if due:
             self._left = True
-            self._measured_k, self._measured_at = record.k + 1, self._now
+            self.measured_k, self.measured_at = record.k + 1, self.now
         return Actions(
             write=Append(self._payload, wire, step.coin),
             publish=(Outgoing(Measurement, wire),) if due else (),
@@ -619,9 +628,9 @@ class PlantCore:
             true_x=self._state_of(self._truth),
         )
         self._step = None
-        self._state = TABLE[self._state, "offer applied"].next
+        self.state = TABLE[self.state, "offer applied"].next
         judged = self.keying.heard(offer)
-        self._coin.prepare(self.record.transitions)
+        self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
         return self._counted_actions(transition, chunk, frame, contribution, judged)
 
@@ -645,9 +654,9 @@ class PlantCore:
             actions = actions._replace(notices=(*actions.notices, notice))
         if not self.keying.on:
             return actions
-        tasks = (*self.keying.tasks(judged), *self.coins.tasks(self._now))
+        tasks = (*self.keying.tasks(judged), *self.coins.tasks(self.now))
         if any(result.what == "unequal" for result in judged):
-            self._state = TABLE[self._state, "blocks differ"].next
+            self.state = TABLE[self.state, "blocks differ"].next
             self._begin_session()
             text = "a key block differs from the controller's"
             notice = Notice(f"{text}; new session {self.record.session}", "error")
@@ -701,7 +710,7 @@ class PlantCore:
         self._fall_back(sure=True)
         if not self._moved:  # from its first step on the watchdog has its own time
             self._moved = True
-            self._watchdog_at = min(self._watchdog_at, self._now + self._patience_s)
+            self._watchdog_at = min(self._watchdog_at, self.now + self._patience_s)
         missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
         return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
 
@@ -793,14 +802,14 @@ class PlantCore:
             asked=self.controller,
             met=self._met,
         )
-        answer, self._state = TABLE[self._state, what]
+        answer, self.state = TABLE[self.state, what]
         if answer in ("ask", "begin and ask"):
             self.controller = hello.instance
             self.record = self.record._replace(
                 controller=hello.instance, incarnation=hello.incarnation
             )
         if hello.instance == self.controller:
-            self._answered_at = self._now
+            self.answered_at = self.now
         if answer == "ask":
             return Actions(write=Save(self._to_save()), publish=(self._hello(),))
         if answer in ("begin anew", "begin and ask"):
@@ -847,7 +856,7 @@ class PlantCore:
         hello = PlantHello(
             instance=self.instance,
             session=record.session,
-            controller=None if self._state in TO_ANYONE else self.controller,
+            controller=None if self.state in TO_ANYONE else self.controller,
             incarnation=record.incarnation,
             fingerprint=self.rules.fingerprint,
             transitions=record.transitions,
@@ -932,7 +941,7 @@ class PlantCore:
 
     def _last_word(self) -> Actions:
         """Report the last transition until the controller has answered, or a second has passed."""
-        now = self._now
+        now = self.now
         if self._gives_up_at is None:
             self._gives_up_at = now + self._last_word_s
         elif now >= self._gives_up_at and not self._counted:
@@ -945,7 +954,7 @@ class PlantCore:
 
     def _last_keys(self) -> Actions:
         """Wait for blocks that are whole, at both ends, and no longer than :data:`LAST_KEYS_S`."""
-        now, keying = self._now, self.keying
+        now, keying = self.now, self.keying
         waits = max(keying.waiting, self._waiting_there)
         notices: tuple[Notice, ...] = ()
         if self._keys_until is None:
@@ -981,11 +990,11 @@ class PlantCore:
         if telemetry is None:
             return (), None
         whole = telemetry.model_is_due()
-        status = self.status(self._now, whole=whole)
+        status = self.status(self.now, whole=whole)
         publish: tuple[Outgoing, ...] = (Outgoing(PlantStatus, status.wire()),)
         if whole:  # who hears this one lacks nothing
             publish = (Outgoing(PlantModel, telemetry.model), *publish)
-        kept = telemetry.health_is_due(self._now, force=force)
+        kept = telemetry.health_is_due(self.now, force=force)
         return publish, status if kept else None
 
     def _tell_phase(

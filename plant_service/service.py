@@ -31,7 +31,7 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
-from runtime.key_opening import coin_keys, open_key_maker, refusal
+from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
@@ -139,7 +139,8 @@ def _opened(
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
-    return core, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker)
+    end = telemetry.guard = guarded(core, key_maker, scenario, record)
+    return core, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker, end)
 
 
 class PlantService(EndService[PlantCore]):
@@ -232,6 +233,6 @@ def run_plants(
         config = PlantConfig(scenario, folder, loop.id, pace, seed=loop.seed, bounds=bounds)
         phase = number % SLOTS / SLOTS
         core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), core, Offer), files
+        return behind(_channel(config), files.guarded or core, Offer), files
 
     return run_fleet(fleet, open_end, field, ops, stopping, logger("plant"))

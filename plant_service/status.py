@@ -5,7 +5,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from math import inf, isfinite
-from typing import Final, Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
 from protocol.link.keying import Keying
@@ -17,6 +17,9 @@ from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer
 from protocol.text import Shown, readable
 from protocol.vectors import Vector
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 TAIL: Final = 64
 """Most transitions shown in a status; a whole status has as many."""
@@ -39,8 +42,8 @@ Phase = Literal["greeting", "running", "stopped", "refused"]
 class PlantTelemetry:
     """What a status has beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``attack``, ``last_message`` and ``message_k`` are set from
-    outside; ``model`` is what does not change, as it travels.
+    ``phase``, ``detail``, ``late``, ``attack``, ``guard``, ``last_message`` and ``message_k`` are
+    set from outside; ``model`` is what does not change, as it travels.
 
     Parameters
     ----------
@@ -68,6 +71,7 @@ class PlantTelemetry:
         self.watch = ReachWatch(scenario.defender.calibration)
         self.keys_refused = ""
         self.attack = ""
+        self.guard: Guarded | None = None
         self.model = _model(scenario, pace, seeded=seeded).wire()
         self._hidden = 0 if scenario.plant.C is None else scenario.n
         self._old = self._new = 0
@@ -169,6 +173,7 @@ class PlantTelemetry:
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
             **keying.told(self.keys_refused),
+            **({} if self.guard is None else self.guard.told().fields()),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=_before(pictured) if pictured else (),

@@ -21,6 +21,18 @@ CONFIDENCE: Final = 0.95
 FEWEST_RUNS: Final = 5
 """Fewer runs than this have no interval over runs: too little is known of how runs differ."""
 
+NO_RUNS: Final = f"fewer than {FEWEST_RUNS} runs, or all alike: they do not tell how runs differ"
+NOT_COUNTED: Final = "nothing was counted"
+COUNTED: Final = "a count of this run, no estimate"
+POOLED: Final = "both directions together; each has its limits in audited"
+COMPUTED: Final = "computed from the scenario, not measured"
+PROVED: Final = "a proved bound, not measured"
+STATED: Final = "a bound that is stated, with its confidence"
+"""Why a figure has no interval, as ``no_interval`` says it in what is printed for machines.
+
+It stands beside the figures that it is about: a text is about all of an object, a table names them.
+"""
+
 RESAMPLES: Final = 10_000
 SEED: Final = 0
 
@@ -59,9 +71,17 @@ class Interval(NamedTuple):
         value, high, low = (nan if isnan(x) else 1 - x for x in self)
         return Interval(value, low, high)
 
-    def as_json(self) -> dict[str, float | None]:
-        """``value``, ``low`` and ``high``, each None where it is not known."""
-        return {name: x if isfinite(x) else None for name, x in self._asdict().items()}
+    def as_json(self) -> dict[str, float | str | None]:
+        """``value``, ``low`` and ``high``, each None where it is not known.
+
+        Without limits ``no_interval`` says why there are none.
+        """
+        told: dict[str, float | str | None] = {
+            name: x if isfinite(x) else None for name, x in self._asdict().items()
+        }
+        if not self.known:
+            told["no_interval"] = NOT_COUNTED if isnan(self.value) else NO_RUNS
+        return told
 
     def text(self, form: str = ".3g", unit: str = "") -> str:
         """As a table shows it: the estimate with its limits, or without any and a word why."""

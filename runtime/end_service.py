@@ -83,7 +83,8 @@ class EndService(Generic[E]):
         self.endpoint, files = opened
         self.trace = files.trace
         self._host = Host(field, ops, stopping, clock)
-        self._host.add(config.loop, behind(channel, self.endpoint, kind), files, log)
+        end = behind(channel, files.guarded or self.endpoint, kind)
+        self._host.add(config.loop, end, files, log)
         self._beside: AbstractContextManager[object] = nullcontext()
         if files.key_maker is not None:
             store = KeyStore(files.key_maker.path, files.key_maker.side)

@@ -186,12 +186,12 @@ class StatusFile:
 
 def _exchange(one: Path, other: Path) -> bool:
     """Exchange the names of two regular files at once; tells whether that could be done."""
-    return _renameat2 is not None and (
-        _renameat2(_AT_FDCWD, bytes(one), _AT_FDCWD, bytes(other), _RENAME_EXCHANGE) == 0
+    return renameat2 is not None and (
+        renameat2(_AT_FDCWD, bytes(one), _AT_FDCWD, bytes(other), _RENAME_EXCHANGE) == 0
     )
 
 
-_renameat2: Final = getattr(ctypes.CDLL(None), "renameat2", None)
+renameat2: Final = getattr(ctypes.CDLL(None), "renameat2", None)
 """Of Linux's C library; others rename."""
 
 _AT_FDCWD: Final = -100

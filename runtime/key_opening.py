@@ -1,16 +1,22 @@
 """A service's key store as its scenario, its seed and its secret have it."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
+from protocol.link.peer import Actions, Peer
 from protocol.scenario import Scenario
 from protocol.secret.records import Key, Side, StoreError
+from protocol.secret.tasks import GuardTask
 from runtime.errors import UsageError
-from runtime.keys import coins
+from runtime.keys import coins, guards
 from runtime.keys.key_maker import KeyMakerAt
 from runtime.keys.ledger import take_secret
 from runtime.keys.secret_file import SecretError
 from runtime.keys.store import KeyStore
+
+if TYPE_CHECKING:
+    from protocol.link.guarded import Guarded
 
 
 class Counting(Protocol):
@@ -19,6 +25,10 @@ class Counting(Protocol):
     @property
     def session(self) -> str | None:
         """The session."""
+
+    @property
+    def k(self) -> int:
+        """The step that it is in."""
 
     @property
     def transitions(self) -> int:
@@ -96,3 +106,35 @@ def coin_keys(
             return coins.held(store, record.session)
     except StoreError as error:
         raise UsageError(str(error)) from None
+
+
+def guarded(
+    end: Peer,
+    at: KeyMakerAt | None,
+    scenario: Scenario,
+    record: Counting | None,
+    halt: Callable[[], Actions] | None = None,
+) -> "Guarded | None":
+    """The end with its messages guarded, by the keys that its store holds; None where none is.
+
+    Raises
+    ------
+    UsageError
+        When the store cannot be used.
+    """
+    from protocol.link.guarded import MARGIN, Guarded
+
+    defence = scenario.defence.guard(scenario.readings, scenario.secrecy.candidates)
+    if at is None or defence is None:
+        return None
+    session = None if record is None else record.session
+    keys = None
+    if record is not None and session is not None:
+        sends = at.side == "plant" or defence.tags
+        words = (defence.session_words, defence.step_words) if sends else (0, 0)
+        try:
+            with KeyStore(at.path, at.side) as store:
+                keys = guards.serve(store, GuardTask(session, record.k + MARGIN, *words))
+        except StoreError as error:
+            raise UsageError(str(error)) from None
+    return Guarded(end, at.side, defence, session, keys, halt)

@@ -90,6 +90,13 @@ class ZenohPublisher:
             self._declared = session.declare_publisher(key, **settings)
             self._put = self._declared.put
 
+    @property
+    def matched(self) -> bool:
+        """Whether somebody listens to the key at this moment; what is put before is gone."""
+        asked = self._declared or self._session.declare_publisher(self._key)
+        status: Any = asked.matching_status  # the stub says bool, wrongly
+        return bool(status.matching)
+
     def put(self, payload: bytes) -> None:
         """Send ``payload`` to whoever is connected and ready; it never waits.
 

@@ -19,7 +19,10 @@ from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
 SOURCES: Final = ("studies/network.py", "wyner/advice/missed_share.py", *LOOP_SOURCES)
 """Where the numbers of this module come from."""
 
-RUNS, STEPS, SEED = 20, 500, 7
+RUNS, STEPS = 400, 500
+FIRST_SEED: Final = {"loss": 100, "delay": 200}
+"""Of the first value; each has draws of its own, the same for all fallbacks."""
+
 FALLBACKS: Final = ("hold", "zero", "regulator")
 LOSSES: Final = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7)
 """Probability that a message is lost, the same both ways."""
@@ -63,10 +66,10 @@ def network_rows() -> Iterator[tuple[Any, ...]]:
     base = load_scenario(SCENARIOS / "sustained.toml")
     law = make_law(base, cached_design(base))
     for part, values in (("loss", LOSSES), ("delay", ROUND_TRIPS)):
-        for value in values:
+        for seed, value in enumerate(values, start=FIRST_SEED[part]):
             for fallback in FALLBACKS:
                 scenario = networked(base, part, value, fallback)
-                runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
+                runs = simulate_runs(scenario, law, seed=seed, runs=range(RUNS), steps=STEPS)
                 carried = (transfer(runs).message_symbol != NO_SYMBOL).sum(axis=0)
                 bits = float(np.log2(scenario.secrecy.candidates))
                 rate = carried * bits / (STEPS * scenario.plant.period_s)
@@ -76,7 +79,7 @@ def network_rows() -> Iterator[tuple[Any, ...]]:
                     fallback,
                     RUNS,
                     STEPS,
-                    SEED,
+                    seed,
                     expected_missed_share(scenario),
                     *_mean(runs.missed_share),
                     *_mean(runs.mean_cost),

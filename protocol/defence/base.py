@@ -6,6 +6,7 @@ default, so that one that only looks at the transition has one method.
 """
 
 from abc import ABC
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
@@ -56,8 +57,11 @@ class Defence(ABC):
     Attributes
     ----------
     name : str
+    codes, tags : bool
+        Whether it changes measurements (:meth:`encode`), and whether it tags messages, offers too
+        (:meth:`tag`). One of both guards the messages of a live loop (:mod:`protocol.link.guard`).
     session_words, step_words : int
-        Words of key that it takes once, and each step, where it takes whole words.
+        Words of key that it takes once, and for each message, where it takes whole words.
 
     Parameters
     ----------
@@ -66,6 +70,8 @@ class Defence(ABC):
     """
 
     name: ClassVar[str]
+    codes: ClassVar[bool] = False
+    tags: ClassVar[bool] = False
     session_words: int = 0
     step_words: int = 0
 
@@ -74,8 +80,8 @@ class Defence(ABC):
 
     @property
     def key_bits(self) -> float:
-        """Bits of key that a step costs."""
-        return float(WORD_BITS * self.step_words)
+        """Bits of key that a step costs: its measurement's, and its offer's if that is tagged."""
+        return float(WORD_BITS * self.step_words * (1 + self.tags))
 
     def session_key(self, draw: np.random.Generator, runs: tuple[int, ...]) -> Words:
         """Uniform key of a session, shape (..., session_words)."""
@@ -97,6 +103,17 @@ class Defence(ABC):
         """The controller's end: what came in as x(k)."""
         return Opened(wire.values, np.zeros(wire.values.shape[:-1], bool))
 
+    def tag(self, session: Words, step: Integers, words: Words) -> Words | None:  # noqa: ARG002
+        """The tag of a message, shape (...,); None: it makes none.
+
+        Parameters
+        ----------
+        session, step : ndarray
+            Key of the session, and of this message alone.
+        words : ndarray of uint32, shape (..., w)
+        """
+        return None
+
     def alarm(self, session: Words, step: Integers, gauges: Array) -> Any:  # noqa: ARG002
         """The controller's test of a transition, shape (...,).
 
@@ -112,3 +129,8 @@ class Defence(ABC):
         ndarray of bool
         """
         return np.zeros(gauges.shape[:-1], bool)
+
+    def fails(self, gauges: Sequence[float]) -> bool:
+        """:meth:`alarm` of one transition, of a test that takes no key."""
+        none = np.zeros(0, np.uint32)
+        return bool(self.alarm(none, none, np.asarray(gauges)))

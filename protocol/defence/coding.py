@@ -76,6 +76,7 @@ class Coding(Defence):
     """Turns each measurement by a matrix of its own."""
 
     name: ClassVar[str] = "coding"
+    codes: ClassVar[bool] = True
 
     def __init__(self, states: int, candidates: int) -> None:
         super().__init__(states, candidates)

@@ -6,7 +6,7 @@ from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.secret.blocks import BlockResult, Stored
-from protocol.secret.tasks import Broken, CoinKeys, Done
+from protocol.secret.tasks import Broken, CoinKeys, Done, GuardKeys
 
 
 class BlockStored(NamedTuple):
@@ -83,7 +83,7 @@ def key_notices(done: Done, keying: Keying) -> tuple[Notice, ...]:
         if done.what == "unequal":
             return (Notice(f"{name} differs from the partner's: erased", "error"),)
         return ()
-    if isinstance(done, CoinKeys):
+    if isinstance(done, CoinKeys | GuardKeys):
         return ()
     if done.exhausted:
         return (Notice("no pad is left to sign key blocks with: make a new secret", "error"),)

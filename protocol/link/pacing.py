@@ -49,6 +49,8 @@ class Pacing:
 
     Attributes
     ----------
+    deadline, repeat_at : float
+        When the step is over, and when its measurement goes out again.
     late_s : float
         By how much the last tick was noticed late.
     overruns : int
@@ -61,8 +63,8 @@ class Pacing:
         self._step_s = step_s
         self._phase = phase
         self._repeat_s = LOCKSTEP_REPEAT_S if step_s is None else step_s / repeats
-        self._deadline = now_s + (step_s or 0.0)
-        self._repeat_at = now_s
+        self.deadline = now_s + (step_s or 0.0)
+        self.repeat_at = now_s
         self._waiting = False
         self._once = False
         self.late_s = 0.0
@@ -80,7 +82,7 @@ class Pacing:
 
     def since_tick_s(self, now_s: float) -> float:
         """Seconds since the step under way began; 0 in lock-step."""
-        return 0.0 if self._step_s is None else now_s - (self._deadline - self._step_s)
+        return 0.0 if self._step_s is None else now_s - (self.deadline - self._step_s)
 
     @property
     def waiting(self) -> bool:
@@ -97,16 +99,16 @@ class Pacing:
         if self._step_s is None:
             return "nothing"
         if not running:
-            self._deadline = self._next_tick(now_s, self._step_s)
+            self.deadline = self._next_tick(now_s, self._step_s)
             return "nothing"
-        if now_s < self._deadline:
+        if now_s < self.deadline:
             return "nothing"
-        self.late_s = now_s - self._deadline
+        self.late_s = now_s - self.deadline
         self.overruns += int(self.late_s / self._step_s)
-        following = self._deadline + self._step_s
+        following = self.deadline + self._step_s
         swallowed = following <= now_s
-        self._deadline = self._next_tick(now_s, self._step_s) if swallowed else following
-        self._repeat_at = now_s
+        self.deadline = self._next_tick(now_s, self._step_s) if swallowed else following
+        self.repeat_at = now_s
         was_waiting, self._waiting = self._waiting, False
         return "ended" if was_waiting else "missed"
 
@@ -118,11 +120,11 @@ class Pacing:
 
     def measurement_due(self, now_s: float) -> bool:
         """Whether to publish the measurement now; if so, the next time is a repeat interval on."""
-        if self._waiting or now_s < self._repeat_at:
+        if self._waiting or now_s < self.repeat_at:
             return False
-        self._repeat_at = inf if self._once else now_s + self._repeat_s
-        if self._step_s is not None and self._repeat_at > self._deadline - 0.5 * self._repeat_s:
-            self._repeat_at = inf  # as good as the tick, which brings the next one
+        self.repeat_at = inf if self._once else now_s + self._repeat_s
+        if self._step_s is not None and self.repeat_at > self.deadline - 0.5 * self._repeat_s:
+            self.repeat_at = inf  # as good as the tick, which brings the next one
         return True
 
     def answered_late(self) -> None:
@@ -136,11 +138,11 @@ class Pacing:
         """This step's offer was applied: the next measurement is due at once, or at the tick."""
         self._once = False
         if self._step_s is None:
-            self._repeat_at = 0.0
+            self.repeat_at = 0.0
         else:
             self._waiting = True
 
     def due_at(self, *, running: bool, measuring: bool) -> float:
         """When there is something to do next: a tick of a ``running`` plant, or a measurement."""
-        tick = self._deadline if running and self._step_s is not None else inf
-        return min(tick, self._repeat_at) if measuring and not self._waiting else tick
+        tick = self.deadline if running and self._step_s is not None else inf
+        return min(tick, self.repeat_at) if measuring and not self._waiting else tick

@@ -29,7 +29,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any, Final, Literal, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
 
 from protocol.agreement import (
     INSIDE,
@@ -41,6 +41,7 @@ from protocol.agreement import (
 )
 from protocol.box_observer import Box
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
+from protocol.defence.key_digits import fails
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -51,6 +52,9 @@ from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
 from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
+
+if TYPE_CHECKING:
+    from protocol.defence.base import Defence
 
 SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""
@@ -78,6 +82,10 @@ class Rules:
         The plant's coin comes from keys, as long as there are some.
     alarm_rule : AlarmRule
         When failed tests make an alarm.
+    defence : str
+        The test and what guards the messages, in words.
+    test : Defence, optional
+        A test of the user's, beside the residual.
     halts : bool
         An alarm ends the offers.
     outputs : OutputRule, optional
@@ -95,6 +103,8 @@ class Rules:
     keyed: bool = False
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
+    defence: str = "residual"
+    test: "Defence | None" = None
     outputs: OutputRule | None = None
 
     @property
@@ -121,6 +131,19 @@ class Rules:
         if self.predicted:
             return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
+
+    def fails(self, verdict: AgreementResult, expected: int) -> bool:
+        """Whether a transition fails its test.
+
+        Parameters
+        ----------
+        verdict : AgreementResult
+        expected : int
+            The candidate that a key chose; -1: none did.
+        """
+        if verdict.unexplained or (expected != NO_SYMBOL and fails(verdict.gauges, expected)):
+            return True
+        return self.test is not None and self.test.fails(verdict.gauges)
 
     def box(self, record: SenderRecord | ReceiverRecord) -> Box | None:
         """Where the state of a record lies; None where it is read as it is."""
@@ -196,6 +219,8 @@ def rules_of(scenario: Scenario) -> Rules:
         keyed=scenario.defence.keyed,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
+        defence=scenario.defence.words(),
+        test=scenario.defence.test(scenario.readings, scenario.secrecy.candidates),
         outputs=_output_rule(scenario),
     )
 

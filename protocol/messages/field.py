@@ -17,6 +17,10 @@ from protocol.messages.base import (
 )
 from protocol.vectors import FiniteVector
 
+Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,9}/[0-9]{0,9})?$")]
+Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
+Bits = Annotated[int, Field(ge=0, lt=2**64)]
+
 
 class _Step(Message):
     """A message of a step: fields that its scenario has no use for are None, and stay away."""
@@ -57,6 +61,13 @@ class Measurement(_Step):
     applied_key : str, optional
         Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
         Only where the coin is keyed.
+    guard, mac : str, optional
+        Batch and slot of the key that guards the message, as ``3/17``, and its tag, 8 hexadecimal
+        digits; ``3/`` with the farewell of a batch that has served. Only where messages are
+        guarded.
+    after, rest : str, tuple of int, optional
+        Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
+        rounds. Only where measurements are coded.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -71,6 +82,10 @@ class Measurement(_Step):
     block: BlockNumber = -1
     tag: Tag = ""
     applied_key: KeyName | None = None
+    guard: Slot | None = None
+    after: Slot | None = None
+    rest: tuple[Bits, ...] | None = None
+    mac: Mac | None = None
 
 
 class Offer(_Step):
@@ -109,6 +124,8 @@ class Offer(_Step):
     coin_key: KeyName | None = None
     coin_from: Count | None = None
     coin_last: KeyName | None = None
+    guard: Slot | None = None
+    mac: Mac | None = None
 
 
 class Sealed(Message):

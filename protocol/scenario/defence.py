@@ -1,24 +1,48 @@
 """``[defence]``: how the controller tests what it is told, and what it does over an alarm."""
 
 from collections.abc import Iterator
-from typing import Literal
+from typing import TYPE_CHECKING, Final, Literal
 
 from protocol.defence.alarm_rule import AlarmRule, alarm_rule
+from protocol.defence.words import KEY_WORDS
+from protocol.registry import UnknownError
 from protocol.scenario.defender import Calibration
 from protocol.scenario.keys import Keys
 from protocol.scenario.link import Link
 from protocol.scenario.parts import Positive, ScenarioTable
 
+if TYPE_CHECKING:
+    from protocol.defence.base import Defence
+
+CLEAR: Final = "clear"
+"""Messages as they are."""
+
+TESTS: Final = ("residual", "keyed-coin")
+"""The tests that are shipped."""
+
+
+def _class(name: str) -> "type[Defence]":
+    """A defence's class; loaded where there is one, since it takes numerics."""
+    from protocol.defence.registry import DEFENCES
+
+    return DEFENCES[name]
+
 
 class DefenceTable(ScenarioTable):
-    """The controller's test of each transition.
+    """The controller's test of each transition, and what guards the messages.
 
     ``residual`` asks whether some candidate explains x(k+1), in every scenario. ``keyed-coin`` asks
-    besides whether the one does that a key has chosen at both ends, as long as there are keys.
+    besides whether the one does that a key has chosen at both ends, as long as there are keys. A
+    class of the user's asks what it likes, beside the residual.
     """
 
-    kind: Literal["residual", "keyed-coin"] = "residual"
-    """The test: some candidate explains the step, or the one that a distilled key chose."""
+    kind: str = "residual"
+    """The test: ``residual``, some candidate explains the step; ``keyed-coin``, the one that a
+    distilled key chose; or that of a class of the user's, ``path/to/file.py:Name``."""
+    messages: str = CLEAR
+    """What guards the messages on the field bus: ``clear``, nothing; ``mac``, a one-time tag on
+    each; ``coding``, each measurement turned by a fresh orthogonal matrix; or a class of the
+    user's, ``path/to/file.py:Name``. All but clear take distilled keys."""
     on_alarm: Literal["report", "safe"] = "report"
     """What an alarm does beside being told: safe ends the offers for good, and the watchdog sends
     the plant to its safe state."""
@@ -29,6 +53,48 @@ class DefenceTable(ScenarioTable):
     def keyed(self) -> bool:
         """Whether the plant's coin comes from keys."""
         return self.kind == "keyed-coin"
+
+    def test(self, states: int, candidates: int) -> "Defence | None":
+        """The test of the user's; None where it is a shipped one.
+
+        Raises
+        ------
+        UnknownError
+            In one line, when there is no such class.
+        """
+        return None if self.kind in TESTS else _class(self.kind)(states, candidates)
+
+    def guard(self, states: int, candidates: int) -> "Defence | None":
+        """What guards the messages; None: nothing does.
+
+        Raises
+        ------
+        UnknownError
+            In one line, when there is no such class.
+        """
+        return None if self.messages == CLEAR else _class(self.messages)(states, candidates)
+
+    @property
+    def takes_keys(self) -> bool:
+        """Whether distilled keys are spent on it."""
+        return self.keyed or self.messages != CLEAR
+
+    def words(self) -> str:
+        """The test and what guards the messages."""
+        return self.kind if self.messages == CLEAR else f"{self.kind} + {self.messages}"
+
+    def shared(self) -> dict[str, object]:
+        """What both ends must agree on, for their fingerprint."""
+        coin = {"coin": "keyed"} if self.keyed else {}
+        guard = {} if self.messages == CLEAR else {"messages": self._name(self.messages)}
+        return {**coin, **guard}
+
+    @staticmethod
+    def _name(name: str) -> tuple[str, ...]:
+        from protocol.defence.registry import DEFENCES
+
+        source = DEFENCES.source(name)
+        return (DEFENCES[name].name, source) if source else (name,)
 
     def rule(self, calibration: Calibration | None, period_s: float, candidates: int) -> AlarmRule:
         """When failed tests make an alarm: the first one does, unless D_c is a fitted one.
@@ -48,17 +114,48 @@ class DefenceTable(ScenarioTable):
             candidates,
         )
 
-    def problems(self, keys: Keys | None, link: Link) -> Iterator[str]:
+    def problems(
+        self, keys: Keys | None, link: Link, states: int, candidates: int
+    ) -> Iterator[str]:
         """What the scenario lacks for this, a line each."""
-        if self.keyed and keys is None:
-            yield "defence.kind: keyed-coin takes distilled keys, and there is no table keys"
-        elif self.keyed and keys is not None and keys.schedule() is None:
-            yield (
-                "defence.kind: keyed-coin takes distilled keys, and under keys.eps_E = "
-                f"{keys.eps_E:g} none is made"
-            )
+        for field, name in (("kind", self.kind), ("messages", self.messages)):
+            shipped = TESTS if field == "kind" else (CLEAR,)
+            taken = name not in ("residual", CLEAR) and (field == "messages" or self.keyed)
+            if taken and keys is None:
+                yield f"defence.{field}: {name} takes distilled keys, and there is no table keys"
+            elif taken and keys is not None and keys.schedule() is None:
+                yield (
+                    f"defence.{field}: {name} takes distilled keys, and under keys.eps_E = "
+                    f"{keys.eps_E:g} none is made"
+                )
+            if name not in shipped:
+                yield from self._unfit(field, name, states, candidates)
         if self.on_alarm == "safe" and link.watchdog_s is None:
             yield (
                 "defence.on_alarm: safe ends the offers, so that the watchdog bites: expected "
                 "link.watchdog_s beside it"
+            )
+
+    @staticmethod
+    def _unfit(field: str, name: str, states: int, candidates: int) -> Iterator[str]:
+        """Why a defence cannot do what ``field`` asks of it."""
+        from protocol.defence.registry import DEFENCES
+
+        try:
+            made = DEFENCES[name](states, candidates)
+        except UnknownError as error:
+            yield f"defence.{field}: {error}"
+            return
+        words = made.session_words + made.step_words
+        if field == "kind" and (words or name in DEFENCES.shipped):
+            one = "a test without a key of its own, as path/to/file.py:Name"
+            yield f"defence.kind: got {name!r}, expected {', '.join(TESTS)} or {one}"
+        elif field == "messages" and not (made.codes or made.tags):
+            yield f"defence.messages: got {name!r}, expected clear, mac, coding or one that codes"
+        elif field == "messages" and not made.step_words:
+            yield f"defence.messages: {name}: expected one with a fresh key for each message"
+        elif field == "messages" and words > KEY_WORDS:
+            yield (
+                f"defence.messages: {name} takes {words} words of key for a message of {states} "
+                f"states, expected {KEY_WORDS} at most, a key"
             )

@@ -244,7 +244,9 @@ class Scenario(Brief, ScenarioTable):
                 f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
-        problems += self.defence.problems(self.keys, self.link)
+        problems += self.defence.problems(
+            self.keys, self.link, self.readings, self.secrecy.candidates
+        )
         try:
             _ = self.alarm_rule
         except ValueError as error:
@@ -354,10 +356,9 @@ class Scenario(Brief, ScenarioTable):
                 "fallback": self.link.fallback,
                 "K": self.control.gain if self.link.fallback == "regulator" else None,
             }
-        coin = {"coin": "keyed"} if self.defence.keyed else {}
         return _digest(
             {
-                **coin,
+                **self.defence.shared(),
                 **keys,
                 **f_c,
                 **shape,

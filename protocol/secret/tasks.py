@@ -37,5 +37,64 @@ class CoinKeys(NamedTuple):
     pending: bool = False
 
 
-Task = ClosedBlock | BlockResult | CoinTask
-Done = Stored | BlockResult | Broken | CoinKeys
+class Batch(NamedTuple):
+    """Keys that guard messages, set aside at once.
+
+    Parameters
+    ----------
+    number : int
+        Of the session's batches of that direction, from 0.
+    key : bytes
+        All of them in order.
+    first : int
+        The step that it begins with, at the end that sends; -1 at the other one.
+    """
+
+    number: int
+    key: bytes
+    first: int = -1
+
+    def __repr__(self) -> str:
+        return f"Batch({self.number}, from step {self.first})"
+
+
+class GuardTask(NamedTuple):
+    """Keys that guard a session's messages are wanted, and others have served.
+
+    An end guards what it sends with keys of its own half, and opens what it hears with the
+    partner's. Keys of other sessions are erased, and those of batches below ``sent_from`` and
+    ``heard_from``.
+    """
+
+    session: str
+    begins: int
+    """The first step that a new batch may begin with."""
+    session_words: int = 0
+    step_words: int = 0
+    """Words of key that a batch takes once, and for each message; none: it sends none guarded."""
+    sent_after: int = -1
+    heard_after: int = -1
+    """The newest batches that are held already."""
+    sent_from: int = 0
+    heard_from: int = 0
+    wants: bool = False
+    """Whether another batch is to be set aside."""
+    promise: tuple[int, int] = (-1, -1)
+    """What the partner's tags have shown (:class:`protocol.link.guard.Promise`); written down."""
+
+
+class GuardKeys(NamedTuple):
+    """Batches that this end sends under, and those that it hears under, newer than asked after.
+
+    ``pending``: others are set aside, and the partner has not marked them yet.
+    """
+
+    session: str
+    sent: tuple[Batch, ...] = ()
+    heard: tuple[Batch, ...] = ()
+    promise: tuple[int, int] = (-1, -1)
+    pending: bool = False
+
+
+Task = ClosedBlock | BlockResult | CoinTask | GuardTask
+Done = Stored | BlockResult | Broken | CoinKeys | GuardKeys

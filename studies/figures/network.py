@@ -47,6 +47,6 @@ def draw_network(figure: Figure, data: Path) -> str:
     figure.suptitle("What a network costs the loop `sustained`")
     first = rows[0]
     return (
-        f"{first['runs']} runs of {first['steps']} steps a point, seed {first['seed']}; bars: 95 % "
-        "Student intervals over runs"
+        f"{first['runs']} runs of {first['steps']} steps a point, each point with draws of its own"
+        "; bars: 95 % Student intervals over runs"
     )

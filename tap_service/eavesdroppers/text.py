@@ -20,6 +20,7 @@ from tap_service.inference.english import AnyBytes, English, english
 from tap_service.inference.front import Inference, Inferred
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.message_reader import SURE, Message, MessageReader, verdicts_of
+from tap_service.inference.message_search import BEAM
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go."""
@@ -47,6 +48,8 @@ class Text(Eavesdropper):
         What she expects of a message; English by default.
     live : bool
         Whether she reads as she listens, or when she is asked alone.
+    beam : int
+        Beginnings of a message that are followed at once.
     """
 
     name: ClassVar[str] = "text"
@@ -59,12 +62,15 @@ class Text(Eavesdropper):
         language: English | AnyBytes | None = None,
         *,
         live: bool = True,
+        beam: int = BEAM,
     ) -> None:
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
         self._inference = Inference(knowledge)
-        self._reader = MessageReader(self.scheme, language or english(), certain=self.certain)
+        self._reader = MessageReader(
+            self.scheme, language or english(), certain=self.certain, beam=beam
+        )
         self._live = live
         self._kept: list[Transition] = []
         self._inferred = Inferred([], (0.0, 1.0))

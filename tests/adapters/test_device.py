@@ -31,10 +31,11 @@ from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
+from protocol.topics import key_of
 from runtime.bus import TransportError
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
-from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.memory_bus import MemoryBus, MemoryChannel, MemoryHub
 from runtime.memory_journal import MemoryPlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
@@ -452,7 +453,7 @@ def test_the_watchdog_bites_once_and_for_good() -> None:
         bench.endpoint.wake(2.71)
     assert bench.device.calls[-1] == "safe"
     with pytest.raises(PlantError, match="is in its safe state: the watchdog"):
-        bench.endpoint._miss()
+        bench.do(bench.offer(3.0))
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["read", "begun"])
@@ -516,10 +517,11 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
 def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path) -> None:
     scenario = vary(line(), {"plant.object": "tests.adapters.plants:Failing"})
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
-    buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
+    ops = MemoryHub()
+    buses = MemoryBus(MemoryHub()), MemoryBus(ops)
     service = PlantService(config, *buses, threading.Event())
     assert service.endpoint.plant.acts
-    service.endpoint._moved = True
+    taken_up(service, ops)
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
     assert "the belt is torn" in (tmp_path / PLANT_SAFE).read_text()
@@ -527,14 +529,33 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
         PlantService(config, *buses, threading.Event())
 
 
+def taken_up(service: PlantService, ops: MemoryHub) -> None:
+    """A controller takes the session up, as soon as the service runs; it offers nothing."""
+    core = service.endpoint
+    hello = ControllerHello(
+        instance="2" * 16,
+        incarnation=1,
+        fingerprint=core.rules.fingerprint,
+        verdict="greeting",
+    )
+    put = MemoryBus(ops).publisher(key_of(ControllerHello, "loop")).put
+    put(hello.wire())
+    answer = {"verdict": "accepted", "session": core.record.session, "answers": core.instance}
+    put(hello.model_copy(update=answer).wire())
+
+
 def device_service(
-    device: Any, run_dir: Path, monkeypatch: pytest.MonkeyPatch, stopping: threading.Event
+    device: Any,
+    run_dir: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    stopping: threading.Event,
+    ops: MemoryHub | None = None,
 ) -> PlantService:
     """The service of a plant that is a device in this process."""
     opened = partial(open_plant, own=device)
     monkeypatch.setattr(opening, "open_plant", lambda scenario, *_: opened(scenario))
     config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
-    buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
+    buses = MemoryBus(MemoryHub()), MemoryBus(ops or MemoryHub())
     return PlantService(config, *buses, stopping)
 
 
@@ -546,9 +567,9 @@ def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
             super().close()
             raise OSError("the port is gone")
 
-    device = Stuck()
-    service = device_service(device, tmp_path, monkeypatch, threading.Event())
-    service.endpoint._moved = True
+    device, ops = Stuck(), MemoryHub()
+    service = device_service(device, tmp_path, monkeypatch, threading.Event(), ops)
+    taken_up(service, ops)
     device.reading = lambda y: (float("nan"), 0.0)
     with log_of("plant") as lines, pytest.raises(PlantError, match="expected finite numbers"):
         service.run()
@@ -585,8 +606,7 @@ def test_a_service_that_ends_lets_go_of_its_device_whatever_else_fails(
 
     device, stopping = Device(), threading.Event()
     service = device_service(device, tmp_path, monkeypatch, stopping)
-    for channel in service._host.channels.values():
-        monkeypatch.setattr(type(channel), "close", fails)
+    monkeypatch.setattr(MemoryChannel, "close", fails)
     stopping.set()
     with pytest.raises(TransportError, match="the channel is gone"):
         service.run()

@@ -31,16 +31,19 @@ def shipped(name: str, **control: object) -> Scenario:
 @pytest.mark.parametrize("name", ["paper", "sustained", "double-integrator", "batch-reactor"])
 def test_the_shares_add_up(name: str) -> None:
     found = reasons(shipped(name))
-    assert found.agreed + found.several + found.none + found.beyond == pytest.approx(1.0)
+    assert (
+        found.agreed.value + found.several.value + found.none.value + found.beyond.value
+        == pytest.approx(1.0)
+    )
     assert found.as_json()["remedies"] == found.remedies
 
 
 def test_the_paper_law_is_quiet_because_its_candidates_are_one() -> None:
     found = reasons(shipped("paper"))
-    assert found.equal > 0.99
-    assert found.agreed == 0
+    assert found.equal.value > 0.99
+    assert found.agreed.value == 0
     assert found.remedies[0].startswith('control.law = "sustained"')
-    assert reasons(shipped("paper", law="sustained")).agreed > 0.2
+    assert reasons(shipped("paper", law="sustained")).agreed.value > 0.2
 
 
 def test_a_softer_regulator_raises_the_rate_where_it_is_advised() -> None:
@@ -49,7 +52,7 @@ def test_a_softer_regulator_raises_the_rate_where_it_is_advised() -> None:
     soft = reasons(
         shipped("double-integrator", regulator={"next_state": [1.0, 1.0], "input": [10.0]})
     )
-    assert soft.agreed > stiff.agreed + 0.05
+    assert soft.agreed.value > stiff.agreed.value + 0.05
 
 
 MOTORS = {
@@ -95,8 +98,8 @@ def test_each_line_of_advice_raises_the_rate_when_it_is_followed(name: str, tmp_
     before = reasons(scenario)
     assert before.remedies
     for remedy in before.remedies:
-        after = reasons(followed(scenario, remedy)).agreed
-        assert after > before.agreed + 0.02, (remedy, before.agreed, after)
+        after = reasons(followed(scenario, remedy)).agreed.value
+        assert after > before.agreed.value + 0.02, (remedy, before.agreed.value, after)
         if "of 100 steps could agree" in remedy:
             promised = float(remedy.split(", ")[-1].split()[0]) / 100
             assert after == pytest.approx(promised, abs=0.02)
@@ -114,7 +117,7 @@ def test_what_does_not_help_is_not_advised() -> None:
 
 def test_a_full_rate_needs_no_advice() -> None:
     found = reasons(load_scenario(scenario_file_of("packed")))
-    assert found.agreed > FULL
+    assert found.agreed.value > FULL
     assert found.remedies == ()
     assert len(found.lines()) == 2
     assert "to raise the rate: x" in replace(found, remedies=("x",)).lines()
@@ -126,7 +129,7 @@ def test_a_small_alpha_is_named() -> None:
         update={"secrecy": scenario.secrecy.model_copy(update={"alpha": 1.05})}
     )
     found = reasons(tight)
-    assert found.beyond > found.agreed
+    assert found.beyond.value > found.agreed.value
     assert any("secrecy.alpha" in remedy for remedy in found.remedies)
 
 
@@ -171,6 +174,6 @@ def test_the_corners_of_the_test_set_are_inside_as_the_ends_have_it() -> None:
     rate = expected_rate(scenario, law, Path())
     assert rate is not None
     found = why(scenario, law)
-    assert found.none == 0
-    assert found.agreed == pytest.approx(rate["agreement_probability"], abs=0.02)
+    assert found.none.value == 0
+    assert found.agreed.value == pytest.approx(rate["agreement_probability"], abs=0.02)
     assert found.remedies == ()

@@ -1,8 +1,10 @@
 """An attack in its own process: what it is told, and what comes of one that fails."""
 
 import logging
+import queue
+import threading
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import pytest
 
@@ -14,7 +16,7 @@ from plant_service.plant import Disturbances, LinearModel
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Attack, Scenario, attack_of
 from protocol.streams import noise
-from protocol.topics import DEFAULT_LOOP
+from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.errors import UsageError
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.scenario_file import attack_option, scenario_of
@@ -22,6 +24,7 @@ from runtime.scenario_file import attack_option, scenario_of
 pytestmark = pytest.mark.slow
 
 OWN = Path(__file__).with_name("spoilt.py")
+M = TypeVar("M", Measurement, Offer)
 
 
 @pytest.fixture(scope="module")
@@ -149,20 +152,46 @@ def test_an_option_stands_over_the_scenarios_own_table() -> None:
     assert attack_option(None, stated, None) is stated
 
 
+class Passed:
+    """What a relay makes of each message, in a thread of its own for as long as one needs."""
+
+    def __init__(self, relay: Relay, plants: MemoryBus, controllers: MemoryBus) -> None:
+        self.relay = relay
+        self.put = {
+            Measurement: MemoryBus(plants.hub).publisher(key_of(Measurement, DEFAULT_LOOP)).put,
+            Offer: MemoryBus(controllers.hub).publisher(key_of(Offer, DEFAULT_LOOP)).put,
+        }
+        self.heard: queue.Queue[bytes] = queue.Queue()
+        for hub, kind in ((controllers.hub, Measurement), (plants.hub, Offer)):
+            key = key_of(kind, DEFAULT_LOOP)
+            MemoryBus(hub).subscribe(key, lambda _key, payload, _t_ns: self.heard.put(payload))
+
+    def on(self, message: M) -> M:
+        """The message as it comes out at the other end."""
+        stopping = threading.Event()
+        thread = threading.Thread(target=self.relay.run, args=(stopping,))
+        thread.start()
+        self.put[type(message)](message.wire())
+        payload = self.heard.get(timeout=30)
+        stopping.set()
+        thread.join(30)
+        return type(message).model_validate_json(payload)
+
+
 def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scenario) -> None:
     plants, controllers = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
     attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
     attacker = Attacker(scenario, attack, 1)
-    relay = Relay(attacker, plants, controllers, DEFAULT_LOOP)
+    passed = Passed(Relay(attacker, plants, controllers, DEFAULT_LOOP), plants, controllers)
     offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
-    got = relay._offer(offer)
+    got = passed.on(offer)
     assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
-    assert relay._offer(offer) == got
+    assert passed.on(offer) == got
     x = (1.0, 1.0)
     m = Measurement(session="0" * 16, k=3, x=x, applied_k=2, x_after=x)
-    said = relay._measurement(m)
+    said = passed.on(m)
     assert said.x == said.x_after == pytest.approx((1 - 0.3 * 0.0246, 1 - 0.3 * 0.4877))
-    assert relay._measurement(m) == said
+    assert passed.on(m) == said
     later = m.model_copy(update={"k": 4, "x": (0.0, 0.0)})
-    assert relay._measurement(later).x_after == said.x, "the same state is said alike"
+    assert passed.on(later).x_after == said.x, "the same state is said alike"
     attacker.close()

@@ -2,7 +2,6 @@
 
 import random
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -18,7 +17,8 @@ from benchmarks.timing import (
     response_times,
 )
 from benchmarks.work import work
-from controller_service.core import ControllerCore
+from controller_service import core
+from tests.support.broken import broken
 
 
 def times(seed: int, count: int, longer: float = 0.0) -> Answers:
@@ -98,14 +98,8 @@ def test_with_keys_too(side: str, tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    decide = ControllerCore._decide
-
-    def longer(self: ControllerCore, state: tuple[int, ...], *of: Any) -> Any:
-        if state[0] == 2:
-            self.carries  # noqa: B018
-        return decide(self, state, *of)
-
-    monkeypatch.setattr(ControllerCore, "_decide", longer)
+    right = "if pad == NO_SYMBOL:"
+    broken(monkeypatch, core, right, "if pad == NO_SYMBOL or (self.carries and False):")
     found = work("controller", "sustained", recorded(200, "sustained", tmp_path)["controller"])
     assert found[False].most_common(1)[0][1] < 0.9 * found[False].total()
 

@@ -1,23 +1,33 @@
 """Live attacked runs in lock-step: ``python -m tests.campaigns.attacked``, and ``--table`` of them.
 
 A run is both services with their journals, traces and key stores on disk, on a bus in memory, and
-the ghost with her eavesdropper in a process of her own. M is 2, 3 and 4 in turn. Of each run is
-kept how many steps the ghost passed after her onset: the steps before the first in which no
-disturbance in D_c leads from the plant's own coin to what was reported. Where the coin is keyed the
-controller must alarm in just those steps. It can be stopped, and goes on where it was.
+the ghost with her eavesdropper in a process of her own. M is 2, 3 and 4 in turn, or ``--sizes``. Of
+each run is kept how many steps the ghost passed after her onset: the steps before the first in
+which no disturbance in D_c leads from the plant's own coin to what was reported.
+
+With ``--keyed`` the coin comes from distilled keys, and the controller must alarm in just those
+steps. An honest run makes the keys first; each attacked one goes on from a copy of its folder, with
+other keys' digits than most, since its onset is drawn. She has heard nothing of that first run: so
+she holds no key, as where the claim is true. It can be stopped, and goes on where it was.
 """
 
 import argparse
 import csv
 import json
+import random
+import shutil
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
+from attacker_service.asking import Attacker
+from attacker_service.attacks import named
+from attacker_service.relay import Relay
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
@@ -36,36 +46,73 @@ SIZES = (2, 3, 4)
 AFTER = 12
 """Steps of a run from the onset on."""
 
+ONSET = 20
+"""Honest steps before an attack: the loop has settled."""
+
+KEYED = {"keys": {"eps_E": 0.3}, "defence": {"kind": "keyed-coin"}}
+"""The tables of a scenario whose coin is keyed."""
+
+FILLS = 1600
+"""Honest steps after which both stores hold keys for the coin."""
+
+SPREAD = 200
+"""Steps over which onsets are drawn: some keys' digits."""
+
 RESULTS = Path("build/attacked.jsonl")
 DATA = Path(__file__).resolve().parents[2] / "docs" / "data" / "attacked-live.csv"
 SHOWN = 6
 """Steps of the table."""
 
 
-def sized(scenario: Scenario, size: int) -> Scenario:
-    """The scenario with so many candidates."""
-    secrecy = scenario.secrecy.model_copy(update={"candidates": size})
-    return Scenario.model_validate(
-        scenario.model_copy(update={"secrecy": secrecy}).model_dump(exclude_unset=True)
-    )
+def sized(name: str, size: int, *, keyed: bool) -> Scenario:
+    """The scenario with so many candidates, and with a keyed coin if asked."""
+    tables = scenario_of(name).model_dump(exclude_unset=True)
+    tables["secrecy"]["candidates"] = size
+    return Scenario.model_validate(tables | KEYED if keyed else tables)
 
 
-def run(scenario: Scenario, law: CandidateLaw, onset: int, folder: Path) -> None:
-    """One run of both services, to its end."""
-    field, ops, stopping = MemoryHub(), MemoryHub(), threading.Event()
-    attack = Attack(kind="ghost", onset=onset)
-    controller = ControllerService(
-        ControllerConfig(scenario, folder, "loop", law), MemoryBus(field), MemoryBus(ops), stopping
-    )
-    thread = threading.Thread(target=controller.run)
+def run(
+    scenario: Scenario,
+    law: CandidateLaw,
+    steps: int,
+    folder: Path,
+    attack: Attack | None = None,
+    pace: str = "fast",
+    seconds: float = float("inf"),
+) -> None:
+    """Both services up to step ``steps``, or for so long; they go on from what is in the folder.
+
+    An attack on the bus stands between the two field buses, on a thread.
+    """
+    hubs, ops, over = [MemoryHub()], MemoryHub(), threading.Event()
+    with ExitStack() as stack:
+        if attack is not None and named(attack.kind).at == "bus":
+            hubs.append(MemoryHub())
+            attacker = Attacker(scenario, attack, None)
+            stack.callback(attacker.close)
+            relay = Relay(attacker, MemoryBus(hubs[0]), MemoryBus(hubs[1]), "loop")
+            stack.enter_context(_beside(lambda: relay.run(over), over))
+        config = ControllerConfig(scenario, folder, "loop", law)
+        controller = ControllerService(config, MemoryBus(hubs[-1]), MemoryBus(ops), over)
+        stack.enter_context(_beside(controller.run, over))
+        stopping = threading.Event()
+        if seconds < float("inf"):
+            timer = threading.Timer(seconds, stopping.set)
+            stack.callback(timer.cancel)
+            timer.start()
+        plant = PlantConfig(scenario, folder, "loop", Pace(pace), steps=steps, attack=attack)
+        PlantService(plant, MemoryBus(hubs[0]), MemoryBus(ops), stopping).run()
+
+
+@contextmanager
+def _beside(work: Callable[[], object], over: threading.Event) -> Iterator[None]:
+    """Have something done on a thread, which ends with this."""
+    thread = threading.Thread(target=work)
     thread.start()
     try:
-        config = PlantConfig(
-            scenario, folder, "loop", Pace("fast"), steps=onset + AFTER, attack=attack
-        )
-        PlantService(config, MemoryBus(field), MemoryBus(ops), threading.Event()).run()
+        yield
     finally:
-        stopping.set()
+        over.set()
         thread.join(20)
 
 
@@ -96,22 +143,56 @@ def came_to(folder: Path, onset: int, *, keyed: bool) -> dict[str, Any]:
     }
 
 
-def table(results: Sequence[dict[str, Any]], scenario: str) -> list[dict[str, Any]]:
+class Filled:
+    """Folders of honest runs whose stores hold keys, made once each."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._made: dict[int, Path] = {}
+
+    def copied(self, size: int, scenario: Scenario, law: CandidateLaw, to: Path) -> None:
+        """Copy the folder of this size."""
+        if size not in self._made:
+            made = self._made[size] = self._folder / str(size)
+            made.mkdir()
+            run(scenario, law, FILLS, made)
+        shutil.copytree(self._made[size], to, dirs_exist_ok=True)
+
+
+def attacked(
+    scenario: Scenario, law: CandidateLaw, size: int, filled: Filled, draw: random.Random
+) -> dict[str, Any]:
+    """One attacked run, and what it came to."""
+    keyed = scenario.defence.keyed
+    onset = ONSET if not keyed else FILLS + ONSET + draw.randrange(SPREAD)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        if keyed:
+            filled.copied(size, scenario, law, folder)
+        run(scenario, law, onset + AFTER, folder, Attack(kind="ghost", onset=onset))
+        return {"onset": onset, **came_to(folder, onset, keyed=keyed)}
+
+
+def table(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     """Undetected shares after n steps, with intervals of 95 % and M^-n.
 
     Where the coin is keyed only runs count in which every attacked step was watched.
     """
-    rows, keyed = [], scenario_of(scenario).defence.keyed
-    for size in SIZES:
-        ours = [r for r in results if r["size"] == size and r["scenario"] == scenario]
-        if keyed:
-            ours = [r for r in ours if r["watched"]]
+    rows = []
+    for scenario, keyed, size in sorted({(r["scenario"], r["keyed"], r["size"]) for r in results}):
+        ours = [
+            r
+            for r in results
+            if (r["scenario"], r["keyed"], r["size"]) == (scenario, keyed, size)
+            and (r["watched"] or not keyed)
+        ]
         for n in range(1, SHOWN + 1):
             left = sum(r["passed"] >= n for r in ours)
             low, high = clopper_pearson(left, len(ours), 0.025)
             rows.append(
                 {
                     "scenario": scenario,
+                    "coin": "keyed" if keyed else "private",
                     "candidates": size,
                     "steps": n,
                     "runs": len(ours),
@@ -129,7 +210,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run what is left, or write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--scenario", default="packed")
-    parser.add_argument("--onset", type=int, default=20, help="late enough for keys, if any")
+    parser.add_argument("--sizes", type=int, nargs="+", default=SIZES, metavar="M")
+    parser.add_argument("--keyed", action="store_true", help="the coin comes from keys")
     parser.add_argument("--runs", type=int, default=420)
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--results", type=Path, default=RESULTS)
@@ -139,32 +221,32 @@ def main(argv: Sequence[str] | None = None) -> int:
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
     if args.table:
-        rows = [
-            row for name in sorted({r["scenario"] for r in results}) for row in table(results, name)
-        ]
+        rows = table(results)
         with DATA.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
             writer.writeheader()
             writer.writerows(rows)
         return 0
-    base = scenario_of(args.scenario)
-    scenarios = {size: sized(base, size) for size in SIZES}
+    scenarios = {size: sized(args.scenario, size, keyed=args.keyed) for size in args.sizes}
     laws = {size: designed(scenario) for size, scenario in scenarios.items()}
-    keyed = base.defence.keyed
     until = time.monotonic() + args.seconds
-    done = sum(r["scenario"] == args.scenario for r in results)
-    wrong = sum(bool(r["wrong"]) for r in results)
-    with args.results.open("a", encoding="utf-8") as file:
+    ours = [
+        r
+        for r in results
+        if (r["scenario"], r["keyed"]) == (args.scenario, args.keyed) and r["size"] in args.sizes
+    ]
+    done, wrong = len(ours), sum(bool(r["wrong"]) for r in ours)
+    draw = random.Random()  # of the operating system, as her own
+    with args.results.open("a", encoding="utf-8") as file, tempfile.TemporaryDirectory() as name:
+        filled = Filled(Path(name))
         while done < args.runs and time.monotonic() < until:
-            size = SIZES[done % len(SIZES)]
-            with tempfile.TemporaryDirectory() as folder:
-                run(scenarios[size], laws[size], args.onset, Path(folder))
-                found = came_to(Path(folder), args.onset, keyed=keyed)
-            line = {"scenario": args.scenario, "size": size, "onset": args.onset, **found}
+            size = args.sizes[done % len(args.sizes)]
+            found = attacked(scenarios[size], laws[size], size, filled, draw)
             if found["over"]:  # a busy machine: she had no time, and the truth passed
                 print(f"\nagain: {found['over']}", file=sys.stderr)
                 continue
             wrong += bool(found["wrong"])
+            line = {"scenario": args.scenario, "keyed": args.keyed, "size": size, **found}
             print(json.dumps(line), file=file, flush=True)
             done += 1
             print(f"\r{done} of {args.runs}, {wrong} wrong", end="", file=sys.stderr, flush=True)

@@ -119,7 +119,7 @@ class End:
         else:
             self.journal = MemoryPlantJournal()
         self.endpoint: ControllerCore | PlantCore
-        self._line: LinePlant | ActingLine | None = None
+        self.line: LinePlant | ActingLine | None = None
         self.mortal()
         self._begin_event()
         self._start()
@@ -150,7 +150,7 @@ class End:
         self.lives += 1
         self.tasks.clear()
         self._drawn = (-1, 0)
-        self._line = None
+        self.line = None
         self._starting = True
         instance = f"{self.lives:08x}{'c' if self.side == 'controller' else 'f'}{0:07x}"
         if isinstance(self.journal, MemoryControllerJournal):
@@ -161,9 +161,9 @@ class End:
             step_s = STEP_S if self.timed else None
             common = self.new_session, instance, self.now, step_s, self.nonce, REPEATS
             if self.device is None:
-                self.endpoint, self._line = line_plant(self.rules, self.journal, *common)
+                self.endpoint, self.line = line_plant(self.rules, self.journal, *common)
             else:
-                self.endpoint, self._line = acting_plant(
+                self.endpoint, self.line = acting_plant(
                     self.rules, self.journal, self.device, *common
                 )
         self._perform(self.endpoint.start(self.now))
@@ -175,7 +175,7 @@ class End:
     def new_session(self) -> str:
         """An id that no other session has."""
         sessions = 0
-        if self._line is not None:
+        if self.line is not None:
             assert isinstance(self.endpoint, PlantCore)
             sessions = self.endpoint.record.sessions
         return f"{self.lives:08x}{sessions:08x}"
@@ -332,13 +332,13 @@ class End:
             if isinstance(endpoint, ControllerCore):
                 self._heard_k = _k_of(payload) if kind is Measurement else -1
                 self.now += LONG_S if doing.pace == "late" else 0.0
-                endpoint._greeting_at = inf if doing.pace == "soon" else -inf
-            elif self._line is not None:
-                self._line.coin, self._line.d = doing.coin, 0.3
+                endpoint.greeting_at = inf if doing.pace == "soon" else -inf
+            elif self.line is not None:
+                self.line.coin, self.line.d = doing.coin, 0.3
             self._perform(endpoint.receive(kind, payload, self.now))
         elif doing.what == "wakes":
             if doing.pace == "late" and isinstance(endpoint, PlantCore):
-                endpoint._answered_at = -SILENCE_S
+                endpoint.answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))
         elif doing.what == "keeps":
@@ -346,7 +346,7 @@ class End:
             self.view = self.view._replace(store=store)
             self._perform(endpoint.key_task_done(done, self.now))
         elif doing.what == "freezes":
-            self.now += LONG_S if self._line is None else SILENCE_S + 5 * STEP_S
+            self.now += LONG_S if self.line is None else SILENCE_S + 5 * STEP_S
         else:
             if doing.what == "forgets":
                 self.journal.forget()
@@ -358,22 +358,22 @@ class End:
     def _set_clock(self) -> None:
         """The clock stands at 0 again; what is long past is past, and no more than that."""
         now, self.now, endpoint = self.now, 0.0, self.endpoint
-        endpoint._now = 0.0
+        endpoint.now = 0.0
         if isinstance(endpoint, ControllerCore):
-            away = now - endpoint._plant_at >= endpoint._running_s
-            endpoint._plant_at = -inf if away else 0.0
+            away = now - endpoint.plant_at >= endpoint.running_s
+            endpoint.plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all
-            endpoint._greeting_at = -inf
+            endpoint.greeting_at = -inf
             return
-        pacing = endpoint._pacing
-        endpoint._hello_at = max(0.0, round(endpoint._hello_at - now, 6))
-        silent = now - endpoint._answered_at >= SILENCE_S
-        self.answered = endpoint._answered_at == now
-        endpoint._answered_at = -SILENCE_S if silent else -JUST_NOW_S
-        endpoint._measured_at, endpoint._measured_k = 0.0, -1  # told, and not looked at
+        pacing = endpoint.pacing
+        endpoint.hello_at = max(0.0, round(endpoint.hello_at - now, 6))
+        silent = now - endpoint.answered_at >= SILENCE_S
+        self.answered = endpoint.answered_at == now
+        endpoint.answered_at = -SILENCE_S if silent else -JUST_NOW_S
+        endpoint.measured_at, endpoint.measured_k = 0.0, -1  # told, and not looked at
         pacing.late_s, pacing.overruns = 0.0, 0
-        pacing._deadline = round(pacing._deadline - now, 6)
-        pacing._repeat_at = max(0.0, round(pacing._repeat_at - now, 6))
+        pacing.deadline = round(pacing.deadline - now, 6)
+        pacing.repeat_at = max(0.0, round(pacing.repeat_at - now, 6))
 
 
 def _nonce(name: str) -> str:

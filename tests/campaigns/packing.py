@@ -18,7 +18,7 @@ from tests.support.line_ends import LinePlant
 
 PASSING: Final = frozenset(
     (
-        *("stores", "journal", "device", "_ports", "_line"),  # shared, kept apart, or a second name
+        *("stores", "journal", "device", "_ports", "line"),  # shared, kept apart, or a second name
         *(
             "out",
             "news",
@@ -109,9 +109,8 @@ def unpack(packed: bytes, stores: Stores) -> End:
     vars(end).update(pickle.load(file))
     end.stores = stores
     end.mortal()
-    end._line = None
+    end.line = None
     if isinstance(end.endpoint, PlantCore):
         assert isinstance(end.endpoint.plant, LinePlant | ActingLine)
-        end._line = end.endpoint.plant
-        end.endpoint._coin = end._line  # one thing, written twice
+        end.line = end.endpoint.coin = end.endpoint.plant  # one thing, written twice
     return end

@@ -186,23 +186,23 @@ class Watched(Simulation):
 
     def _new_plant(self, lives: int) -> PlantCore:
         if self._device is not None:
-            self._device.passes = self._ends["plant"].ports.passes
+            self._device.passes = self.ends["plant"].ports.passes
         return super()._new_plant(lives)
 
     def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
         """Look at a message of the loop, and send it."""
-        if kind in (Measurement, Offer) and self._scenario.keys is not None:
+        if kind in (Measurement, Offer) and self.scenario.keys is not None:
             self._copies.left(kind.model_validate_json(payload))
         super().send(to, kind, payload)
-        if kind is Offer and self._device is not None and self._chance(MISLED):
-            self._at(self._random.random() * 0.2, self._end_the_session)
+        if kind is Offer and self._device is not None and self.chance(MISLED):
+            self.after(self.random.random() * 0.2, self._end_the_session)
 
     def _end_the_session(self) -> None:
         """The controller was misled, or holds other keys: it does not know the session any more."""
-        end = self._ends["plant"]
-        if end.endpoint is None or self._plant.controller is None:
+        end = self.ends["plant"]
+        if end.endpoint is None or self.plant.controller is None:
             return
-        receiver = self._plant
+        receiver = self.plant
         word = ControllerHello(
             instance=receiver.controller or "",
             incarnation=receiver.record.incarnation,
@@ -212,7 +212,7 @@ class Watched(Simulation):
             answers=receiver.instance,
         )
         self.history.amnesias += 1
-        self._deliver("plant", ControllerHello, word.wire())
+        self.deliver("plant", ControllerHello, word.wire())
 
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""
@@ -222,7 +222,7 @@ class Watched(Simulation):
             return
         if isinstance(event, CountedTransition) and event.coin == NO_SYMBOL:
             return  # the controller's
-        assert event.session == self._plant.record.session, "counted in another session"
+        assert event.session == self.plant.record.session, "counted in another session"
         if device.u is None:  # of a life before, or before an input was known
             return
         assert event.x_next == device.x, "a step led elsewhere than its trace says"

@@ -6,9 +6,8 @@ from typing import Any
 
 import pytest
 
-from controller_service import core
-from controller_service.core import ControllerCore
-from plant_service.core import PlantCore
+from controller_service import core as controller_core
+from plant_service import core as plant_core
 from protocol.link import keying
 from protocol.link.controller_session import TABLE, Row
 from protocol.link.keying import Keying
@@ -21,6 +20,7 @@ from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
 from tests.campaigns.loop import SCHEMES, rules_of
 from tests.campaigns.space import SIDES, Space
+from tests.support.broken import FIRST_COPY, broken
 
 Patch = pytest.MonkeyPatch
 
@@ -66,22 +66,14 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    decide = ControllerCore._decide
-
-    def anew(self: ControllerCore, *args: Any, **kwargs: Any) -> Any:
-        return decide(self, *args[:4])
-
-    patch.setattr(ControllerCore, "_decide", anew)
+    right = "self._fresh.symbol(transitions, size) if decided is None else decided"
+    broken(patch, controller_core, right, "self._fresh.symbol(transitions, size)")
 
 
 def apply_stale(patch: Patch) -> None:
     """Rule 5: an offer for a step gone by is applied."""
-    check = PlantCore._check
-
-    def anything(self: PlantCore, offer: Any) -> Any:
-        return "current" if check(self, offer) != "foreign" else "foreign"
-
-    patch.setattr(PlantCore, "_check", anything)
+    right = 'return "current" if offer.k == self.record.k else "stale"'
+    broken(patch, plant_core, right, 'return "current"')
 
 
 def publish_first(patch: Patch) -> None:
@@ -112,7 +104,8 @@ def end_on_a_late_hello(patch: Patch) -> None:
 
 def count_no_lives(patch: Patch) -> None:
     """Rule 6: a controller that was started again takes itself for the one before."""
-    patch.setattr(core, "_after", lambda incarnation: incarnation)
+    right = "return min(incarnation + 1, LARGEST_COUNT)"
+    broken(patch, controller_core, right, "return incarnation")
 
 
 def as_it_is(_: Patch) -> None:
@@ -137,13 +130,7 @@ def same_nonce_in_repeats(patch: Patch) -> None:
 
 def copy_0_after_a_death(patch: Patch) -> None:
     """Rule 8: a plant that was started again takes its next copy for the first."""
-    init = PlantCore.__init__
-
-    def wrong(self: PlantCore, *args: Any, **more: Any) -> None:
-        init(self, *args, **more)
-        self._left = False
-
-    patch.setattr(PlantCore, "__init__", wrong)
+    broken(patch, plant_core, *FIRST_COPY)
 
 
 def count_any_copy(patch: Patch) -> None:

@@ -11,7 +11,6 @@ from runtime.addresses import free_endpoints
 from runtime.zenoh_bus import ZenohBus
 from tests.campaigns.endurance import judged
 from tests.campaigns.relay import Relay
-from tests.support.matched import matched
 
 
 @pytest.mark.integration
@@ -28,7 +27,7 @@ def test_the_relay_passes_on_what_it_does_not_lose(loss: float, repeat: float, c
         relay = Relay(plant_end, controller_end, loss, repeat, 0.002, seed=1)
         publisher = plant.publisher(key_of(Measurement, DEFAULT_LOOP))
         until = time.monotonic() + 10
-        while not matched(publisher):
+        while not publisher.matched:
             assert time.monotonic() < until
             time.sleep(0.02)
         while relay.counts["passed"] + relay.counts["lost"] < 20:

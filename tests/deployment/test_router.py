@@ -29,7 +29,6 @@ from runtime.bus import Deliver
 from runtime.run_folder import PLANT_TRACE
 from runtime.services import BUSES, SERVICES, on_bus
 from runtime.zenoh_bus import ZenohBus, open_router
-from tests.support.matched import matched
 from tests.support.traces import read_trace
 from wyner.cli.main import main
 from wyner.deployment.access import access_control
@@ -133,7 +132,7 @@ def test_a_guarded_router_passes_on_what_the_names_allow_and_nothing_else(certs:
                 bus.subscribe(key, listener(name))
         publishers = {(name, key): buses[name].publisher(key) for name in names for key in keys}
         until = time.monotonic() + 10
-        while not matched(publishers["plant", keys[0]]) and time.monotonic() < until:
+        while not publishers["plant", keys[0]].matched and time.monotonic() < until:
             time.sleep(0.02)
         for _ in range(5):
             for (name, _key), publisher in publishers.items():
@@ -167,7 +166,7 @@ def test_a_guarded_router_tells_what_it_denied_and_nothing_else(certs: Path) -> 
                 buses[name].subscribe(key, lambda *_: None)
             honest, forged = buses["controller"].publisher(key), buses["tap"].publisher(key)
             until = time.monotonic() + 10
-            while not matched(honest, forged) and time.monotonic() < until:
+            while not (honest.matched and forged.matched) and time.monotonic() < until:
                 time.sleep(0.02)
             for _ in range(3):
                 honest.put(b"offer")
@@ -204,7 +203,7 @@ def test_buses_of_one_router_process_do_not_mix() -> None:
             on_ops.subscribe("a/key", lambda *_: heard.put("ops"))
             publisher = on_field.publisher("a/key")
             until = time.monotonic() + 10
-            while not matched(publisher) and time.monotonic() < until:
+            while not publisher.matched and time.monotonic() < until:
                 time.sleep(0.02)
             for _ in range(5):
                 publisher.put(b"x")

@@ -26,10 +26,7 @@ class Ending(World):
 
     deaf = False
 
-    def plant(self) -> PlantCore:
-        endpoint = super().plant()
-        endpoint._steps = STEPS
-        return endpoint
+    steps = STEPS
 
     @property
     def end(self) -> PlantCore:

@@ -42,7 +42,7 @@ class Outbox:
         return PAYLOADS[number] if number < len(PAYLOADS) else None
 
     def queued_as(self, identifier: str) -> bytes | None:
-        return self.payload(int(identifier))
+        return self.payload(int(identifier)) if identifier.isdigit() else None
 
     def identifier(self, number: int) -> str:
         return str(number)

@@ -80,7 +80,7 @@ def test_a_status_for_which_there_is_no_room_leaves_the_one_before(
 def test_a_status_is_replaced_where_names_cannot_be_exchanged(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(files, "_renameat2", None)
+    monkeypatch.setattr(files, "renameat2", None)
     write = as_status(tmp_path / "f")
     for data in (b"old", b"new"):
         write(data)

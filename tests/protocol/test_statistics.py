@@ -89,7 +89,9 @@ def test_runs_that_are_all_equal_or_few_have_no_interval_and_say_so() -> None:
             assert not interval.known
             assert interval.relative_width == float("inf")
             assert interval.text() == "4 (no interval)"
-            assert interval.as_json() == {"value": 4.0, "low": None, "high": None}
+            told = interval.as_json()
+            assert (told["value"], told["low"], told["high"]) == (4.0, None, None)
+            assert told["no_interval"]
     assert not normal_mean(10.0, 30.0, FEWEST_RUNS - 1).known
     assert not share_over_runs([(3, 10)] * (FEWEST_RUNS - 1)).known
     assert share_over_runs([(0, 0)] * 9).text() == "-"

@@ -1,10 +1,13 @@
 """Journals: what was saved survives kill -9, one process at a time, and only its own scenario."""
 
 import os
+import resource
 import signal
 import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -250,6 +253,8 @@ def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> 
 
 WRITER = """
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from protocol.link.peer import Append, Save
 from runtime.journal import PlantJournal
@@ -323,6 +328,17 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             assert len(journal.chunks()) == chunks
 
 
+@contextmanager
+def no_file_grows() -> Iterator[None]:
+    """As on a disk that is full."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
 def test_a_journal_that_cannot_be_written_any_more_names_its_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -337,8 +353,7 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
         one_line(error, tmp_path / "j-steps")
         assert journal.step() is None
         journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))  # over what was torn
-        journal._db.execute("PRAGMA query_only = 1")
-        with pytest.raises(JournalError) as error:
+        with no_file_grows(), pytest.raises(JournalError) as error:
             journal.write(Save(RECEIVER, chunk="01"))
         one_line(error, path)
     with PlantJournal(path, SCENARIO) as journal:

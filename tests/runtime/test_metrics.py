@@ -111,7 +111,8 @@ def test_nothing_is_told_of_a_loop_that_has_left(
         config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
         host.add(loop, *open_plant(config, 0.0), logging.getLogger("metrics"))
     host.remove("a")
-    host._loops["b"].ports.publish(PlantStatus, host._loops["b"].endpoint.status(0.0).wire())  # type: ignore[attr-defined]
+    core, _ = open_plant(PlantConfig(sustained, tmp_path / "c", "c", Pace("realtime")), 0.0)
+    ops.publisher(key_of(PlantStatus, "b")).put(core.status(0.0).wire())
     assert {loop for _, loop, _ in board} == {"b"}
     host.close()
     assert board == {}

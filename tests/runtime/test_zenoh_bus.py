@@ -11,7 +11,6 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -27,7 +26,6 @@ from runtime.zenoh_bus import (
     open_router,
 )
 from runtime.zenoh_settings import OPEN_MS
-from tests.support.matched import matched
 
 PATIENCE_S = 20.0
 KEY = "wyner/v1/loop/offer"
@@ -180,7 +178,7 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
         channel = sink.channel("wyner/v1/*/offer", 4)
         publisher = source.publisher("wyner/v1/b/offer", many=True)
         until = time.monotonic() + 10
-        while isinstance(publisher, ZenohPublisher) and not matched(publisher):
+        while isinstance(publisher, ZenohPublisher) and not publisher.matched:
             assert time.monotonic() < until
             time.sleep(0.01)
         taken: list[tuple[str, bytes]] = []
@@ -278,12 +276,12 @@ def test_services_may_start_in_any_order() -> None:
     endpoints = free_endpoints(1)
     with ZenohBus(connect=endpoints) as first:
         publisher = first.publisher(KEY)
-        assert not matched(publisher)
+        assert not publisher.matched
         publisher.put(b"nobody hears this, and nothing is said")
         time.sleep(0.3)
         with ZenohBus(listen=endpoints) as second:
             inbox = Inbox(second)
-            until(partial(matched, publisher), "the connection")
+            until(lambda: publisher.matched, "the connection")
             publisher.put(b"now")
             assert inbox.take()[1] == b"now"
 
@@ -326,10 +324,10 @@ def test_a_side_that_comes_back_is_found_again(restarted: str) -> None:
             with ZenohBus(**sides[restarted]) as comes_back:  # type: ignore[arg-type]
                 at_other = Inbox(comes_back)
                 send_until_heard(comes_back, inbox)
-                until(partial(matched, publisher), "the subscription of the other side")
+                until(lambda: publisher.matched, "the subscription of the other side")
                 publisher.put(b"welcome")
                 assert at_other.take()[1] == b"welcome"
-            until(lambda: not matched(publisher), "notice of the other side's end")
+            until(lambda: not publisher.matched, "notice of the other side's end")
 
 
 @pytest.mark.integration
@@ -360,7 +358,7 @@ def test_of_a_message_too_large_the_size_and_the_beginning_arrive() -> None:
     with ZenohBus(listen=endpoints) as plant, ZenohBus(connect=endpoints) as stranger:
         at_plant = Inbox(plant)
         publisher = stranger.publisher(KEY)
-        until(partial(matched, publisher), "the subscription")
+        until(lambda: publisher.matched, "the subscription")
         largest = b"x" * LARGEST_MESSAGE
         publisher.put(largest)
         publisher.put(b"{}" + b" " * 10**6)
@@ -521,7 +519,7 @@ def listener(endpoint: str) -> Iterator["subprocess.Popen[bytes]"]:
 def test_a_process_with_a_subscription_ends_when_its_bus_is_closed() -> None:
     endpoints = free_endpoints(1)
     with ZenohBus(listen=endpoints) as bus, listener(endpoints[0]) as child:
-        until(partial(matched, bus.publisher(KEY)), "the listener")
+        until(lambda: bus.publisher(KEY).matched, "the listener")
         assert child.stdin is not None
         child.stdin.write(b"\n")
         child.stdin.flush()
@@ -542,7 +540,7 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
         inbox = Inbox(awake)
         send_until_heard(bus, inbox)
         marker = bus.publisher("wyner/v1/only/the/listener")
-        until(partial(matched, marker), "the listener")
+        until(lambda: marker.matched, "the listener")
         os.kill(child.pid, signal.SIGSTOP)
         payload = bytes(4096)
         slowest = 0.0

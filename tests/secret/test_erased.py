@@ -26,7 +26,7 @@ from tests.support.recorded_loop import SIDES, RecordedLoop
 
 def confirmed(loop: RecordedLoop, block: int) -> bool:
     """Whether both ends have it on disk that a block is confirmed."""
-    key_makers = [end.key_maker for end in loop._ends.values()]
+    key_makers = [end.key_maker for end in loop.ends.values()]
     rows = [k.store.blocks(last=1) for k in key_makers if k is not None]
     return all(row and (row[0].number, row[0].state) == (block, "confirmed") for row in rows)
 

@@ -13,18 +13,18 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from controller_service.core import ControllerCore
-from plant_service.core import PlantCore
+from controller_service import core as controller_core
+from plant_service import core as plant_core
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Append, Peer
-from protocol.messages import Offer
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, contribution_of
 from protocol.secret.records import WHOLE, Share, StoreError, TooFewKeys
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
+from tests.support.broken import FIRST_COPY, broken
 from tests.support.keyed_link import SIDES, Side, World
 from tests.support.line_plant import line_rules
 
@@ -136,24 +136,11 @@ def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
 
 
 def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
-    init = PlantCore.__init__
-
-    def wrong(self: PlantCore, *args: object, **more: object) -> None:
-        init(self, *args, **more)  # type: ignore[arg-type]
-        self._left = False
-
-    patch.setattr(PlantCore, "__init__", wrong)
+    broken(patch, plant_core, *FIRST_COPY)
 
 
 def wrong_heard(patch: pytest.MonkeyPatch) -> None:
-    offers = ControllerCore._offers
-
-    def wrong(self: ControllerCore, offer: Offer, answers: bytes = b"") -> Actions:
-        if answers and self._step is not None:
-            offer = self._step.offer = offer.model_copy(update={"heard": 0})
-        return offers(self, offer, answers)
-
-    patch.setattr(ControllerCore, "_offers", wrong)
+    broken(patch, controller_core, "heard=measurement.copy_number,", "heard=0,")
 
 
 def nonces_swapped(patch: pytest.MonkeyPatch) -> None:

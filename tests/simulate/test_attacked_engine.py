@@ -213,10 +213,10 @@ def test_one_matrix_is_learnt_from_two_steps(packed: tuple[Scenario, CandidateLa
 def test_the_gauges_are_those_of_the_agreement_test(
     packed: tuple[Scenario, CandidateLaw],
 ) -> None:
-    from wyner.simulate.engine.attacks import _Loop
+    from wyner.simulate.engine.attacks import AttackedLoop
 
     scenario, law = packed
-    loop, draw = _Loop(scenario, law, 300, None), np.random.default_rng(7)
+    loop, draw = AttackedLoop(scenario, law, 300, None), np.random.default_rng(7)
     x, reported = draw.normal(size=(300, 2)), draw.normal(size=(300, 2))
     candidates = loop.offer(x, 0)
     gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())

@@ -4,6 +4,7 @@ Time moves on by a second with each thing that is heard, so that no greeting com
 """
 
 from collections.abc import Callable, Iterable
+from copy import copy
 from typing import Any, NamedTuple
 
 from controller_service.core import ControllerCore, Predict
@@ -161,7 +162,9 @@ class ControllerInHand:
 
     def greeting(self) -> ControllerHello:
         """Its greeting, as it was when it started."""
-        return ControllerHello.model_validate_json(self.core._greeting().payload)
+        said = done(copy(self.core).start(self._now)).reply  # which leaves nothing behind
+        assert said is not None
+        return said
 
     def heard_plant(self, hello: PlantHello, *, running: bool = False) -> Done:
         """The plant speaks; ``running`` says that the one served was heard just now."""

@@ -10,15 +10,19 @@ from typing import Literal
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
-from protocol.link.events import Alarm, Event
+from protocol.defence.base import Defence
+from protocol.link import guarded
+from protocol.link.events import Alarm, Event, Forged
+from protocol.link.guard import ANEW
+from protocol.link.guarded import Guarded
 from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Key, TooFewKeys, UnknownKeys
-from protocol.secret.tasks import Done, Task
-from runtime.keys import coins
+from protocol.secret.tasks import Done, GuardTask, Task
+from runtime.keys import coins, guards
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -81,7 +85,12 @@ class World:
         Between two steps.
     on_disk : bool
         Journals have twins on disk.
+    guard : Defence, optional
+        What guards the messages.
     """
+
+    steps: int | None = None
+    """The plant's last step, if any."""
 
     def __init__(
         self,
@@ -90,8 +99,10 @@ class World:
         period_s: float = 0.5,
         *,
         on_disk: bool = False,
+        guard: Defence | None = None,
     ) -> None:
         self.rules = rules
+        self.guard = guard
         self.period_s = period_s
         self.performer = performer
         self.now = 0.0
@@ -114,6 +125,10 @@ class World:
         self.coins: dict[tuple[str, int], tuple[str, int]] = {}
         """Digits that coins came from, by key and number, with session and step."""
         self.watched: set[tuple[str, int]] = set()
+        self.slots: dict[tuple[Side, str, str], bytes] = {}
+        """What was sent under each slot of a key, without what a copy has anew."""
+        self.tampers = False
+        self.forged = 0
         for side in SIDES:
             self.start(side)
 
@@ -131,7 +146,8 @@ class World:
         self.tasks[side].clear()
         self.done[side].clear()
         self.key_makers[side] = KeyMaker(self.stores[side])
-        self.ends[side] = self.controller() if side == "controller" else self.plant()
+        end = self.controller() if side == "controller" else self.plant()
+        self.ends[side] = end if self.guard is None else self.guarded(side, end, self.guard)
         self.carry_out(side, self.ends[side].start(self.now))
 
     def controller(self) -> ControllerCore:
@@ -157,6 +173,7 @@ class World:
             self.now,
             self.period_s,
             coin_keys=self.coin_keys("plant", journal.load()),
+            steps=self.steps,
         )
         return endpoint
 
@@ -167,6 +184,17 @@ class World:
         if record is None or not self.rules.keyed:
             return ()
         return coins.held(self.stores[side], record.session)
+
+    def guarded(self, side: Side, end: Peer, guard: Defence) -> Guarded:
+        """The end with its messages guarded by the keys that its store holds."""
+        record = self.journals[side].load()
+        keys = None
+        if record is not None and record.session is not None:
+            sends = side == "plant" or guard.tags
+            words = (guard.session_words, guard.step_words) if sends else (0, 0)
+            task = GuardTask(record.session, record.k + guarded.MARGIN, *words)
+            keys = guards.serve(self.stores[side], task)
+        return Guarded(end, side, guard, None if keys is None else keys.session, keys)
 
     def carry_out(self, side: Side, actions: Actions) -> None:
         try:
@@ -239,7 +267,7 @@ class World:
             self.bag[side].clear()
         deaths = self.deaths
         for n in range(rounds):
-            if self.rules.keyed and n % 8 == 7:
+            if (self.rules.keyed or self.guard) and n % 8 == 7:
                 self.asks()
             if deaths != self.deaths:
                 deaths = self.deaths
@@ -264,11 +292,17 @@ class World:
             message = kind.model_validate_json(payload)
             assert isinstance(message, Measurement | Offer)
             self.copies.left(message)
+            if message.guard and not message.guard.endswith("/"):  # a farewell is the same in all
+                at = side, message.session, message.guard
+                said = ANEW.sub(b"", payload, 1)
+                assert self.slots.setdefault(at, said) == said, "a slot served two messages"
 
     def traced(self, side: Side, event: Event) -> None:
         if isinstance(event, BlockResult):
             assert event.what == "confirmed", "the ends hold different blocks"
         assert not isinstance(event, Alarm), "an honest step made an alarm"
+        self.forged += isinstance(event, Forged)
+        assert self.tampers or not self.forged, "an honest message was refused"
         if isinstance(event, CountedTransition):
             self.coin_was(side, event)
             transition = event.shared

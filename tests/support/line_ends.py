@@ -156,6 +156,7 @@ def line_plant(
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
     coin_keys: Iterable[Key] = (),
+    steps: int | None = None,
 ) -> tuple[PlantCore, LinePlant]:
     """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
     plant = LinePlant()
@@ -170,6 +171,7 @@ def line_plant(
         nonces,
         repeats,
         coin_keys=coin_keys,
+        steps=steps,
     )
     return core, plant
 
@@ -186,6 +188,7 @@ def line_core(
     repeats: int,
     x: Vector | None = None,
     coin_keys: Iterable[Key] = (),
+    steps: int | None = None,
 ) -> PlantCore:
     """The core of what tosses its own coin; ``x`` is what it reads first, if it acts."""
     assert isinstance(plant, Coin)
@@ -207,5 +210,6 @@ def line_core(
         step=journal.step(),
         back=None if record is None else x,
         fresh=record is None,
+        steps=steps,
         nonces=nonces,
     )

@@ -201,12 +201,12 @@ class PlantInHand:
 
     def look_around(self) -> None:
         """The controller is silent for long."""
-        self.core._answered_at = self._now - SILENCE_S - 1
+        self.core.answered_at = self._now - SILENCE_S - 1
         self._wake()
 
     def hello(self) -> PlantHello:
         """Its hello: at its time while it looks for somebody, or told to who is not asked."""
-        if self.accepted and self.core._state != "silent":
+        if self.accepted and self.core.state != "silent":
             stranger = ControllerHello(
                 instance="0123456789abcdef",
                 incarnation=0,
@@ -216,8 +216,8 @@ class PlantInHand:
             core = copy(self.core)  # a stranger's greeting leaves nothing behind
             said = list(core.receive(ControllerHello, stranger.wire(), self._now).publish)
         else:
-            silent = self.core._state in ("silent", "unanswered")
-            self.core._answered_at = self._now - SILENCE_S - 1 if silent else self._now
+            silent = self.core.state in ("silent", "unanswered")
+            self.core.answered_at = self._now - SILENCE_S - 1 if silent else self._now
             self._now += HELLO_S
             self._forget()
             self.carry_out(self.core.wake(self._now))
@@ -236,8 +236,8 @@ class PlantInHand:
 
     def _tick(self) -> None:
         """The step is over."""
-        self._now = max(self._now, self.core._pacing._deadline)
-        self.core._answered_at = self._now
+        self._now = max(self._now, self.core.pacing.deadline)
+        self.core.answered_at = self._now
         self._wake()
 
     def measurement(self) -> Measurement:
@@ -254,7 +254,7 @@ class PlantInHand:
         first = self._first
         if first is None or (first.session, first.k) != (record.session, record.k):
             self._now += 2 * STEP_S / REPEATS
-            self.core._answered_at = self._now
+            self.core.answered_at = self._now
             self._wake()
         assert self._first is not None
         assert self._first.k == self.record.k
@@ -270,15 +270,15 @@ class PlantInHand:
             When it says that the offer is malformed.
         """
         core = copy(self.core)
-        core._pacing, core.keying = copy(core._pacing), deepcopy(core.keying)
-        core._answered_at = -1.0
+        core.pacing, core.keying = copy(core.pacing), deepcopy(core.keying)
+        core.answered_at = -1.0
         actions = core.receive(Offer, offer.wire(), self._now)
         for notice in actions.notices:
             if notice.subject == "malformed":
                 raise ValueError(notice.text.removesuffix("; ignored"))
         if isinstance(actions.write, Append):
             return "current"
-        return "foreign" if core._answered_at == -1.0 else "stale"
+        return "foreign" if core.answered_at == -1.0 else "stale"
 
     def applied(self, offer: Offer, coin: int, x_next: Vector) -> CountedTransition:
         """The offer is applied, and its step is over."""
@@ -323,7 +323,6 @@ class PlantInHand:
 
     def miss(self) -> Missed:
         """No offer comes in time."""
-        self.core._moved = True  # a plant that was never accepted misses no step
         self._first = None
         self._tick()
         (missed,) = [event for event in self.events if isinstance(event, Missed)]

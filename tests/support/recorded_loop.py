@@ -115,7 +115,7 @@ class RecordedLoop:
         header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
         self._mail: dict[Side, deque[Outgoing]] = {side: deque() for side in SIDES}
-        self._ends: dict[Side, _End] = {}
+        self.ends: dict[Side, _End] = {}
         for side in SIDES:
             self.start(side)
 
@@ -149,12 +149,12 @@ class RecordedLoop:
             tasks.append,
         )
         asker = None if key_maker is None else Asker(SealedBook(key_maker.store))
-        self._ends[side] = _End(endpoint, files, _Ports(ports), key_maker, tasks, asker)
+        self.ends[side] = _End(endpoint, files, _Ports(ports), key_maker, tasks, asker)
         self._do(side, endpoint.start)
 
     def kill(self, side: Side) -> None:
         """As SIGKILL: what was written stays, what was on its way to it is lost."""
-        end = self._ends.pop(side)
+        end = self.ends.pop(side)
         kill(end.files.trace)
         end.files.journal.close()
         if end.key_maker is not None:
@@ -163,7 +163,7 @@ class RecordedLoop:
 
     def stop(self) -> None:
         """Let both ends say their last word."""
-        for side, end in tuple(self._ends.items()):
+        for side, end in tuple(self.ends.items()):
             self._do(side, end.endpoint.stop)
             end.files.close()
             if end.key_maker is not None:
@@ -180,7 +180,7 @@ class RecordedLoop:
 
         The event itself is the first of them: 0 is before it is traced, 1 before it is saved.
         """
-        ports = self._ends[side].ports
+        ports = self.ends[side].ports
         if since is None:
             ports.crash_at(after=after)
         else:
@@ -196,21 +196,21 @@ class RecordedLoop:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
             self._capture.lines.append(line)
         partner: Side = "controller" if side == "plant" else "plant"
-        end = self._ends.get(partner)
+        end = self.ends.get(partner)
         if end is not None and message.kind in end.endpoint.hears:
             self._mail[partner].append(message)
 
     @property
     def controller(self) -> ControllerCore:
         """The controller's end of the link."""
-        found = self._ends["controller"].endpoint
+        found = self.ends["controller"].endpoint
         assert isinstance(found, ControllerCore)
         return found
 
     @property
     def plant(self) -> PlantCore:
         """The plant's end of the link."""
-        found = self._ends["plant"].endpoint
+        found = self.ends["plant"].endpoint
         assert isinstance(found, PlantCore)
         return found
 
@@ -225,7 +225,7 @@ class RecordedLoop:
 
     def _do(self, side: Side, act: Callable[[float], Actions]) -> None:
         """Let an end act; one that dies over it is started again at once."""
-        end = self._ends[side]
+        end = self.ends[side]
         try:
             perform(act(self.now), end.endpoint, end.ports)
         except Crashed:
@@ -239,7 +239,7 @@ class RecordedLoop:
         if self._scenario.defence.keyed and self._steps % ASK_EVERY == 0:
             self._ask()
         for side in SIDES:
-            end = self._ends[side]
+            end = self.ends[side]
             if end.tasks and end.key_maker is not None:
                 done = work(end.key_maker, end.tasks.popleft())
                 self._do(side, lambda now, e=end, d=done: e.endpoint.key_task_done(d, now))  # type: ignore[misc]
@@ -249,16 +249,16 @@ class RecordedLoop:
                 self._do(side, lambda now, e=end, m=(kind, payload): e.endpoint.receive(*m, now))  # type: ignore[misc]
                 quiet = False
         if quiet:
-            due = {side: end.endpoint.wake_at() for side, end in self._ends.items()}
+            due = {side: end.endpoint.wake_at() for side, end in self.ends.items()}
             side = min(due, key=lambda s: due[s])
             self.now = max(self.now, due[side])
-            self._do(side, self._ends[side].endpoint.wake)
+            self._do(side, self.ends[side].endpoint.wake)
 
     def _ask(self) -> None:
         """Each end asks the other what may be given, as it does beside the loop; time passes."""
         self.now += ASK_S
         for mine, theirs in (SIDES, SIDES[::-1]):
-            asker, partner = self._ends[mine].asker, self._ends[theirs].asker
+            asker, partner = self.ends[mine].asker, self.ends[theirs].asker
             if asker is not None and partner is not None:
                 ask(asker, partner, float(self._steps))
 
@@ -274,12 +274,12 @@ class RecordedLoop:
     @property
     def transitions(self) -> int:
         """Transitions that the plant has made in its session."""
-        return self._ends["plant"].endpoint.record.transitions  # type: ignore[attr-defined,no-any-return]
+        return self.ends["plant"].endpoint.record.transitions  # type: ignore[attr-defined,no-any-return]
 
     @property
     def received(self) -> list[bytes]:
         """What the plant's journal has received."""
-        return self._ends["plant"].files.journal.inbox()  # type: ignore[attr-defined,no-any-return]
+        return self.ends["plant"].files.journal.inbox()  # type: ignore[attr-defined,no-any-return]
 
     @property
     def recovered(self) -> list[bytes]:

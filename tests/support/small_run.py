@@ -62,7 +62,7 @@ class Queue:
         return self.payloads[number] if number < len(self.payloads) else None
 
     def queued_as(self, identifier: str) -> bytes | None:
-        return self.payload(int(identifier))
+        return self.payload(int(identifier)) if identifier.isdigit() else None
 
     def identifier(self, number: int) -> str:
         return str(number)

@@ -27,6 +27,16 @@ def copied(journal: Path, folder: Path) -> Path:
     return folder / journal.name
 
 
+def queue_of(journal: ControllerJournal | MemoryControllerJournal) -> list[tuple[str, bytes]]:
+    """The controller's messages, each after its identifier."""
+    queue = []
+    for number in range(journal.queued):
+        payload = journal.payload(number)
+        assert payload is not None
+        queue.append((journal.identifier(number), payload))
+    return queue
+
+
 class _Twin(Generic[T]):
     """What both kinds share; comes before the journal in memory among the bases."""
 
@@ -46,7 +56,8 @@ class _Twin(Generic[T]):
         self.lives += 1
         twin = self.kind(self.folder / f"{self.lives}" / "journal", SCENARIO)
         if isinstance(twin, ControllerJournal):
-            for identifier, payload in getattr(self, "_queue", ()):
+            assert isinstance(self, MemoryControllerJournal)
+            for identifier, payload in queue_of(self):
                 twin.enqueue(identifier, payload)
         return twin
 
@@ -92,8 +103,7 @@ class TwinControllerJournal(_Twin[ControllerJournal], MemoryControllerJournal):
     def load(self) -> Any:
         """The record, and the queue beside it."""
         record = super().load()
-        numbers = range(self.twin.queued)
-        assert [(self.twin.identifier(i), self.twin.payload(i)) for i in numbers] == self._queue
+        assert queue_of(self.twin) == queue_of(self)
         return record
 
 
@@ -106,5 +116,5 @@ class TwinPlantJournal(_Twin[PlantJournal], MemoryPlantJournal):
         """The record, and what came with it."""
         record = super().load()
         assert self.twin.chunks() == self.chunks()
-        assert self.twin.inbox(-1) == self._inbox
+        assert self.twin.inbox(-1) == self.inbox(-1)
         return record

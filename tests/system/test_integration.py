@@ -17,7 +17,6 @@ from protocol.topics import key_of
 from runtime.addresses import free_endpoints
 from runtime.run_folder import PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
-from tests.support.matched import matched
 from tests.support.traces import read_trace
 from wyner.cli.main import main
 
@@ -276,7 +275,7 @@ def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: P
     ):
         publishers = [field.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)]
         publishers += [bus.publisher(key_of(kind, "loop")) for kind in (PlantHello, SendCommand)]
-        wait_for(lambda: matched(*publishers))
+        wait_for(lambda: all(p.matched for p in publishers))
 
         def counted() -> bool:
             for publisher in publishers:

@@ -40,7 +40,6 @@ from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
-from tests.support.matched import matched
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import Replay
 
@@ -401,7 +400,7 @@ def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> 
         put = {kind: sender.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)}
         process = subprocess.Popen(command, stderr=subprocess.PIPE)
         try:
-            wait_for(lambda: matched(*put.values()), "match")
+            wait_for(lambda: all(p.matched for p in put.values()), "match")
             wait_for(lambda: bool(statuses), "first status")
             for message in run.messages:  # paced: what nobody takes in time is dropped
                 put[type(message)].put(message.wire())

@@ -38,6 +38,7 @@ from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_reader import MessageReader, verdicts_of
 from tap_service.inference.message_search import Found, MessageSearch
+from tests.support.held_memory import kept
 from wyner.runs.score.score import score
 
 
@@ -538,20 +539,19 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits() -> None
     payload = random.Random(2).randbytes(16)
     run = simulate(1000, 2, name="packed", payloads=[payload])
     view = View(seed=2, loss=0.3)
-    tap = Text(view.told(run.scenario.knowledge()))
-    tap._reader = MessageReader(tap.scheme, english(), certain=tap.certain, beam=100)
+    tap = Text(view.told(run.scenario.knowledge()), beam=100)
     told = []
     for t in heard_by(run, view):
         tap.observe(t)
         if t.k in (300, 800, 999):
             tap.decode()
-            told.append((tap.belief().bits_left, tap.belief().whole, len(tap._past)))
-    assert told[1] == told[2]
-    (first, *_), (last, whole, past) = told[0], told[2]
+            told.append((tap.belief().bits_left, tap.belief().whole))
+    assert told[1] == told[2], "what is given up is not looked at again"
+    (first, _), (last, whole) = told[0], told[2]
     assert first is not None
     assert last is not None
     assert min(first, last) > 8
-    assert (whole, past) == ((), 1)
+    assert whole == ()
 
 
 @pytest.mark.slow
@@ -580,17 +580,16 @@ def test_what_she_keeps_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     run = simulate(200, 7, name="packed", payloads=[b"Lower the bridge"])
     tap = Text(run.scenario.knowledge(), live=False)
     heard = heard_by(run, View())
-    reviewed = 0
+    reviewed, sizes = 0, []
     for session in range(9):
         for t in heard:
             tap.observe(dataclasses.replace(t, session=f"{session}"))
         reviewed += len(tap.final_guesses)
         tap.final_guesses.clear()
+        sizes.append(kept([tap])[0])
     assert reviewed > 1400
     assert len(tap.review()) < 256
-    kept = (tap._kept, tap._thoughts, tap._after)
-    assert all(len(part) < 300 for part in kept)
-    assert len(tap._symbols) < 300 + 256
+    assert max(sizes[5:]) < 1.05 * max(sizes[:5])
     assert tap.belief().whole_count == 9
 
 

@@ -1,12 +1,13 @@
 """Why a link has the rate it has: what became of the tested steps, and what would change it."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from protocol.agreement import INSIDE
+from protocol.statistics import Interval, share_over_runs
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
@@ -41,45 +42,52 @@ Array = npt.NDArray[np.float64]
 class Why:
     """What became of the steps of a short simulation, as shares of all after the first `SETTLED`.
 
+    Their intervals are over runs.
+
     Parameters
     ----------
-    agreed, several, none, beyond : float
+    agreed, several, none, beyond : Interval
         One candidate explains the state; several do; none does; one does, but a D_e does not hold
         the state. They add up to 1.
-    equal : float
+    equal : Interval
         Share of the steps in which the closest two predictions are one.
     distance : float
         Median distance of the closest two predictions, in D_c's gauge; from 2 on a key is certain.
-    saturated : float
+    saturated : Interval
         Share of the steps in which an input of a candidate is at a bound of U.
     remedies : tuple of str
         What to change, the most promising first.
     """
 
-    agreed: float
-    several: float
-    none: float
-    beyond: float
-    equal: float
+    agreed: Interval
+    several: Interval
+    none: Interval
+    beyond: Interval
+    equal: Interval
     distance: float
-    saturated: float
+    saturated: Interval
     remedies: tuple[str, ...]
 
     def as_json(self) -> dict[str, Any]:
         """One object for machines."""
-        return asdict(self)
+        its = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {n: v.as_json() if isinstance(v, Interval) else v for n, v in its.items()}
 
     def lines(self) -> list[str]:
         """For people."""
         told = [
-            f"of 100 steps {100 * self.agreed:.0f} could agree a key; in {100 * self.several:.0f} "
-            f"several inputs explain the state, in {100 * self.none:.0f} none does, in "
-            f"{100 * self.beyond:.0f} it is outside a D_e",
+            f"of 100 steps {_hundred(self.agreed)} could agree a key; in {_hundred(self.several)} "
+            f"several inputs explain the state, in {_hundred(self.none)} none does, in "
+            f"{_hundred(self.beyond)} it is outside a D_e ({RUNS} runs)",
             f"the two closest predictions are {self.distance:.2g} half-widths of D_c apart "
             f"(median; from {APART:g} on each step agrees), and one and the same in "
-            f"{100 * self.equal:.0f} of 100 steps",
+            f"{_hundred(self.equal)} of 100 steps",
         ]
         return told + [f"to raise the rate: {remedy}" for remedy in self.remedies]
+
+
+def _hundred(share: Interval) -> str:
+    return share.scaled(100.0).text(".0f")
 
 
 def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
@@ -108,13 +116,16 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
     at_bound = (reach >= bound[None, None, :, None] * (1 - 1e-6)).any(axis=(1, 2))
     apart = closest_predictions(scenario, candidates)
     found = {
-        "agreed": float((one & held).mean()),
-        "several": float((inside > 1).mean()),
-        "none": float((inside == 0).mean()),
-        "beyond": float((one & ~held).mean()),
-        "equal": float((apart <= EQUAL).mean()),
-        "distance": float(np.median(apart)),
-        "saturated": float(at_bound.mean()),
+        "agreed": one & held,
+        "several": inside > 1,
+        "none": inside == 0,
+        "beyond": one & ~held,
+        "equal": apart <= EQUAL,
+        "saturated": at_bound,
+    }
+    shares = {
+        name: share_over_runs((int(n), STEPS) for n in steps.sum(axis=0))
+        for name, steps in found.items()
     }
     # The same states judged by the smallest D_c that still holds D, and by its D_e; of a shape of
     # its own it stays.
@@ -122,7 +133,9 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
     hers = 1.0 if scenario.secrecy.disturbance is not None else room
     one = (gauges <= room * INSIDE).sum(axis=1) == 1
     alone = one & (largest <= scenario.secrecy.alpha * hers)
-    return Why(**found, remedies=tuple(_remedies(scenario, found, float(alone.mean()))))
+    values = {name: share.value for name, share in shares.items()}
+    remedies = _remedies(scenario, values, float(alone.mean()))
+    return Why(**shares, distance=float(np.median(apart)), remedies=tuple(remedies))
 
 
 def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:

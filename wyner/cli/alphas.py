@@ -5,6 +5,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from protocol.statistics import COMPUTED
 from runtime.errors import DONE, UsageError
 from wyner.cli.figure_file import save_table
 
@@ -71,6 +72,7 @@ def describe(scenario: "Scenario", table: "Capacity") -> dict[str, Any]:
         "inputs": scenario.m,
         "period_s": scenario.plant.period_s,
         "rule": TRUE,
+        "no_interval": COMPUTED,
         "class": VOID,
         "spacing": table.sigma,
         "ceilings": [
@@ -100,7 +102,8 @@ def describe(scenario: "Scenario", table: "Capacity") -> dict[str, Any]:
 def render(r: dict[str, Any]) -> str:
     """The object in lines for people."""
     lines = [
-        f"{r['scenario']}: {r['inputs']} input(s), a step every {r['period_s']:g} s",
+        f"{r['scenario']}: {r['inputs']} input(s), a step every {r['period_s']:g} s; no figure has "
+        f"an interval: {r['no_interval']}",
         r["rule"],
         r["class"],
     ]

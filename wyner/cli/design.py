@@ -4,6 +4,7 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
+from protocol.statistics import COMPUTED
 from runtime.errors import DONE, Failure, UsageError
 from runtime.options import picked
 from wyner.cli.alphas import ABOUT, show_alphas
@@ -210,6 +211,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "fallback": scenario.link.fallback,
         "dead_link_steps": dead_link_budget(scenario, design),
         "control_set": None if D_c is None else D_c.model_dump(exclude_none=True),
+        "noisy": scenario.defender.noise is not None,
         "calibration": None if found is None else found.model_dump(),
         "cached": design.cached,
         "fingerprint": scenario.design_fingerprint(),
@@ -256,6 +258,10 @@ def expected_rate(
         "bits_per_second": rate["value"],
         "bits_per_second_interval_95": [rate["low"], rate["high"]],
         "ceiling_bits_per_second": float(most.sum()) * bits,
+        "no_interval": {
+            "ceiling_bits_per_second": COMPUTED,
+            **({"bits_per_second": rate["no_interval"]} if "no_interval" in rate else {}),
+        },
     }
 
 
@@ -274,7 +280,8 @@ def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | No
         return None
     ways = (network.to_plant, network.to_controller)
     if all(way.reordering or way.delay == "constant" for way in ways):
-        return {"missed_share": expected_missed_share(scenario, folder), "computed": True}
+        share_of_all = expected_missed_share(scenario, folder)
+        return {"missed_share": share_of_all, "computed": True, "no_interval": COMPUTED}
     missed = missed_steps(scenario, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
     assert missed is not None
     share = share_over_runs([(int(m), STEPS) for m in missed.sum(axis=0)]).as_json()
@@ -384,10 +391,10 @@ def safety_lines(r: dict[str, Any]) -> list[str]:
     lines = [f"dead link, fallback {r['fallback']}: {lasts}"]
     if r["control_set"] is not None:
         lines.append("the sets resist control.disturbance, which is larger than the test's D_c")
-    c = r["calibration"]
+    c, what = r["calibration"], "W = D_c + N - A N" if r["noisy"] else "D_c"
     if c is not None:
         lines.append(
-            f"D_c: a session of {c['steps']} steps leaves it with probability at most "
+            f"{what}: a session of {c['steps']} steps leaves it with probability at most "
             f"{c['violation']:.3g}, confidence {c['confidence']:g} ({c['exceeded']} of "
             f"{c['sessions']} fresh sessions did)"
         )

@@ -7,6 +7,7 @@ import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from protocol.statistics import STATED
 from runtime.errors import DONE, Failure, UsageError
 from runtime.files import write_atomically
 
@@ -40,6 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         kind, metavar = (int, "N") if isinstance(default, int) else (float, "P")
         told = f"{text} ({default})"
         parser.add_argument(option, type=kind, default=default, metavar=metavar, help=told)
+
+    parser.add_argument(
+        "--noise",
+        type=float,
+        metavar="K",
+        help="take the sensors' noise N from the readings: K standard deviations of it; "
+        "else defender.noise counts as stated",
+    )
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,10 +88,14 @@ def run(args: argparse.Namespace) -> int:
         raise Failure(str(error)) from None
     c = found.scenario.defender.calibration
     assert c is not None
+    N = found.scenario.defender.noise
+    what = "D_c" if N is None else "W = D_c + N - A N"
     promise = (
-        f"a session of {c.steps} steps leaves D_c with probability at most {c.violation:.3g}, "
+        f"a session of {c.steps} steps leaves {what} with probability at most {c.violation:.3g}, "
         f"confidence {c.confidence:g}: {c.exceeded} of {c.sessions} fresh sessions did"
     )
+    if N is not None:
+        promise += f"; D_c itself rests on N, {'stated' if plan.noise is None else 'fitted'}"
     head = f"Written by wyner fit, seed {plan.seed}.\n{promise[0].upper()}{promise[1:]}."
     try:
         write_atomically(args.output, as_toml(found.tables, head).encode())
@@ -92,9 +105,13 @@ def run(args: argparse.Namespace) -> int:
     assert widths is not None
     if args.json:
         told = {"output": str(args.output), "seed": plan.seed, "half_widths": list(widths)}
-        print(json.dumps({**told, "calibration": c.model_dump()}))
+        told |= {} if N is None else {"noise": N.model_dump(exclude_none=True)}
+        bare = {"violation": STATED, "confidence": STATED}
+        print(json.dumps({**told, "calibration": c.model_dump(), "no_interval": bare}))
         return DONE
     print(f"D_c half-widths {' '.join(f'{w:.4g}' for w in widths)}")
+    if N is not None and N.half_widths is not None:
+        print(f"N half-widths {' '.join(f'{w:.4g}' for w in N.half_widths)}")
     print(promise)
     print(f"wrote {args.output}")
     return DONE
@@ -121,6 +138,8 @@ def _plan(args: argparse.Namespace) -> "Plan":
     for name in ("amplitude", "violation", "confidence"):
         if not 0 < getattr(args, name) < 1:
             raise UsageError(f"--{name}: got {getattr(args, name):g}, expected between 0 and 1")
+    if args.noise is not None and not 0 < args.noise < float("inf"):
+        raise UsageError(f"--noise: got {args.noise:g}, expected above 0")
     try:
         rank(args.calibration, args.violation)
     except ValueError as error:

@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal
 
+from protocol.statistics import PROVED
 from runtime.errors import DONE, UsageError
 from wyner.cli.figure_file import save_table
 
@@ -220,6 +221,7 @@ def describe(
         "watched": [i + 1 for i in states] or list(range(1, len(loop.A) + 1)),
         "coins": asked.coins,
         "eps": asked.eps,
+        "no_interval": {"guess": PROVED, "bits_per_coin": PROVED, "key_bits": PROVED},
         "rows": rows,
     }
 
@@ -249,6 +251,7 @@ def render(r: dict[str, Any]) -> str:
             low, high = row["measured"]["interval_95"]
             line += f"  {row['measured']['bits_per_coin']:.3f} [{low:.3f}, {high:.3f}]"
         lines.append(line)
+    lines.append("P_g, bit/coin and key are proved bounds: no interval")
     lines.append(
         f"key: of {r['coins']} coins, within {r['eps']:g} of uniform (sum of absolute differences)"
     )

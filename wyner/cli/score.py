@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from protocol.statistics import COUNTED
+
 if TYPE_CHECKING:
     from wyner.runs.run import Run
     from wyner.runs.score.keys import KeyAudit
@@ -118,6 +120,7 @@ def _run(args: argparse.Namespace) -> int:
         keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
         costs = {str(run.folder): cost_of(run) for run in runs}
         said = {**reporting.as_json(report), "keys": keys, "control_cost": costs}
+        said["no_interval"] = {"control_cost": COUNTED}
         print(json.dumps(said))
         return ending
     _print(report, color=sys.stdout.isatty())

@@ -254,6 +254,7 @@ def _as_object(
                 "runs": s.runs,
                 "bits_per_second": rate["value"],
                 "interval_95": [rate["low"], rate["high"]],
+                **({"no_interval": rate["no_interval"]} if "no_interval" in rate else {}),
                 "shares": {name: share.as_json() for name, share in s.shares.items()},
                 **s.counts,
             }

@@ -68,8 +68,8 @@ def progress(state: State) -> str:
     ]
     if state.model is not None and state.model.keys_claim:
         parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
-    if state.controller is not None and state.controller.alarms:
-        parts.append(state.controller.alarm_sentence())
+    if state.alarms:
+        parts.append(state.alarms)
     left = time_left_s(state)
     if left is not None:
         parts.append(f"{duration(left)} to go")

@@ -116,6 +116,13 @@ class State:
     states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     true_states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
     texts: tuple[str, ...] = ()
+
+    @property
+    def alarms(self) -> str:
+        """The last alarm of either end, in words; empty where there is none."""
+        ends = (self.controller, self.plant)
+        return next(filter(None, (end.alarm_sentence() for end in ends if end is not None)), "")
+
     received: int = 0
     refused: int = 0
     unreadable: int = 0

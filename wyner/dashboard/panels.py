@@ -148,9 +148,8 @@ class Panels:
 
     def _control(self, width: int) -> Text:
         """Where the state is, among the controller's sets."""
-        controller = self.state.controller
-        if controller is not None and controller.alarms:
-            alarms = controller.alarm_sentence()
+        controller, alarms = self.state.controller, self.state.alarms
+        if alarms:
             told = longest(width, f" {alarms}", f" {alarms.rpartition(': read')[0]}")
             return line(told, STYLES["bad"])
         if controller is None or controller.set_index < 0:

@@ -2,6 +2,10 @@
 
 D_c changes the law, and the law changes what D_c must hold. So D_c is scaled under its own law
 until it stands still, frozen, and only then are fresh sessions counted.
+
+Where sensors are noisy the residuals show W = D_c + N - A N alone. W is what is scaled, frozen and
+certified, and D_c is what N leaves of it: larger than the disturbance where N is taken too small,
+and too small where N is taken too large.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,10 +16,11 @@ import numpy as np
 
 from controller_service.sets.design import SynthesisError
 from protocol.arrays import Array
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.scenario import ConvexSet, NoiseSet, Scenario, ScenarioError, parse_scenario
+from protocol.scenario.noise import widened
 from wyner.fit.conformal import conformal_scale, session_score, template, violation_bound
-from wyner.fit.identification import FitError, FittedModel, identify
-from wyner.fit.sessions import OpenPlant, excite, residuals_under
+from wyner.fit.identification import FitError, FittedModel, identify, sensor_deviation
+from wyner.fit.sessions import OpenPlant, Transitions, excite, residuals_under
 from wyner.simulate.single import Law
 
 Tables = dict[str, Any]
@@ -30,6 +35,11 @@ TIGHT: Final = 0.9
 
 SPARE: Final = 1.02
 """What a new D_c is larger by than its scale says."""
+
+LEAVES: Final = {"may_leave_defender_set": True}
+
+LEAST_SHARE: Final = 0.02
+"""Of W, that D_c is at least: noise alone is no disturbance, and she must be left some room."""
 
 SMALLEST: Final = 1e-9
 """Share of the largest half-width that every half-width has, for a plant without noise."""
@@ -57,6 +67,9 @@ class Plan:
     confidence : float
         Of the certificate.
     seed : int
+    noise : float, optional
+        So many standard deviations of the sensors' noise, as it shows in the readings, are its
+        half-widths N. None: ``defender.noise`` as it is stated, or exact sensors.
     """
 
     excite_sessions: int = 20
@@ -69,6 +82,7 @@ class Plan:
     steps: int = 200
     confidence: float = 0.999
     seed: int = 1
+    noise: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,10 +141,12 @@ def fit(
     SynthesisError
         When there are no sets for what was found.
     """
-    blank = _blank(tables, source)
+    fits_noise = plan.noise is not None
+    blank = _blank(tables, source, fits_noise=fits_noise)
     found = None
     defender = dict(tables.get("defender", {}))
     defender.pop("calibration", None)
+    noisy = fits_noise or blank.defender.noise is not None
     seen = excite(
         blank,
         open_plant,
@@ -142,15 +158,22 @@ def fit(
     if "A" in defender and "B" in defender:
         errors = seen.x_next - seen.x @ np.array(blank.A).T - seen.u @ np.array(blank.B).T
     else:
-        found = identify(seen.x, seen.u, seen.x_next)
-        errors = found.residuals
+        found = _identified(seen, noisy=noisy)
+        errors = seen.x_next - seen.x @ found.A.T - seen.u @ found.B.T
         defender |= {"A": found.A.tolist(), "B": found.B.tolist()}
         tell(f"identified A and B from {len(seen.x)} steps, condition {found.condition:.3g}")
+    A = np.array(defender.get("A") or blank.A)
+    if plan.noise is not None:
+        deviation = sensor_deviation(errors, A, seen.steps)
+        defender["noise"] = {"half_widths": (plan.noise * deviation).tolist()}
+        tell(f"sensor noise: standard deviations {deviation.round(6).tolist()}")
+    N = None if "noise" not in defender else NoiseSet.model_validate(defender["noise"])
     widths = _box(template(errors) * 1.1)
     rounds = 0
     first, sessions = 0, range(plan.pilot)
     while True:
-        defender["disturbance"] = {"half_widths": widths.tolist()}
+        widths = _resting_on(N, A, widths)
+        defender["disturbance"] = {"half_widths": _without(N, A, widths).tolist()}
         s = parse_scenario(_with(tables, defender), source)
         try:
             law = make_law(s)
@@ -171,7 +194,8 @@ def fit(
         scores = [session_score(r, widths) for r in residuals]
         scale = conformal_scale(scores, plan.violation)
         tell(f"round {rounds}: scale {scale:.4f} of half-widths {widths.round(6).tolist()}")
-        if TIGHT <= scale <= 1:
+        resting = bool((_resting_on(N, A, widths * scale) > widths * scale).all())
+        if TIGHT <= scale <= 1 or (scale <= 1 and resting):
             break
         if rounds == ROUNDS:
             raise FitError(
@@ -202,8 +226,39 @@ def _with(tables: Mapping[str, Any], defender: Mapping[str, Any]) -> Tables:
     plant = dict(tables["plant"])
     noise = dict(plant.get("disturbance", {}))
     if noise.get("enters", "state") == "state":
-        plant["disturbance"] = {**noise, "may_leave_defender_set": True}
+        plant["disturbance"] = {**noise, **LEAVES}
     return {**tables, "plant": plant, "defender": dict(defender)}
+
+
+def _identified(seen: Transitions, *, noisy: bool) -> FittedModel:
+    """A and B; where readings are noisy by the readings before, of all steps that have one."""
+    if not noisy or seen.steps < 2:
+        return identify(seen.x, seen.u, seen.x_next)
+    later = np.arange(len(seen.x)) % seen.steps != 0
+    before = np.roll(seen.x, 1, axis=0)[later]
+    return identify(seen.x[later], seen.u[later], seen.x_next[later], before)
+
+
+def _of_noise(N: NoiseSet | None, A: Array) -> Array:
+    """What N and A N add to the half-widths of D_c, shape (n,)."""
+    nothing = np.full(len(A), 1.0)
+    if N is None:
+        return np.zeros(len(A))
+    D_c = ConvexSet(half_widths=tuple(nothing.tolist()))
+    wide = widened(D_c, N, tuple(map(tuple, A.tolist())))
+    added: Array = np.array(wide.half_widths) - nothing
+    return added
+
+
+def _resting_on(N: NoiseSet | None, A: Array, widths: Array) -> Array:
+    """W, no smaller than the noise alone makes it."""
+    least = _of_noise(N, A)
+    return np.maximum(widths, least + LEAST_SHARE * widths)
+
+
+def _without(N: NoiseSet | None, A: Array, widths: Array) -> Array:
+    """D_c of W."""
+    return widths - _of_noise(N, A)
 
 
 def _box(widths: Array) -> Array:
@@ -212,7 +267,7 @@ def _box(widths: Array) -> Array:
     return np.maximum(widths, SMALLEST * (largest or 1.0))
 
 
-def _blank(tables: Mapping[str, Any], source: str) -> Scenario:
+def _blank(tables: Mapping[str, Any], source: str, *, fits_noise: bool) -> Scenario:
     """The scenario with a model and a D_c that are there to be replaced.
 
     Raises
@@ -241,4 +296,10 @@ def _blank(tables: Mapping[str, Any], source: str) -> Scenario:
         defender.setdefault("A", np.eye(n).tolist())
         defender.setdefault("B", np.zeros((n, m)).tolist())
     defender["disturbance"] = {"half_widths": [1e9] * n}
-    return parse_scenario({**tables, "control": control, "defender": defender}, source)
+    if fits_noise:
+        if "noise" in defender:
+            raise ScenarioError([f"{source}: defender.noise: expected none where it is fitted"])
+        plant = {**plant, "disturbance": {**plant.get("disturbance", {}), **LEAVES}}
+    return parse_scenario(
+        {**tables, "plant": plant, "control": control, "defender": defender}, source
+    )

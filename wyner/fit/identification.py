@@ -38,13 +38,20 @@ LARGEST_CONDITION = 1e6
 """Regressors that are nearer to dependent than this determine nothing."""
 
 
-def identify(x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> FittedModel:
-    """Fit A and B to T transitions by ordinary least squares.
+def identify(
+    x: ArrayLike, u: ArrayLike, x_next: ArrayLike, instruments: ArrayLike | None = None
+) -> FittedModel:
+    """Fit A and B to T transitions by least squares, or by instruments where readings are noisy.
+
+    Noise of a reading is in x and in x+ both, so that least squares would find too small an A.
+    The reading before knows nothing of it.
 
     Parameters
     ----------
     x, u, x_next : array, shapes (T, n), (T, m), (T, n)
         Deviations; rows may come from many sessions.
+    instruments : array, shape (T, n), optional
+        The reading before each x.
 
     Returns
     -------
@@ -72,7 +79,11 @@ def identify(x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> FittedModel:
         raise FitError(
             f"states and inputs are dependent (condition {condition:.3g}): excite the plant more"
         )
-    scaled, *_ = np.linalg.lstsq(Z / lengths, Y, rcond=None)
+    if instruments is None:
+        scaled, *_ = np.linalg.lstsq(Z / lengths, Y, rcond=None)
+    else:
+        known = np.hstack([np.asarray(instruments, dtype=float), U]) / lengths
+        scaled = np.linalg.solve(known.T @ (Z / lengths), known.T @ Y)
     theta = (scaled / lengths[:, None]).T
     residuals = Y - Z @ theta.T
     spread = np.linalg.inv((Z / lengths).T @ (Z / lengths)).diagonal() / lengths**2
@@ -84,3 +95,32 @@ def identify(x: ArrayLike, u: ArrayLike, x_next: ArrayLike) -> FittedModel:
         errors=np.sqrt(np.outer(variance, spread)),
         condition=condition,
     )
+
+
+def sensor_deviation(residuals: ArrayLike, A: ArrayLike, steps: int) -> Array:
+    """Standard deviation of each sensor's noise, from residuals of readings, shape (n,).
+
+    The residuals of two steps that follow one another share one reading's noise, n(k+1): it is in
+    the first as it is, and in the second as -A n(k+1). So their covariance is -A times that of n.
+
+    Parameters
+    ----------
+    residuals : array, shape (T, n)
+        Whole sessions, one after the other.
+    A : array, shape (n, n)
+    steps : int
+        Of a session.
+
+    Raises
+    ------
+    FitError
+        When A has no inverse, or sessions are too short.
+    """
+    A = np.asarray(A, dtype=float)
+    if steps < 2 or np.linalg.cond(A) > LARGEST_CONDITION:
+        raise FitError("sensor noise cannot be told from disturbance here: state defender.noise")
+    of = np.asarray(residuals, dtype=float).reshape(-1, steps, len(A))
+    pairs = of[:, 1:].reshape(-1, len(A)).T @ of[:, :-1].reshape(-1, len(A))
+    shared = -np.linalg.solve(A, pairs / (len(of) * (steps - 1)))
+    out: Array = np.sqrt(np.maximum(shared.diagonal(), 0.0))
+    return out

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from operator import add
 
 import numpy as np
 
@@ -16,11 +17,15 @@ OpenPlant = Callable[[Scenario], Operated]
 
 @dataclass(frozen=True, eq=False)
 class Transitions:
-    """x, u and x+ of many steps, shapes (T, n), (T, m), (T, n)."""
+    """x, u and x+ of many steps as they were read, shapes (T, n), (T, m), (T, n).
+
+    Step i is of session ``i // steps``.
+    """
 
     x: Array
     u: Array
     x_next: Array
+    steps: int
 
 
 def excite(
@@ -56,18 +61,20 @@ def excite(
     for session in range(sessions):
         plant = open_plant(scenario)
         noise = _noise(scenario, rng, steps)
+        sensors = _sensor_noise(scenario, rng, steps + 1)
         try:
-            x = plant.start(seed + session)
+            x = _read(plant.start(seed + session), sensors[0])
             for k in range(steps):
                 v = rng.uniform(-widths, widths)
                 wanted = v if gain is None else v + gain @ np.array(x)
-                u, x_next = step_plant(plant, spec, tuple(wanted.tolist()), noise[k] or None)
+                u, came = step_plant(plant, spec, tuple(wanted.tolist()), noise[k] or None)
+                x_next = _read(came, sensors[k + 1])
                 rows.append((x, u, x_next))
                 x = x_next
         finally:
             plant.close()
     x_all, u_all, next_all = (np.array(column) for column in zip(*rows, strict=True))
-    return Transitions(x_all, u_all, next_all)
+    return Transitions(x_all, u_all, next_all, steps)
 
 
 def _reach(scenario: Scenario) -> Array:
@@ -85,10 +92,27 @@ def _noise(scenario: Scenario, rng: np.random.Generator, steps: int) -> list[tup
     return [disturbance(spec, k, row) for k, row in enumerate(uniforms)]
 
 
+def _sensor_noise(
+    scenario: Scenario, rng: np.random.Generator, count: int
+) -> list[tuple[float, ...]]:
+    """What simulated sensors add to so many readings; nothing where they add nothing."""
+    spec = scenario.plant.noise
+    if spec is None:
+        return [()] * count
+    return [spec.drawn(row) for row in rng.random((count, spec.dimension)).tolist()]
+
+
+def _read(x: tuple[float, ...], n: tuple[float, ...]) -> tuple[float, ...]:
+    return tuple(map(add, x, n)) if n else x
+
+
 def residuals_under(
     scenario: Scenario, law: Law, open_plant: OpenPlant, *, runs: range, steps: int, seed: int
 ) -> Array:
-    """x+ - A x - B u of every step of whole sessions under the law, shape (sessions, steps, n)."""
+    """x+ - A x - B u of every step of whole sessions under the law, shape (sessions, steps, n).
+
+    Of readings: where sensors are noisy each is d + n(k+1) - A n(k).
+    """
     record = simulate_plant(
         scenario, law, lambda: open_plant(scenario), seed=seed, runs=runs, steps=steps
     )

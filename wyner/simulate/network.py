@@ -110,7 +110,7 @@ class _Ports:
         pass
 
 
-class _End:
+class SimulatedEnd:
     """One end: its journal and, while it lives, its endpoint."""
 
     def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
@@ -145,6 +145,14 @@ class Simulation:
         Gives what stands in the place of the scenario's plant, for each life of its process.
     folder : Path
         Where the files that the scenario names are looked for.
+
+    Attributes
+    ----------
+    ends : dict of Side to SimulatedEnd
+    plant : PlantCore
+        The plant's core in this life of its process.
+    random : random.Random
+        From which all that the world does is drawn.
     """
 
     def __init__(
@@ -165,28 +173,28 @@ class Simulation:
         self._folder = folder
         self.history = History()
         self.now_s = 0.0
-        self._scenario = scenario
+        self.scenario = scenario
         self._law = law
         self._seed, self._run = seed, run
         self._predict = load_model(scenario, folder)
         self._width = len(scenario.plant.disturbance.half_widths)
         self._faults = faults or Faults()
         self._step_s = step_s
-        self._random = random.Random(seed)
+        self.random = random.Random(seed)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._number = 0
         self._queue = MemoryControllerJournal(*payloads)
         self._plant_journal = plant_journal or MemoryPlantJournal()
         self._controller: ControllerCore
-        self._plant: PlantCore
+        self.plant: PlantCore
         self._offered: list[Offer] = []
         self._delivered = 0
         self.stores: dict[Side, KeyStore] = {}
-        self._ends: dict[Side, _End] = {
-            "controller": _End(self, "controller", "plant", self._queue),
-            "plant": _End(self, "plant", "controller", self._plant_journal),
+        self.ends: dict[Side, SimulatedEnd] = {
+            "controller": SimulatedEnd(self, "controller", "plant", self._queue),
+            "plant": SimulatedEnd(self, "plant", "controller", self._plant_journal),
         }
-        for side in self._ends:
+        for side in self.ends:
             self._start(side)
 
     # --- the world --------------------------------------------------------------------------------
@@ -212,27 +220,29 @@ class Simulation:
             if until is not None and until():
                 break
         self.history.seconds = self.now_s
-        self.history.record = self._plant.record
+        self.history.record = self.plant.record
         return self.history
 
     @property
     def k(self) -> int:
         """The plant's step."""
-        return self._plant.record.k
+        return self.plant.record.k
 
     @property
     def _sick(self) -> bool:
         return self.now_s < self._faults.until_s
 
-    def _chance(self, probability: float) -> bool:
-        return probability > 0 and self._sick and self._random.random() < probability
+    def chance(self, probability: float) -> bool:
+        """Whether what has this probability comes about, while anything goes wrong at all."""
+        return probability > 0 and self._sick and self.random.random() < probability
 
-    def _at(self, delay_s: float, event: Callable[[], None]) -> None:
+    def after(self, delay_s: float, event: Callable[[], None]) -> None:
+        """Let an event come about so many virtual seconds from now."""
         self._number += 1
         heapq.heappush(self._events, (self.now_s + delay_s, self._number, event))
 
     def _identifier(self) -> str:
-        return f"{self._random.getrandbits(64):016x}"
+        return f"{self.random.getrandbits(64):016x}"
 
     # --- what the ports do ------------------------------------------------------------------------
 
@@ -241,15 +251,15 @@ class Simulation:
         faults = self._faults
         if kind is Offer:
             self._offered.append(Offer.model_validate_json(payload))
-        if self._chance(faults.loss):
+        if self.chance(faults.loss):
             return
-        for _ in range(2 if self._chance(faults.repeat) else 1):
-            late = self._random.random() * faults.delay_s if self._sick else 0.0
-            self._at(late, lambda: self._deliver(to, kind, payload))
+        for _ in range(2 if self.chance(faults.repeat) else 1):
+            late = self.random.random() * faults.delay_s if self._sick else 0.0
+            self.after(late, lambda: self.deliver(to, kind, payload))
 
     def key_maker(self, side: Side) -> KeyMaker | None:
         """A new process's key maker, over the store that outlives it."""
-        if self._scenario.keys is None:
+        if self.scenario.keys is None:
             return None
         if side not in self.stores:
             self.stores[side] = KeyStore(None, side)
@@ -257,19 +267,19 @@ class Simulation:
 
     def keep(self, side: Side, task: Task) -> None:
         """Have a task done some time later, if the process still lives, and told later still."""
-        end = self._ends[side]
+        end = self.ends[side]
         life, late_s = end.lives, self._faults.delay_s
 
         def do() -> None:
             if end.lives == life and end.endpoint is not None and end.key_maker is not None:
                 done = work(end.key_maker, task)
-                self._at(self._random.random() * late_s, lambda: tell(done))
+                self.after(self.random.random() * late_s, lambda: tell(done))
 
         def tell(done: Done) -> None:
             if end.lives == life and end.endpoint is not None:
                 self._perform(end, end.endpoint.key_task_done(done, self.now_s))
 
-        self._at(self._random.random() * late_s, do)
+        self.after(self.random.random() * late_s, do)
 
     def kept(self, write: Save) -> None:
         """Note what a record says of messages that came through."""
@@ -298,7 +308,7 @@ class Simulation:
     # --- lives and deaths -------------------------------------------------------------------------
 
     def _start(self, side: Side) -> None:
-        end = self._ends[side]
+        end = self.ends[side]
         end.lives += 1
         end.ports.crash_at()
         end.key_maker = self.key_maker(side)
@@ -314,21 +324,21 @@ class Simulation:
             core, kind, way = self._new_plant(lives), Offer, "to_plant"
         else:
             core, kind, way = self._new_controller(), Measurement, "to_controller"
-        scale = 1.0 if self._step_s is None else self._step_s / self._scenario.plant.period_s
+        scale = 1.0 if self._step_s is None else self._step_s / self.scenario.plant.period_s
         channel = channel_of(
-            self._scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
+            self.scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
         )
         return behind(channel, core, kind)
 
     def _new_controller(self) -> ControllerCore:
         record = self._queue.load()
         self._controller = ControllerCore(
-            rules_of(self._scenario),
+            rules_of(self.scenario),
             self._law.candidates,
             self._queue,
             SeededSymbols(self._seed, CIPHER, run=self._run),
             instance=self._identifier(),
-            period_s=self._scenario.plant.period_s,
+            period_s=self.scenario.plant.period_s,
             record=record,
             step=self._queue.step(),
             contributions=self._queue.contributions(None if record is None else record.session),
@@ -340,38 +350,39 @@ class Simulation:
         # A plant that died before it saved a step tosses its coin for that step again.
         draws = self._run if lives == 1 else self._run + 1000 * lives
         # Where outputs are read such a step is made again with the d that it had.
-        disturbed = draws if self._scenario.plant.C is None else self._run
-        self._plant = open_core(
-            self._scenario,
+        disturbed = draws if self.scenario.plant.C is None else self._run
+        self.plant = open_core(
+            self.scenario,
             self._plant_journal,
             SeededSymbols(self._seed, COIN, run=draws),
             Stream(self._seed, DISTURBANCE, width=self._width, run=disturbed),
             self._identifier,
             self.now_s,
-            Pacing(self._step_s, self._scenario.link.repeats_per_period, self.now_s),
+            Pacing(self._step_s, self.scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
             folder=self._folder,
-            sensors=Stream(self._seed, SENSOR, width=self._scenario.readings, run=self._run),
+            sensors=Stream(self._seed, SENSOR, width=self.scenario.readings, run=self._run),
         )
-        return self._plant
+        return self.plant
 
-    def _deliver(self, to: Side, kind: type[Message], payload: bytes) -> None:
-        end = self._ends[to]
+    def deliver(self, to: Side, kind: type[Message], payload: bytes) -> None:
+        """A message arrives; nobody is there while the process is dead."""
+        end = self.ends[to]
         if end.endpoint is not None:
             self._perform(end, end.endpoint.receive(kind, payload, self.now_s))
 
-    def _wake(self, end: _End, at_s: float) -> None:
+    def _wake(self, end: SimulatedEnd, at_s: float) -> None:
         if end.endpoint is None or at_s != end.wakes_at:  # overtaken by an earlier one, or dead
             return
         end.wakes_at = inf
         due = end.endpoint.wake_at() <= self.now_s
         self._perform(end, end.endpoint.wake(self.now_s) if due else NOTHING_TO_DO)
 
-    def _perform(self, end: _End, actions: Actions) -> None:
+    def _perform(self, end: SimulatedEnd, actions: Actions) -> None:
         """Carry out what an end wants; it may die over it, or right after it."""
         assert end.endpoint is not None
-        crashing = actions != NOTHING_TO_DO and self._chance(self._faults.crash)
-        end.ports.crash_at(after=self._random.randrange(LONGEST) if crashing else -1)
+        crashing = actions != NOTHING_TO_DO and self.chance(self._faults.crash)
+        end.ports.crash_at(after=self.random.randrange(LONGEST) if crashing else -1)
         with suppress(Crashed):
             perform(actions, end.endpoint, end.ports)
         self._note_offers()
@@ -381,16 +392,16 @@ class Simulation:
         due = end.endpoint.wake_at()
         if due < end.wakes_at:
             end.wakes_at = due = max(due, self.now_s)
-            self._at(due - self.now_s, lambda: self._wake(end, due))
+            self.after(due - self.now_s, lambda: self._wake(end, due))
 
-    def _die(self, end: _End) -> None:
+    def _die(self, end: SimulatedEnd) -> None:
         self.history.crashes += 1
         end.endpoint = None
         end.wakes_at = inf
-        if self._chance(self._faults.amnesia):
+        if self.chance(self._faults.amnesia):
             self.history.amnesias += 1
             end.journal.forget()
-        self._at(self._random.random() * self._faults.down_s, lambda: self._start(end.side))
+        self.after(self.random.random() * self._faults.down_s, lambda: self._start(end.side))
 
     def _note_offers(self) -> None:
         """Note for which transition an offer was meant, once the controller has counted so far.

@@ -32,7 +32,7 @@ from wyner.runs.check.loop import Admissible, Reachable, Switching
 from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
 from wyner.runs.check.sealed import SealedOnce
 from wyner.runs.check.stores import KeyStores
-from wyner.runs.check.watched import Alarms, KeyedCoins
+from wyner.runs.check.watched import Alarms, Guarded, KeyedCoins
 
 CLAUSES: Final[tuple[type[Clause], ...]] = (
     Traces,
@@ -68,6 +68,7 @@ CLAUSES: Final[tuple[type[Clause], ...]] = (
     SealedOnce,
     RefusedAtZero,
     KeyedCoins,
+    Guarded,
     Alarms,
 )
 
@@ -85,6 +86,7 @@ OF_KEYS: Final = frozenset(
         KeyStores,
         SealedOnce,
         KeyedCoins,
+        Guarded,
     )
 )
 """Clauses of which a scenario that makes no keys knows nothing."""

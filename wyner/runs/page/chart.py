@@ -1,7 +1,7 @@
 """Charts as inline SVG, drawn by hand: a page must not need a library to be looked at."""
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from html import escape
 from typing import Final
@@ -10,7 +10,6 @@ Points = Sequence[tuple[float, float]]
 
 WIDTH: Final = 760
 CHART_HEIGHT: Final = 240
-PLANE_HEIGHT: Final = 380
 LEFT, RIGHT, TOP, BOTTOM = 56, 16, 12, 40
 MOST_POINTS: Final = 1500
 """Points of a line; of longer ones the extremes of so many stretches are drawn."""
@@ -46,6 +45,24 @@ class Mark:
     """A short tick at the foot of the chart."""
 
     x: float
+
+
+@dataclass(frozen=True, slots=True)
+class Flag:
+    """A line from top to foot with a word beside it."""
+
+    x: float
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class Door:
+    """A stretch of the chart that leads to another part of the page."""
+
+    low: float
+    high: float
+    href: str
+    label: str
 
 
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
@@ -121,7 +138,8 @@ def _second(point: tuple[float, float]) -> float:
     return point[1]
 
 
-def _number(value: float) -> str:
+def number(value: float) -> str:
+    """Pixels, to two decimals."""
     return f"{value:.2f}".rstrip("0").rstrip(".")
 
 
@@ -161,9 +179,9 @@ class PlotFrame:
         out: list[str] = []
         for x, y in (self.at(*p) for p in points):
             if steps and out:
-                out.append(f"H{_number(x)}V{_number(y)}")
+                out.append(f"H{number(x)}V{number(y)}")
             else:
-                out.append(f"{'L' if out else 'M'}{_number(x)} {_number(y)}")
+                out.append(f"{'L' if out else 'M'}{number(x)} {number(y)}")
         return "".join(out)
 
     def axes(self, x_label: str, y_label: str) -> list[str]:
@@ -171,13 +189,13 @@ class PlotFrame:
         out = []
         right, foot = WIDTH - RIGHT, self.height - BOTTOM
         for v in ticks(*self.x):
-            px = _number(self.at(v, self.y[0])[0])
+            px = number(self.at(v, self.y[0])[0])
             out.append(f'<path class="grid" d="M{px} {TOP}V{foot}"/>')
             out.append(f'<text x="{px}" y="{foot + 15}" text-anchor="middle">{v:g}</text>')
         for v in ticks(*self.y, about=4):
             py = self.at(self.x[0], v)[1]
-            out.append(f'<path class="grid" d="M{LEFT} {_number(py)}H{right}"/>')
-            out.append(f'<text x="{LEFT - 6}" y="{_number(py + 4)}" text-anchor="end">{v:g}</text>')
+            out.append(f'<path class="grid" d="M{LEFT} {number(py)}H{right}"/>')
+            out.append(f'<text x="{LEFT - 6}" y="{number(py + 4)}" text-anchor="end">{v:g}</text>')
         middle = (TOP + foot) / 2
         out.append(
             f'<text x="{(LEFT + right) / 2}" y="{self.height - 6}" text-anchor="middle">'
@@ -218,6 +236,8 @@ def chart(
     y_label: str,
     *,
     marks: Iterable[Mark] = (),
+    flags: Iterable[Flag] = (),
+    doors: Iterable[Door] = (),
     floor: float | None = None,
 ) -> str:
     """Lines over time with a legend.
@@ -229,6 +249,9 @@ def chart(
     x_label, y_label : str
     marks : iterable of Mark
         Those of one place are drawn once.
+    flags : iterable of Flag
+    doors : iterable of Door
+        What a click leads to.
     floor : float, optional
         A value that the vertical axis shows in any case.
     """
@@ -246,10 +269,21 @@ def chart(
             d = frame.path(line.points, steps=line.steps)
             parts.append(f'<path class="line" {_look(line.place)} d="{d}"/>')
     foot = CHART_HEIGHT - BOTTOM
-    places = dict.fromkeys(_number(frame.at(m.x, 0.0)[0]) for m in marks)
+    places = dict.fromkeys(number(frame.at(m.x, 0.0)[0]) for m in marks)
     ticked = "".join(f"M{x} {foot}v-7" for x in places)
     if ticked:
         parts.append(f'<path class="mark" d="{ticked}"/>')
+    for place, flag in enumerate(flags):
+        x = frame.at(flag.x, 0.0)[0]
+        parts.append(f'<path class="flag" d="M{number(x)} {TOP}V{foot}"/>')
+        at = f'x="{number(x + 3)}" y="{TOP + 10 + 13 * place}"'
+        parts.append(f"<text {at}>{escape(flag.label)}</text>")
+    for door in doors:
+        x, end = (min(max(frame.at(v, 0.0)[0], LEFT), WIDTH - RIGHT) for v in (door.low, door.high))
+        parts.append(
+            f'<a href="{door.href}"><title>{escape(door.label)}</title><rect class="door" '
+            f'x="{number(x)}" y="{TOP}" width="{number(end - x)}" height="{foot - TOP}"/></a>'
+        )
     return svg(title, CHART_HEIGHT, parts) + legend([(x.label, x.place) for x in lines])
 
 
@@ -268,29 +302,3 @@ def legend(entries: Sequence[tuple[str, int]]) -> str:
 def _look(place: int) -> str:
     colour, dashes = COLOURS[place % len(COLOURS)], DASHES[place % len(DASHES)]
     return f'stroke="{colour}"' + (f' stroke-dasharray="{dashes}"' if dashes else "")
-
-
-def plane(
-    title: str,
-    rings: Sequence[tuple[str, Points, int]],
-    star: tuple[float, float],
-    labels: tuple[str, str],
-) -> str:
-    """Closed outlines in the plane, both axes to one scale, and a star."""
-    points = [p for _, ring, _ in rings for p in ring]
-    frame = PlotFrame.about([*points, star], PLANE_HEIGHT, equal=True)
-    parts = frame.axes(*labels)
-    for _, ring, place in rings:
-        parts.append(f'<path class="line" {_look(place)} d="{frame.path(ring)}Z"/>')
-    x, y = frame.at(*star)
-    parts.append(f'<path class="star" d="{_star(x, y)}"/>')
-    entries = [(label, place) for label, _, place in rings]
-    return svg(title, PLANE_HEIGHT, parts) + legend(entries)
-
-
-def _star(x: float, y: float) -> str:
-    corner: Callable[[int], str] = lambda i: (  # noqa: E731
-        f"{_number(x + (7 if i % 2 == 0 else 3) * math.sin(math.pi * i / 5))} "
-        f"{_number(y - (7 if i % 2 == 0 else 3) * math.cos(math.pi * i / 5))}"
-    )
-    return "M" + "L".join(corner(i) for i in range(10)) + "Z"

@@ -6,14 +6,11 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
-from protocol.agreement import predict
-from protocol.box_observer import Box
-from protocol.convex import corners
-from protocol.scenario import ConvexSet, Scenario
+from protocol.scenario import Scenario
 from protocol.text import readable
 from runtime.files import write_atomically
 from runtime.run_folder import MANIFEST
@@ -22,7 +19,9 @@ from wyner.runs.check.clause import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
 from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
 from wyner.runs.check.seal import FILES, ITSELF
-from wyner.runs.page.chart import Curve, Mark, Points, Series, chart, plane
+from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
+from wyner.runs.page.walk import STYLE as WALK_STYLE
+from wyner.runs.page.walk import Walk, shapes_legend
 from wyner.runs.page.windows import Windows
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
@@ -50,7 +49,6 @@ td, th { text-align: left; vertical-align: top; padding: .2em .8em .2em 0;
   border-bottom: 1px solid var(--faint); }
 pre { white-space: pre-wrap; overflow-wrap: anywhere; border-left: 3px solid var(--faint);
   padding-left: .8em; } .note { font-size: .85em; opacity: .8; }
-details { margin: .3em 0; } summary { cursor: pointer; font-size: .9em; }
 .band { stroke: none; fill-opacity: .35; } .FAIL { font-weight: bold; }
 """
 
@@ -105,7 +103,10 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     results = check(e, recorded.take)
     if step is not None and recorded.windows.step() is None:
         raise StepError(f"--step: got {step}, expected one of the run's: 0 to {recorded.newest}")
-    s = e.scenario
+    s, attack = e.scenario, attacked(e.run).as_json()
+    period_s = s.plant.period_s
+    heard = () if isinstance(said, str) else said
+    walk = Walk(s, e.rules, recorded.windows.stretches(), heard, _flags(attack))
     if e.plant is None or isinstance(said, str):
         why = escape(said if isinstance(said, str) else "no plant trace")
         keys = secrecy = [f"<p>Not known: {why}.</p>"]
@@ -116,10 +117,10 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
         f"<p>Clauses of the check, below: {_counts(results)}.</p>",
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
-        *_attack(e),
+        *_attack(attack),
         *_section("What was sent and what arrived", _message(e, recorded)),
-        *_section("States and inputs", _loop(e, recorded)),
-        *_section("One step", _one_step(e, recorded)),
+        *_section("States and inputs", _loop(e, recorded, walk, _flags(attack, period_s))),
+        *_section("Any step", _steps(recorded, walk)),
         *_section("Keys against taps", keys),
         *_section("Clauses of the check", _clauses(results)),
         *_section("The run", _about(e)),
@@ -127,14 +128,13 @@ def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width">'
-        f"<title>wyner: {escape(s.name)}</title><style>{STYLE}</style></head><body>"
+        f"<title>wyner: {escape(s.name)}</title><style>{STYLE}{WALK_STYLE}</style></head><body>"
         f"{''.join(parts)}</body></html>\n"
     )
 
 
-def _attack(e: Evidence) -> Iterator[str]:
+def _attack(found: dict[str, Any] | None) -> Iterator[str]:
     """What an attack came to; nothing where nobody attacked."""
-    found = attacked(e.run).as_json()
     if found is None:
         return
     lines = [
@@ -142,6 +142,17 @@ def _attack(e: Evidence) -> Iterator[str]:
     ]
     table = _table(("parameter", "value"), [(k, json.dumps(v)) for k, v in found.items()])
     yield from _section("The attack", [*lines, table])
+
+
+def _flags(found: dict[str, Any] | None, step_s: float = 1.0) -> list[Flag]:
+    """Onset and alarm of an attack, where a step takes ``step_s`` of an axis."""
+    if found is None:
+        return []
+    onset, alarm, delay = found["onset"], found["alarm_k"], found["delay"]
+    flags = [Flag(onset * step_s, f"attack, step {onset}")]
+    if alarm >= 0:
+        flags.append(Flag(alarm * step_s, f"alarm, step {alarm}: after {delay}"))
+    return flags
 
 
 def _counts(results: Sequence[Result]) -> str:
@@ -224,10 +235,10 @@ class _Recorded:
 
     @property
     def example(self) -> TracedTransition | MissedLine | None:
-        """The step that was asked for, else an agreed one from the middle of the run."""
+        """The step that was asked for, else an agreed one from the middle of the run, else any."""
         if self._chosen is not None:
             return self.windows.step()
-        return self.some[len(self.some) // 2] if self.some else None
+        return self.some[len(self.some) // 2] if self.some else self.windows.stretches()[-1][-1]
 
 
 def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
@@ -239,13 +250,14 @@ def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
     yield (
         f"<p>{recorded.steps} steps ({recorded.missed} missed) in {seconds:g} s of plant time; "
         f"{len(recorded.agreed)} key symbols agreed, {recorded.symbols} message symbols carried, "
-        f"{rate:.3g} bits a second. That is what was sent; what stayed secret is above.</p>"
+        f"{rate:.3g} bits a second. That is what was sent, counted and so without an interval; "
+        "what stayed secret is above.</p>"
     )
     if recorded.steps:
         yield f"<p>Control cost: {recorded.cost / recorded.steps:.4g} a step, x' Q x + u' R u.</p>"
 
 
-def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
+def _loop(e: Evidence, recorded: _Recorded, walk: Walk, flags: Sequence[Flag]) -> Iterator[str]:
     if not recorded.steps:
         yield "<p>The plant left no trace.</p>"
         return
@@ -269,80 +281,32 @@ def _loop(e: Evidence, recorded: _Recorded) -> Iterator[str]:
         ("Inputs over time", inputs, "input"),
     ):
         marks = (Mark(k * T) for k in recorded.agreed)
-        yield chart(title, lines, "plant time (s)", what, marks=marks)
+        yield chart(
+            title, lines, "plant time (s)", what, marks=marks, flags=flags, doors=walk.doors(T)
+        )
     yield (
         '<p class="note">Ticks at the foot: steps on which a key symbol was agreed. Of a long run '
-        "a band shows the range in each stretch. Here it is step by step:</p>"
+        "a band shows the range in each stretch. A click shows it step by step, below.</p>"
     )
+
+
+def _steps(recorded: _Recorded, walk: Walk) -> Iterator[str]:
+    """Each step by its number, one of them shown at first."""
+    if not recorded.steps:
+        yield "<p>The plant left no trace.</p>"
+        return
     stretches = recorded.windows.stretches()
-    yield from recorded.windows.drawn(e.rules.states, e.scenario.m)
+    yield (
+        '<p class="note">Choose a stretch, then a step, by a click in a picture or by its number; '
+        "the page's address with <code>#step-K</code> at its end shows step K.</p>"
+    )
     if sum(len(steps) for steps in stretches) < recorded.steps:
         yield (
             f'<p class="note">{len(stretches)} stretches of {recorded.steps} steps; '
             "<code>wyner report RUN_DIR --step K</code> shows the one about step K.</p>"
         )
-
-
-def _one_step(e: Evidence, recorded: _Recorded) -> Iterator[str]:
-    t, s = recorded.example, e.scenario
-    if t is None:
-        yield "<p>No key symbol was agreed.</p>"
-        return
-    if isinstance(t, MissedLine):
-        yield f"<p>Step {t.k}: no offer came in time, so nothing was tested.</p>"
-        return
-    yield f"<p>{escape(_told_of(t, s))}</p>"
-    x, star = t.x, t.x_next
-    if t.box is not None:
-        x, star = Box(*t.box).centre, t.true_x_next or ()
-    if s.n < 2 or not star:
-        return
-    reaches = (
-        (_outline(s.defender.disturbance), "defender"),
-        (_outline(s.eavesdropper_set), "eavesdropper"),
-    )
-    rings = []
-    for i, u in enumerate(t.candidates):
-        c = predict(e.rules.agreement.A, e.rules.agreement.B, x, u)
-        for ring, who in reaches:
-            points = [(c[0] + a, c[1] + b) for a, b in ring]
-            rings.append((f"reach of candidate {i}, {who}", points, 2 * i + (who != "defender")))
-    yield plane("One step", rings, (star[0], star[1]), ("x1", "x2"))
-    yield '<p class="note">Star: where the state came to.</p>'
-
-
-def _told_of(t: TracedTransition, s: Scenario) -> str:
-    """What the agreement test found in a step."""
-    if t.symbol < 0:
-        gauges = ", ".join(f"{g:.3g}" for g in t.gauges)
-        return (
-            f"Step {t.k}: no key symbol. The candidates' gauges are {gauges}; a key needs exactly "
-            f"one of at most 1, and all of them {_in_her_set(s)}."
-        )
-    others = ", ".join(f"{g:.3g}" for i, g in enumerate(t.gauges) if i != t.symbol)
-    return (
-        f"Step {t.k}: the gauge of candidate {t.symbol} is {t.gauges[t.symbol]:.3g}, at most 1; "
-        f"of the others {others}, above 1 and {_in_her_set(s)}. So both ends know that candidate "
-        f"{t.symbol} was applied, and an eavesdropper who knows no more than D_e finds every "
-        "candidate possible."
-    )
-
-
-def _in_her_set(s: Scenario) -> str:
-    if s.secrecy.disturbance is not None:
-        return "within D_e, which has a shape of its own"
-    return f"at most alpha = {s.secrecy.alpha:g}"
-
-
-def _outline(disturbance: ConvexSet) -> list[tuple[float, float]]:
-    """The outline of a set of disturbances in the first two states."""
-    points = corners(*(np.array(a) for a in disturbance.rows()))[:, :2]
-    if disturbance.dimension > 2:
-        from scipy.spatial import ConvexHull
-
-        points = points[ConvexHull(points).vertices]
-    order = np.arctan2(points[:, 1], points[:, 0]).argsort()
-    return [(float(a), float(b)) for a, b in points[order]]
+    yield shapes_legend()
+    yield from walk.drawn(recorded.example)
 
 
 def _keys(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:

@@ -6,17 +6,15 @@ no more memory than any other.
 """
 
 from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
 from wyner.runs.check.records import MissedLine, TracedTransition
-from wyner.runs.page.chart import Curve, Mark, chart
 
 STEPS: Final = 200
 """Steps of a stretch: some three pixels each."""
 
-MOST_WINDOWS: Final = 40
+MOST_WINDOWS: Final = 20
 """Stretches on a page, beside the one that was asked for and the last."""
 
 Step = TracedTransition | MissedLine
@@ -63,26 +61,3 @@ class Windows:
         if self._newest and (not whole or whole[-1][-1].k < self._newest[-1].k):
             whole.append(list(self._newest))
         return whole
-
-    def drawn(self, states: int, inputs: int) -> Iterator[str]:
-        """The stretches as HTML, each to be opened by a click; the one asked for is open."""
-        for steps in self.stretches():
-            first, last = steps[0].k, steps[-1].k
-            opened = " open" if self.chosen is not None and first <= self.chosen <= last else ""
-            missed = sum(isinstance(step, MissedLine) for step in steps)
-            agreed = [s.k for s in steps if isinstance(s, TracedTransition) and s.symbol >= 0]
-            yield (
-                f"<details{opened}><summary>Steps {first} to {last}: {len(agreed)} key symbols "
-                f"agreed, {missed} missed</summary>"
-            )
-            x = [
-                Curve(f"x{i + 1}", [(float(s.k), s.x[i]) for s in steps], i) for i in range(states)
-            ]
-            u = [
-                Curve(f"u{i + 1}", [(float(s.k), s.u[i]) for s in steps if s.u], i, steps=True)
-                for i in range(inputs)
-            ]
-            for title, lines, what in (("States", x, "state"), ("Inputs", u, "input")):
-                marks = (Mark(float(k)) for k in agreed)
-                yield chart(f"{title}, steps {first} to {last}", lines, "step", what, marks=marks)
-            yield "</details>"

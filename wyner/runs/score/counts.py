@@ -1,6 +1,7 @@
 """What a plant's trace adds up to, line by line."""
 
 import base64
+from array import array
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -34,6 +35,8 @@ class PlantCounts:
         Transitions that carried a message symbol.
     recovered : list of (int, bytes)
         Each message that was whole, with the step at which it was.
+    without : array of int
+        Steps that were missed, in order.
     """
 
     weights: tuple[Vector, Vector] = ((), ())
@@ -44,6 +47,7 @@ class PlantCounts:
     symbol_errors: int = 0
     message_symbols: int = 0
     recovered: list[tuple[int, bytes]] = field(default_factory=list)
+    without: "array[int]" = field(default_factory=lambda: array("q"))
     _last_k: int = -1
 
     @property
@@ -65,6 +69,7 @@ class PlantCounts:
             self.message_symbols += carried != NO_SYMBOL
         elif kind in ("missed", "interrupted"):
             self.steps += 1
+            self.without.append(int(event["k"]))
             self._judge(event)
         elif kind == "recovered":
             self.recovered.append((self._last_k, base64.b64decode(event["payload"])))

@@ -17,6 +17,7 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import StoreError
+from protocol.statistics import COUNTED, POOLED
 from runtime.keys.store import KeyStore
 from runtime.recording import TraceError
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
@@ -272,6 +273,11 @@ class KeyAudit:
             "refused": self.refused,
             "blocks": [block._asdict() for block in self.blocks] if blocks else len(self.blocks),
             "missed_by_tap": self.missed,
+            "no_interval": {
+                "bits_per_second": COUNTED,
+                "last_block_bits_per_second": COUNTED,
+                "missed_by_tap": POOLED,
+            },
             "audited": {name: rate._asdict() for name, rate in self.rates.items()},
             "assumption": self.sentence,
             "warnings": list(self.warnings),

@@ -2,9 +2,12 @@
 
 import base64
 import math
+from collections.abc import Sequence
 from typing import Any, Final
 
+from protocol.statistics import COUNTED
 from protocol.text import readable
+from runtime.errors import UsageError
 from runtime.recording import TraceError
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
@@ -12,6 +15,12 @@ from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
 from wyner.runs.score.report import report
 from wyner.runs.score.score import ONE_RUN, RunScore, ScoreError, score_run, summary_of
+from wyner.simulate.missed import missed_steps
+
+LOCKSTEP: Final = "fast"
+
+MOST_STEPS: Final = 100_000
+"""Steps of a run of which the network's share is found: it takes some microseconds each."""
 
 GUESS_LENGTH: Final = 72
 """Characters of an eavesdropper's guess that are shown to people."""
@@ -31,6 +40,7 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
     ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
     it whole, -1 never. ``exchanged`` has so much of every message, the last 1000 of them.
+    Of ``missed`` steps ``missed_by_network`` are the network table's (:func:`missed_by_network`).
     ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
     every journal the plant had. ``control_cost`` is the mean of x' Q x + u' R u a step.
     ``trace_error`` says from where on the plant's trace cannot be read, and what is summed up is
@@ -38,7 +48,8 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     ``claimed_bits`` is what the paper's rule counts, of whichever law, ``true_bits`` what the
     strongest eavesdropper of this run leaves of it at most, ``true_bits_interval`` with its limits
     (None: nobody was scored, and ``unscored`` says why of each); of ``unguessed`` messages, which
-    the tap recorded and left out of its live guessing, it says too little. ``failed`` names the
+    the tap recorded and left out of its live guessing, it says too little. ``no_interval`` says why
+    figures have none. ``failed`` names the
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
     where the scenario makes none. ``attack`` is what one came to
     (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
@@ -72,11 +83,13 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
         "seconds": seconds,
         "transitions": counts.transitions,
         "missed": steps - counts.transitions,
+        "missed_by_network": missed_by_network(run, counts.without, steps),
         "control_cost": counts.mean_cost,
         "agreements": counts.agreements,
         "symbol_errors": counts.symbol_errors,
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
+        "no_interval": {"bits_per_second": COUNTED, "control_cost": COUNTED},
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
@@ -109,6 +122,32 @@ def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     }
 
 
+def missed_by_network(run: Run, without: Sequence[int], steps: int) -> int | None:
+    """How many of the steps without an offer the network's table takes, however fast the machine.
+
+    None without a table, in lock-step, where a step waits for its offer, and of long runs.
+    """
+    scenario, told = run.scenario, run.manifest or {}
+    if scenario.network is None or told.get("pace") == LOCKSTEP or not 0 < steps <= MOST_STEPS:
+        return None
+    seed = told.get("seed")
+    try:
+        taken = missed_steps(
+            scenario, seed=int(seed or 0), runs=range(1), steps=steps, folder=run.folder
+        )
+    except UsageError:  # the file of measured delays is not with the run
+        return None
+    assert taken is not None
+    return sum(bool(taken[k, 0]) for k in without if k < steps)
+
+
+def _missed(summary: dict[str, Any]) -> str:
+    """The missed steps, and those of them that are the network's."""
+    by_network = summary["missed_by_network"]
+    text = f"{summary['missed']} missed"
+    return text if by_network is None else f"{text}, {by_network} of them by the network's table"
+
+
 def _text(payload: bytes) -> str:
     return payload.decode("utf-8", errors="replace")
 
@@ -122,11 +161,11 @@ def render(summary: dict[str, Any]) -> str:
         f"sent       {readable(base64.b64decode(summary['sent_base64']))}",
         f"recovered  {got}",
         *_others(summary),
-        f"loop       {summary['steps']} steps ({summary['missed']} missed), "
+        f"loop       {summary['steps']} steps ({_missed(summary)}), "
         f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed, "
         + (f"{errors} WRONG" if errors else "none wrong"),
         f"carried    {summary['bits']:.0f} message bits, "
-        f"{summary['bits_per_second']:.2f} a second of plant time",
+        f"{summary['bits_per_second']:.2f} a second of plant time, counted",
         *cost_lines(summary["control_cost"]),
     ]
     if summary["trace_error"]:

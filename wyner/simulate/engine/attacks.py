@@ -107,7 +107,7 @@ class Keys:
     learn: Learner | None = None
 
 
-class _Loop:
+class AttackedLoop:
     """The loop of one chunk, without an attack."""
 
     def __init__(
@@ -335,7 +335,7 @@ def attack_runs(
         When what is shown leaves every set, or the plant is not linear.
     """
     runs = len(keys.held)
-    loop = _Loop(scenario, law, runs, start)
+    loop = AttackedLoop(scenario, law, runs, start)
     public, secret, hers = (np.random.default_rng([*seed, part]) for part in range(3))
     attack = None if kind is None else kind(np.random.default_rng([*seed, 3]))
     ends = _Ends((Residual(scenario.n, scenario.secrecy.candidates), *defences), keys, secret, hers)

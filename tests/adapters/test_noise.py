@@ -1,0 +1,131 @@
+"""Every kind of plant read through noise: keys, none of them wrong, also where processes die.
+
+A simulation's sensors are simulated (``plant.noise``); a device has noise of its own, and both ends
+assume a set for it (``defender.noise``).
+"""
+
+import json
+import random
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import make_law, synthesise
+from plant_service.adapters import PlantAdapter
+from protocol.agreement import NO_SYMBOL
+from protocol.scenario import Scenario
+from protocol.vectors import Vector
+from tests.adapters.plants import KINDS, Device, line
+from tests.adapters.test_device import line as scenario_of_a_line
+from tests.support.safety import violations
+from wyner.api import build
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
+
+NOISE = (0.004, 0.004)
+
+
+def noisy(*, simulated: bool) -> Scenario:
+    """The double integrator as somebody's own plant, under a law that allows for noise."""
+    data = json.loads(scenario_of_a_line().model_dump_json(exclude_none=True, exclude_unset=True))
+    data["defender"]["noise"] = {"half_widths": list(NOISE)}
+    if simulated:
+        data["plant"]["noise"] = {"kind": "corners", "half_widths": list(NOISE)}
+    return build(data)
+
+
+@cache
+def law_of(scenario: Scenario) -> CandidateLaw:
+    return make_law(scenario, synthesise(scenario))
+
+
+def own_noise() -> Callable[[Vector], Vector]:
+    """A device's sensors: what they add in each reading, at the corners of N, in its own units."""
+    draw = random.Random(5)
+    return lambda y: tuple(v + 2.0 * draw.choice((-w, w)) for v, w in zip(y, NOISE, strict=True))
+
+
+def plants(kind: str, folder: Path) -> Callable[[], PlantAdapter]:
+    """What makes a plant of this kind for each life of its process."""
+    if kind == "device":
+        return lambda: Device(own_noise())
+    return lambda: line(kind, folder)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "device"])
+def test_keys_are_agreed_through_noise_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
+    """200 steps, seed 2: every tested step agrees on the coin; readings are off by N at most."""
+    scenario = noisy(simulated=kind != "device")
+    both = Simulation(
+        scenario,
+        law_of(scenario),
+        seed=2,
+        step_s=1.0 if kind == "device" else None,
+        own=plants(kind, tmp_path),
+    )
+    history = both.run(steps=200)
+    made = list(history.plant.values())
+    assert len(made) >= 190
+    tested = [t for t in made if t.tested]
+    assert all(t.symbol == t.coin for t in tested)
+    off = [
+        abs(a - b)
+        for t in made
+        if t.truth is not None
+        for a, b in zip(t.x_next, t.truth.x_next, strict=True)
+    ]
+    if kind == "device":
+        assert not off, "nobody knows a device's own state"
+    else:
+        assert max(off) == pytest.approx(max(NOISE))
+    for at, t in history.controller.items():
+        assert history.plant[at].shared == t.shared
+
+
+@pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium", "device"])
+def test_deaths_lose_nothing_of_what_is_read_through_noise(kind: str, tmp_path: Path) -> None:
+    """Exactly once, and no key is wrong in a step whose plant was not put back where it started."""
+    scenario = noisy(simulated=kind != "device")
+    payloads = (b"one",)
+    for seed in range(3):
+        both = Simulation(
+            scenario,
+            law_of(scenario),
+            seed=seed,
+            payloads=payloads,
+            faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
+            step_s=1.0,
+            own=plants(kind, tmp_path),
+        )
+        history = both.run(
+            seconds=4000,
+            until=lambda b=both: len(b.history.delivered) >= 1,  # type: ignore[misc]
+        )
+        assert list(violations(history, payloads)) == []
+        assert history.inbox == list(payloads)
+        assert history.crashes > 0
+        wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
+        assert not wrong
+
+
+def test_a_scenario_of_each_kind_may_state_noise(tmp_path: Path) -> None:
+    """The tables of FMU, environment and object take ``plant.noise`` as the linear one does."""
+    more: dict[str, dict[str, Any]] = {
+        "fmu": {"file": "a.fmu", "sha256": "0" * 64, "inputs": ["u"], "outputs": ["a", "b"]},
+        "gymnasium": {"id": "Pendulum-v1", "state": "state"},
+        "ode": {"object": "a.py:f", "initial_state": [0.0, 0.0]},
+        "python": {"object": "a.py:Plant"},
+    }
+    data = json.loads(noisy(simulated=True).model_dump_json(exclude_none=True, exclude_unset=True))
+    plant = {k: v for k, v in data["plant"].items() if k not in ("kind", "object")}
+    for kind, fields in more.items():
+        table = {**plant, "kind": kind, **fields}
+        if kind == "ode":
+            table.pop("operating_point")
+        scenario = build({**data, "plant": table})
+        assert scenario.plant.noise is not None
+        assert scenario.test_set.half_widths != scenario.defender.disturbance.half_widths

@@ -1,0 +1,115 @@
+"""Every rate and probability of every ``--json`` has its interval, or says why it has none."""
+
+import json
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from runtime.run_folder import BELIEFS
+from tests.support.bare_figures import bare_figures
+from tests.support.small_run import SmallRun
+from wyner.cli.main import main
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"agreement_probability": 0.5},
+        {"rate": {"value": 0.5, "low": None, "high": None}},
+        {"points": [{"bits_per_second": 1.0, "interval_95": [None, None]}]},
+        {"no_interval": {"other_rate": "counted"}, "inner": {"error_rate": 0.1}},
+        {"no_interval": "", "share": 0.2},
+    ],
+)
+def test_a_figure_without_limits_and_without_a_reason_is_found(told: dict[str, Any]) -> None:
+    assert list(bare_figures(told))
+
+
+@pytest.mark.parametrize(
+    "told",
+    [
+        {"agreement_probability": 0.5, "agreement_interval_95": [0.4, 0.6]},
+        {"rate": {"value": 0.5, "low": 0.4, "high": 0.6}},
+        {"rate": {"value": 0.5, "low": None, "high": None, "no_interval": "one run"}},
+        {"no_interval": {"error_rate": "counted"}, "inner": {"error_rate": 0.1}},
+        {"no_interval": "computed", "rows": [{"share": 0.2}]},
+        {"share": None, "steps": 7},
+    ],
+)
+def test_one_with_either_is_not(told: dict[str, Any]) -> None:
+    assert list(bare_figures(told)) == []
+
+
+def said(capsys: pytest.CaptureFixture[str], *argv: str) -> Any:
+    main([*argv, "--json"])
+    return json.loads(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "argv",
+    [
+        ("design", "packed"),
+        ("design", "paper"),
+        ("design", "network"),
+        ("design", "packed", "--alphas"),
+        ("design", "packed", "--noise", "0.12", "--measure"),
+        ("design", "packed", "--outputs", "1:0.001"),
+        ("scenarios",),
+    ],
+    ids=" ".join,
+)
+def test_of_a_design(capsys: pytest.CaptureFixture[str], argv: tuple[str, ...]) -> None:
+    assert list(bare_figures(said(capsys, *argv))) == []
+
+
+@pytest.mark.slow
+def test_of_a_sweep_of_few_runs_and_of_enough(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for runs in (2, 8):
+        grid = tmp_path / f"grid-{runs}.toml"
+        grid.write_text(
+            f'name = "few"\nscenario = "paper"\nsteps = 50\nseed = 1\nruns = {runs}\n'
+            '[grid]\n"secrecy.alpha" = [2.0, 8.0]\n'
+        )
+        told = said(capsys, "sweep", str(grid), "--output", str(tmp_path / f"{runs}.csv"))
+        assert len(told["points"]) == 2
+        assert list(bare_figures(told)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_of_a_live_run_and_of_what_looks_at_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    run = str(tmp_path / "run")
+    live = ("up", "--scenario", "keys", "--pace", "fast", "--steps", "200", "--run-dir", run)
+    summary = said(capsys, *live, "--seed", "3")
+    assert summary["taps"]
+    assert summary["keys"] is not None
+    again = [str(shutil.copytree(run, tmp_path / f"run-{i}")) for i in range(5)]
+    for told in (
+        summary,
+        said(capsys, "score", run),
+        said(capsys, "score", *again),
+        said(capsys, "check", run),
+        said(capsys, "status", run),
+        said(capsys, "report", run),
+    ):
+        assert list(bare_figures(told)) == []
+
+
+def test_of_the_summary_of_a_run_without_taps(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    small = SmallRun(tmp_path / "run")
+    small.steps(40)
+    small.close()
+    assert not (tmp_path / "run" / BELIEFS).exists()
+    assert list(bare_figures(said(capsys, "check", str(tmp_path / "run")))) == []
+    from wyner.runs.run import Run
+    from wyner.runs.score.summary import summarise
+
+    assert list(bare_figures(summarise(Run.load(tmp_path / "run"), b"hi"))) == []

@@ -1,0 +1,143 @@
+"""A fit from noisy readings: N stated or fitted, W certified, and what the scheme makes of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from plant_service.adapters import Operated
+from plant_service.adapters.registry import open_plant
+from protocol.scenario import Scenario, ScenarioError
+from tests.fit.test_fit import CART, DYNAMICS, law
+from wyner.api import design, run
+from wyner.cli.main import main
+from wyner.fit.conformal import session_score
+from wyner.fit.fitting import Fit, Plan, fit
+from wyner.fit.identification import FitError, identify, sensor_deviation
+from wyner.fit.sessions import residuals_under
+from wyner.fit.toml import as_toml
+
+NOISE = (0.0006, 0.004)
+"""Half-widths of the sensors' noise, of D_c's order in the cart's position."""
+
+NOISY: dict[str, Any] = {
+    **CART,
+    "plant": {**CART["plant"], "noise": {"half_widths": list(NOISE)}},
+    "secrecy": {"alpha": 12.0, "candidates": 2},
+}
+PLAN = Plan(
+    excite_sessions=8, excite_steps=200, pilot=5, calibration=40, fresh=40, steps=60, seed=2
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("noisy-cart")
+    (path / "cart.py").write_text(DYNAMICS)
+    (path / "cart.toml").write_text(as_toml(NOISY, "A cart with air drag, read through noise."))
+    return path
+
+
+def opened(folder: Path) -> Any:
+    def open_(scenario: Scenario) -> Operated:
+        return open_plant(scenario, folder)
+
+    return open_
+
+
+@pytest.fixture(scope="module", params=["stated", "fitted"])
+def cart(request: pytest.FixtureRequest, folder: Path) -> Fit:
+    if request.param == "stated":
+        tables = {**NOISY, "defender": {"noise": {"half_widths": list(NOISE)}}}
+        return fit(tables, "cart.toml", opened(folder), law, PLAN)
+    return fit(NOISY, "cart.toml", opened(folder), law, replace(PLAN, noise=2.0))
+
+
+def test_noise_is_told_from_disturbance() -> None:
+    """A linear plant, 40,000 readings: A by instruments, and each deviation within 5 %."""
+    rng = np.random.default_rng(3)
+    A, B = np.array([[0.95, 0.1], [0.0, 0.8]]), np.array([[0.05], [0.5]])
+    steps, sessions, deviation = 400, 100, np.array([0.02, 0.05])
+    x = np.zeros((sessions, 2))
+    read = [x + rng.normal(0, deviation, x.shape)]
+    applied = []
+    for _ in range(steps):
+        u = rng.uniform(-1, 1, (sessions, 1))
+        x = x @ A.T + u @ B.T + rng.uniform(-0.02, 0.02, x.shape)
+        read.append(x + rng.normal(0, deviation, x.shape))
+        applied.append(u)
+    y = np.array(read).transpose(1, 0, 2)
+    inputs = np.array(applied).transpose(1, 0, 2)
+    before, at, after = (y[:, i : i + steps - 1].reshape(-1, 2) for i in range(3))
+    u_at = inputs[:, 1:].reshape(-1, 1)
+    plain, better = identify(at, u_at, after), identify(at, u_at, after, before)
+    assert abs(better.A - A).max() < 0.01
+    assert abs(better.A - A).max() < 0.5 * abs(plain.A - A).max()
+    errors = (y[:, 1:] - y[:, :-1] @ A.T - inputs @ B.T).reshape(-1, 2)
+    assert sensor_deviation(errors, A, steps) == pytest.approx(deviation, rel=0.05)
+    with pytest.raises(FitError, match=r"state defender\.noise"):
+        sensor_deviation(errors, np.zeros((2, 2)), steps)
+
+
+def test_the_model_is_not_pulled_towards_zero_by_noise(cart: Fit) -> None:
+    assert cart.model is not None
+    assert cart.model.A[0] == pytest.approx([1.0, 0.095], abs=0.02)
+    N = cart.scenario.defender.noise
+    assert N is not None
+    assert N.half_widths is not None
+    ratio = np.array(N.half_widths) / np.array(NOISE)
+    assert ((ratio > 0.6) & (ratio < 2.5)).all(), ratio
+
+
+def test_the_certificate_is_of_w_and_holds_on_sessions_that_nobody_fitted(
+    cart: Fit, folder: Path
+) -> None:
+    s = cart.scenario
+    assert s.defender.calibration is not None
+    W = s.test_set.half_widths
+    D_c = s.defender.disturbance.half_widths
+    assert W is not None
+    assert D_c is not None
+    assert (np.array(W) > np.array(D_c)).all()
+    residuals = residuals_under(
+        s, law(s), opened(folder), runs=range(5000, 5040), steps=PLAN.steps, seed=77
+    )
+    left = sum(session_score(r, W) > 1 + 1e-9 for r in residuals)
+    assert left / 40 <= s.defender.calibration.violation + 0.1
+
+
+def test_keys_are_agreed_and_none_is_wrong(cart: Fit, folder: Path) -> None:
+    runs = run(design(cart.scenario), steps=300, runs=3, seed=9, folder=folder)
+    agreed = runs.key >= 0
+    assert agreed.mean() > 0.4
+    assert (runs.key == runs.coin)[agreed].mean() > 0.99
+
+
+def test_the_command_says_what_the_promise_rests_on(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "fitted.toml"
+    few = ["--pilot", "3", "--calibration", "20", "--fresh", "10", "--steps", "40"]
+    command = ["fit", str(folder / "cart.toml"), "-o", str(out), *few, "--excite-sessions", "8"]
+    assert main([*command, "--noise", "2", "--excite-steps", "200"]) == 0
+    said = capsys.readouterr().out
+    assert "leaves W = D_c + N - A N with probability" in said
+    assert "D_c itself rests on N, fitted" in said
+    assert "[defender.noise]" in out.read_text()
+    (folder / "cart.py").rename(tmp_path / "cart.py")
+    try:
+        assert main(["design", str(out), "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["noisy"] is True
+    finally:
+        (tmp_path / "cart.py").rename(folder / "cart.py")
+    assert main([*command, "--noise", "0"]) == 2
+    assert capsys.readouterr().err.startswith("wyner: --noise: got 0")
+
+
+def test_noise_is_stated_or_fitted_and_not_both(folder: Path) -> None:
+    tables = {**NOISY, "defender": {"noise": {"half_widths": list(NOISE)}}}
+    with pytest.raises(ScenarioError, match="expected none where it is fitted"):
+        fit(tables, "cart.toml", opened(folder), law, Plan(noise=2.0))
