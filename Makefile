@@ -8,7 +8,7 @@ NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-studies test-house
 .PHONY: $(ROOM_TARGETS)
-.PHONY: demo dev test test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
+.PHONY: demo dev test tests test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
@@ -55,7 +55,11 @@ lint: $(STAMPS)/dev
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy $(PACKAGES) tests
 
-test: lint
+# The linters are one process, and the tests as many as there are cores: beside each other.
+test: $(STAMPS)/dev
+	@$(MAKE) --no-print-directory --jobs=2 lint tests
+
+tests: $(STAMPS)/dev
 	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # Needs a Docker engine; says how to get one where none runs.
@@ -129,7 +133,8 @@ campaign: $(STAMPS)/dev
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
 	WYNER_MUTANTS=all $(BIN)/pytest tests/runs/check/test_mutants.py
-	WYNER_STEPS=long $(BIN)/pytest tests/simulate/test_engine_system.py -k long
+	WYNER_STEPS=long $(BIN)/pytest tests/simulate/test_engine_system.py tests/tap/test_text.py \
+	  -k "long or comes_true"
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all

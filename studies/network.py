@@ -19,7 +19,7 @@ from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
 SOURCES: Final = ("studies/network.py", "wyner/advice/missed_share.py", *LOOP_SOURCES)
 """Where the numbers of this module come from."""
 
-RUNS, STEPS = 400, 500
+RUNS, STEPS = 100, 500
 FIRST_SEED: Final = {"loss": 100, "delay": 200}
 """Of the first value; each has draws of its own, the same for all fallbacks."""
 

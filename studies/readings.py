@@ -12,7 +12,7 @@ from protocol.statistics import wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import Heard, listen
+from wyner.simulate.engine.taps import TapResult, listen
 from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
 from wyner.sweeps.grid import TAP_SOURCES
 
@@ -98,7 +98,7 @@ def reading_rows() -> Iterator[tuple[Any, ...]]:
         )
 
 
-def _heard(scenario: Scenario, law: CandidateLaw) -> Iterator[list[Heard]]:
+def _heard(scenario: Scenario, law: CandidateLaw) -> Iterator[list[TapResult]]:
     runs = simulate_runs(
         scenario, law, seed=SEED, runs=range(TAPPED), steps=TAPPED_STEPS, record=True
     )

@@ -2,6 +2,7 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -12,6 +13,8 @@ from controller_service.sets.design import synthesise
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
 
+TESTS = Path(__file__).parent
+
 # A busy machine is no failure: examples have no time limit, a test has pytest's.
 settings.register_profile("wyner", deadline=None, print_blob=True)
 settings.load_profile("wyner")
@@ -20,6 +23,21 @@ settings.load_profile("wyner")
 # that a test starts: it could not be interrupted.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+
+LONGEST = (
+    *("tap/test_text.py", "tap/test_particle_smoother.py", "tap/test_ladder.py"),
+    *("runs/check/test_evidence.py", "cli/test_demo.py", "campaigns/test_exhaustive.py"),
+    *("simulate/test_network.py", "simulate/test_engine_system.py", "runs/test_memory.py"),
+    *("system/test_leaks.py", "kme/test_kme.py", "adapters/test_device.py"),
+)
+"""Files that take longest go first: at the end no process then waits for another one's file."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Sort; files that are not named, and the tests of a file, stay in their order."""
+    places = {TESTS / name: place for place, name in enumerate(LONGEST)}
+    items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 
 
 @pytest.fixture(scope="session", autouse=True)

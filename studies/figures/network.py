@@ -45,8 +45,8 @@ def draw_network(figure: Figure, data: Path) -> str:
         axes[1][column].set_xlabel(label)
     axes[0][0].legend(title="fallback", fontsize=7)
     figure.suptitle("What a network costs the loop `sustained`")
-    first = rows[0]
+    first, seeds = rows[0], [int(r["seed"]) for r in rows]
     return (
-        f"{first['runs']} runs of {first['steps']} steps a point, each point with draws of its own"
-        "; bars: 95 % Student intervals over runs"
+        f"{first['runs']} runs of {first['steps']} steps a point, seeds {min(seeds)} to "
+        f"{max(seeds)}, one a value; bars: 95 % Student intervals over runs"
     )

@@ -21,7 +21,7 @@ from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Belief, Eavesdropper
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.eavesdroppers.text import Text
-from wyner.runs.score.score import Said, score
+from wyner.runs.score.score import TapOutput, score
 from wyner.sweeps.grid import code_version
 
 RUNS: Final = 100
@@ -150,12 +150,12 @@ def offline(kind: type[Eavesdropper], knowledge: Knowledge) -> Eavesdropper:
     return Text(knowledge, live=False) if kind is Text else kind(knowledge)
 
 
-def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> Said:
+def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOutput:
     """Feed an eavesdropper and collect what she says."""
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
     reviewed = {(session, g.k): g.best for g in (*tap.final_guesses, *tap.review())}
-    return Said(tap.name, session, live, reviewed, tap.belief())
+    return TapOutput(tap.name, session, live, reviewed, tap.belief())
 
 
 def measure(task: Task) -> dict[str, object]:
@@ -171,7 +171,7 @@ def measure(task: Task) -> dict[str, object]:
     said = said_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
         session = next(iter(run.truth.symbols))[0]
-        said = Said(tap.name, session, {}, {}, Belief())
+        said = TapOutput(tap.name, session, {}, {}, Belief())
     scored = score(run.truth, said)
     early = score(run.truth.between(None, EARLY - 1), said).keys_reviewed
     exact, messages = scored.messages.right, scored.messages.of

@@ -3,6 +3,7 @@
 import logging
 import queue
 import threading
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -13,7 +14,7 @@ from attacker_service.asking import Attacker
 from attacker_service.relay import Relay
 from plant_service.attacked import AttackedPlant
 from plant_service.plant import Disturbances, LinearModel
-from protocol.messages import Measurement, Offer
+from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Attack, Scenario, attack_of
 from protocol.streams import noise
 from protocol.topics import DEFAULT_LOOP, key_of
@@ -157,7 +158,7 @@ class Passed:
 
     def __init__(self, relay: Relay, plants: MemoryBus, controllers: MemoryBus) -> None:
         self.relay = relay
-        self.put = {
+        self.put: dict[type[Message], Callable[[bytes], None]] = {
             Measurement: MemoryBus(plants.hub).publisher(key_of(Measurement, DEFAULT_LOOP)).put,
             Offer: MemoryBus(controllers.hub).publisher(key_of(Offer, DEFAULT_LOOP)).put,
         }

@@ -3,6 +3,8 @@
 import re
 from pathlib import Path
 
+from tests.conftest import LONGEST, TESTS
+
 ROOT = Path(__file__).resolve().parents[2]
 APART = {"compose", "support"}
 """Containers have a target of their own; what tests share has no tests."""
@@ -13,3 +15,7 @@ def test_each_folder_of_tests_is_run_by_one_room() -> None:
     named = " ".join(re.findall(r"^ROOM_[a-z]+ := (.*)$", text, re.MULTILINE)).split()
     folders = {path.parent.name for path in (ROOT / "tests").glob("*/__init__.py")}
     assert sorted(named) == sorted(folders - APART)
+
+
+def test_the_files_that_go_first_are_there() -> None:
+    assert all((TESTS / name).is_file() for name in LONGEST)

@@ -79,7 +79,7 @@ def test_every_figure_states_runs_seed_and_intervals(name: str) -> None:
         assert "runs" not in note
         return
     assert re.search(r"\bruns?\b", note)
-    assert re.search(r"seed 7\b|seeds 0 to \d+", note)
+    assert re.search(r"seed 7\b|seeds \d+ to \d+", note)
     # A picture of single runs has no interval; every figure with an estimate has.
     assert ("95 %" in note) == (name != "sets")
 

@@ -29,12 +29,12 @@ from tap_service.eavesdroppers import (
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
 from wyner.runs.score.replay import COUNTS
-from wyner.runs.score.score import EavesdropperScore, Said, score
+from wyner.runs.score.score import EavesdropperScore, TapOutput, score
 
 CLEAR = View()
 
 
-def play(run: Run, name: str, view: View = CLEAR) -> tuple[Said, EavesdropperScore]:
+def play(run: Run, name: str, view: View = CLEAR) -> tuple[TapOutput, EavesdropperScore]:
     kind = named(name)
     said = said_about(kind(knowledge_for(run, kind, view)), heard_by(run, view))
     return said, score(run.truth, said)
@@ -122,13 +122,12 @@ def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
 
 @pytest.mark.slow
 def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> None:
-    for loss in (0.1, 0.3):
-        view = View(loss=loss, seed=3)
-        run = simulate(1000, 3)
-        plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "smoother"))
-        assert smooth.keys_reviewed.right > plain.keys_reviewed.right
-        blind = 0.5 * smooth.keys.of
-        assert smooth.keys_reviewed.right - blind > 1.15 * (plain.keys_reviewed.right - blind)
+    view = View(loss=0.3, seed=3)
+    run = simulate(1000, 3)
+    plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "smoother"))
+    assert smooth.keys_reviewed.right > plain.keys_reviewed.right
+    blind = 0.5 * smooth.keys.of
+    assert smooth.keys_reviewed.right - blind > 1.15 * (plain.keys_reviewed.right - blind)
 
 
 def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:

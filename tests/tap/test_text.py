@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 import lzma
+import os
 import random
 import time
 import tracemalloc
@@ -444,9 +445,10 @@ def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
 @pytest.mark.slow
 @pytest.mark.timeout(1500)
 def test_what_she_states_comes_true() -> None:
-    """200 messages, a third to a half of their symbols missed: 20 short ones by seeds 0 to 9."""
+    """A third to a half of the symbols missed: 20 short messages by seeds 0 to 9, or by three."""
     stated: list[tuple[float, bool]] = []
-    for seed, words in itertools.product(range(10), SHORT):
+    seeds = range(10) if os.environ.get("WYNER_STEPS") == "long" else (0, 4, 9)
+    for seed, words in itertools.product(seeds, SHORT):
         payload = words.encode("ascii")
         missed = 0.35 + 0.15 * seed / 9
         steps = stretch(payload, 4, "pipelined", seed, missed=missed, agree=1.0)
@@ -456,9 +458,9 @@ def test_what_she_states_comes_true() -> None:
         claim = first.probability if first is not None else 0.0
         stated.append((claim, first is not None and first.payload == payload))
     p, right = (np.array(column, dtype=float) for column in zip(*stated, strict=True))
-    assert len(p) == 200
+    assert len(p) == 20 * len(seeds)
     sure = p >= 0.99
-    assert sure.sum() >= 40
+    assert sure.sum() >= 4 * len(seeds)
     assert (right[sure] == 0).sum() <= 2 + 3 * (1 - p[sure]).sum()
     # over all and within the middle, as many come true as she states, but for chance
     for rows in (p >= 0, (p >= 0.2) & (p < 0.99)):

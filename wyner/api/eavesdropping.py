@@ -7,7 +7,7 @@ from protocol.statistics import NOTHING, Interval, share_over_runs
 from tap_service.eavesdroppers import Eavesdropper
 from tap_service.sandboxed import guarded
 from wyner.api.simulation import Simulated
-from wyner.simulate.engine.taps import Heard, listen
+from wyner.simulate.engine.taps import TapResult, listen
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ def eavesdrop(
     return [_score(kind, [of_run[i] for of_run in heard]) for i, kind in enumerate(kinds)]
 
 
-def _score(kind: type[Eavesdropper], heard: Sequence[Heard]) -> TapScore:
+def _score(kind: type[Eavesdropper], heard: Sequence[TapResult]) -> TapScore:
     name = kind.name
     agreements, right = sum(h.agreements for h in heard), sum(h.right for h in heard)
     keys = NOTHING

@@ -12,7 +12,8 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
@@ -66,6 +67,10 @@ ONSET: Final = 360
 
 SPOOFED: Final = 100
 """Steps of the attack."""
+
+ATTACKED_BY: Final = ("nearest-centre", "key-solver")
+"""Who listens to the attacked runs: what the attack may use is what the key-solver holds, and those
+who go on to read the message would take half of their processor time."""
 
 DEAF: Final = "loss = 0.3"
 CLAIM: Final = "eps_E = 0.3"
@@ -222,10 +227,8 @@ def _control(
             return f"3. Control: {made} keys beside a tap that hears all: that must not be."
         return "3. Control: beside a tap that hears all no key is made, and none is promised."
 
-    with tempfile.TemporaryDirectory() as where:
-        scenario = Path(where) / "wired-tap.toml"
-        scenario.write_text(text, encoding="utf-8")
-        options = _options(args, str(scenario), folder, secret=True)
+    with _scenario("wired-tap", text) as scenario:
+        options = _options(args, scenario, folder, secret=True)
         outcome = run_session(options, stays=False, title=TITLES["control"], stage=stage)
     made = (outcome.summary["keys"] or {}).get("made", 0)
     return outcome, line_of(outcome.summary), made == 0
@@ -235,8 +238,9 @@ def _caught(
     args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
 ) -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
-    options = _attacked(args, "watched", folder)
-    outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
+    with _scenario("secret-key", _listened(_changed("watched"))) as scenario:
+        options = _attacked(args, scenario, folder)
+        outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
     found = outcome.summary["attack"] or {}
     delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
     steps = f"{delay} step{'' if delay == 1 else 's'}"
@@ -263,11 +267,9 @@ def _unseen(
             f"away while the screen shows {shown:.1f}."
         )
 
-    with tempfile.TemporaryDirectory() as where:
-        scenario = Path(where) / "false-claim.toml"
-        scenario.write_text(_changed("watched", DEAF), encoding="utf-8")
+    with _scenario("false-claim", _listened(_changed("watched", DEAF))) as scenario:
         outcome = run_session(
-            _attacked(args, str(scenario), folder),
+            _attacked(args, scenario, folder),
             epilogue=lambda summary: [*before[:-1], line_of(summary)],
             title=TITLES["unseen"],
             stage=stage,
@@ -298,6 +300,20 @@ def _changed(scenario: str, *pieces: str) -> str:
             raise ValueError(f"{scenario}.toml: expected {piece!r}")
         text = text.replace(piece, piece.replace("0.3", "0.0"))
     return text
+
+
+def _listened(text: str) -> str:
+    """A scenario's text, with `ATTACKED_BY` as its eavesdroppers."""
+    return text.replace("[tap]\n", f"[tap]\neavesdroppers = {list(ATTACKED_BY)}\n", 1)
+
+
+@contextmanager
+def _scenario(name: str, text: str) -> Iterator[str]:
+    """A file of that text for as long as a run needs it."""
+    with tempfile.TemporaryDirectory() as where:
+        path = Path(where) / f"{name}.toml"
+        path.write_text(text, encoding="utf-8")
+        yield str(path)
 
 
 class SealedMessage:

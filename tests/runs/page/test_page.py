@@ -30,7 +30,7 @@ from wyner.runs.page.chart import (
 )
 from wyner.runs.page.walk import Walk
 from wyner.runs.page.windows import MOST_WINDOWS, STEPS, Windows
-from wyner.runs.score.score import Said
+from wyner.runs.score.score import TapOutput
 
 SECRET = b"Hi"
 BELIEF = Belief()
@@ -174,8 +174,8 @@ def test_who_got_a_step_is_said_beside_it(run_dir: Path) -> None:
     agreed = next(t for t in steps if t.symbol >= 0)
     at, wrong = (agreed.session, agreed.k), (agreed.symbol + 1) % len(agreed.candidates)
     said = [
-        Said("she-<b>", agreed.session, {at: wrong}, {at: agreed.symbol}, BELIEF),
-        Said("nobody", agreed.session, {}, {}, BELIEF),
+        TapOutput("she-<b>", agreed.session, {at: wrong}, {at: agreed.symbol}, BELIEF),
+        TapOutput("nobody", agreed.session, {}, {}, BELIEF),
     ]
     walk = Walk(evidence.scenario, evidence.rules, [steps], said)
     shown = "".join(walk.drawn(agreed))

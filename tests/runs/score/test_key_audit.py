@@ -18,7 +18,7 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
 from wyner.runs.run import Run
-from wyner.runs.score.keys import Copies, Heard, KeyAudit, audit_keys
+from wyner.runs.score.keys import Copies, HeardCopies, KeyAudit, audit_keys
 
 S = "1" * 16
 STEPS = 600
@@ -155,7 +155,7 @@ def test_messages_that_left_twice_are_judged_by_themselves(
 
 def test_copies_take_a_few_bytes_each() -> None:
     tracemalloc.start()
-    sent, heard = Copies(), Heard()
+    sent, heard = Copies(), HeardCopies()
     for k in range(30_000):
         sent.add(("measurement", S, k), ("offer", S, k))
         heard.add(("offer", S, k), 1)

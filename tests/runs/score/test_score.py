@@ -19,8 +19,8 @@ from wyner.runs.score.report import over_runs, percent, report
 from wyner.runs.score.score import (
     Proportion,
     RunScore,
-    Said,
     ScoreError,
+    TapOutput,
     Truth,
     read_truth,
     score,
@@ -37,17 +37,17 @@ def truth(n: int = 10, *, whole: bool = True) -> Truth:
     return Truth(2, keys, symbols, ((2 * n, b"word"),) if whole else (), 2 * n)
 
 
-def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> Said:
+def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> TapOutput:
     t = truth(n)
     live = {at: v if i < right else 1 - v for i, (at, v) in enumerate(t.keys.items())}
     symbols = {k: v if i < right else 1 - v for i, ((_, k), v) in enumerate(t.symbols.items())}
     found = (b"word",) if whole else ()
     solved_k = 20 if whole else -1
     belief = Belief(b"word", found, len(found), 0.5, 7, solved_k, tuple(symbols.items()))
-    return Said(name, S, live, {}, belief)
+    return TapOutput(name, S, live, {}, belief)
 
 
-def believing(one: Said, symbols: dict[int, int]) -> Said:
+def believing(one: TapOutput, symbols: dict[int, int]) -> TapOutput:
     return replace(one, belief=replace(one.belief, symbols=tuple(symbols.items())))
 
 
@@ -75,7 +75,7 @@ def test_second_thoughts_count_for_secrecy_and_first_ones_stay() -> None:
 def test_a_missed_bit_is_a_blind_guess() -> None:
     t = truth()
     ends = {at: t.keys[at] for at in ((S, 0), (S, 18))}  # she said something first and last
-    s = score(t, Said("tap", S, ends, {}, Belief()))
+    s = score(t, TapOutput("tap", S, ends, {}, Belief()))
     assert s.bits == Proportion(5, 10)
     assert s.keys == Proportion(2 + 8 / 2, 10)
     once = believing(said(10), {19: truth().symbols[S, 19]})
@@ -117,7 +117,7 @@ def test_messages_are_compared_with_as_many_of_the_last_as_she_keeps() -> None:
     recovered = tuple((k, b"%d" % k) for k in range(71))
     t = Truth(2, {}, {}, recovered, 71)
     whole = tuple(p for _, p in recovered[-KEPT_MESSAGES:])
-    s = Said("tap", S, {}, {}, Belief(whole=whole, whole_count=71, solved_k=5))
+    s = TapOutput("tap", S, {}, {}, Belief(whole=whole, whole_count=71, solved_k=5))
     assert score(t, s).messages == Proportion(KEPT_MESSAGES, KEPT_MESSAGES)
     few = replace(s, belief=replace(s.belief, whole_count=len(whole)))
     assert score(t, few).messages == Proportion(KEPT_MESSAGES, 71)
@@ -134,7 +134,7 @@ def test_a_stretch_is_compared_with_its_own_truth() -> None:
 
 def test_a_wrong_message_counts_for_nothing_and_one_twice_for_one() -> None:
     t = Truth(2, {}, {}, ((5, b"a"), (9, b"a"), (12, b"b")), 20)
-    s = Said("tap", S, {}, {}, Belief(whole=(b"a", b"x", b"b"), whole_count=3, solved_k=5))
+    s = TapOutput("tap", S, {}, {}, Belief(whole=(b"a", b"x", b"b"), whole_count=3, solved_k=5))
     assert score(t, s).messages == Proportion(2, 3)
 
 
@@ -242,7 +242,7 @@ def test_a_blind_tap_leaves_all(keys: int) -> None:
     t = truth(keys)
     for _ in range(40):
         live = {at: draw.randrange(2) for at in t.keys}
-        r = report([RunScore("r", t, (score(t, Said("blind", S, live, {}, Belief())),))])
+        r = report([RunScore("r", t, (score(t, TapOutput("blind", S, live, {}, Belief())),))])
         assert r.strongest is not None
         assert r.strongest.left is not None
         assert r.strongest.left.high == keys
@@ -254,7 +254,7 @@ def test_with_four_candidates_a_blind_guess_errs_three_times_in_four() -> None:
     t = Truth(4, keys, {}, (), 2000)
     for right, exceeds in ((450, True), (250, False)):
         live = {at: v if i < right else (v + 1) % 4 for i, (at, v) in enumerate(keys.items())}
-        s = Said("tap", S, live, {}, Belief())
+        s = TapOutput("tap", S, live, {}, Belief())
         assert report([RunScore("r", t, (score(t, s),))]).exceeds == exceeds
 
 

@@ -28,7 +28,15 @@ from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import step_cost
 from wyner.runs.score.report import HEADINGS, NOTE, rows
 from wyner.runs.score.report import report as report_of
-from wyner.runs.score.score import RunScore, Said, ScoreError, Truth, read_said, read_truth, score
+from wyner.runs.score.score import (
+    RunScore,
+    ScoreError,
+    TapOutput,
+    Truth,
+    read_said,
+    read_truth,
+    score,
+)
 from wyner.runs.score.summary import in_short
 
 PAGE: Final = Path("report.html")
@@ -89,7 +97,7 @@ class StepError(ValueError):
     """A step that the run does not have; the message is one line."""
 
 
-def _said(run: Run) -> list[Said] | str:
+def _said(run: Run) -> list[TapOutput] | str:
     """What the eavesdroppers said, or why that is not known."""
     try:
         return read_said(run)
@@ -97,7 +105,7 @@ def _said(run: Run) -> list[Said] | str:
         return str(error)
 
 
-def page(e: Evidence, said: list[Said] | str, step: int | None = None) -> str:
+def page(e: Evidence, said: list[TapOutput] | str, step: int | None = None) -> str:
     """The whole page."""
     recorded = _Recorded(e.scenario, step)
     results = check(e, recorded.take)
@@ -309,7 +317,7 @@ def _steps(recorded: _Recorded, walk: Walk) -> Iterator[str]:
     yield from walk.drawn(recorded.example)
 
 
-def _keys(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
+def _keys(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]:
     if not truth.keys:
         yield "<p>No key symbol was agreed.</p>"
         return
@@ -335,7 +343,7 @@ def _keys(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
     )
 
 
-def _secrecy(e: Evidence, truth: Truth, said: Sequence[Said]) -> Iterator[str]:
+def _secrecy(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]:
     scores = tuple(score(truth, one) for one in said)
     run_score = RunScore(e.run_dir.name, truth, scores)
     found = report_of([run_score])

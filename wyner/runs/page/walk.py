@@ -20,7 +20,7 @@ from protocol.scenario import ConvexSet, Scenario
 from protocol.vectors import Vector
 from wyner.runs.check.records import MissedLine, TracedTransition
 from wyner.runs.page.chart import COLOURS, Curve, Door, Flag, Mark, chart, legend, number
-from wyner.runs.score.score import Said
+from wyner.runs.score.score import TapOutput
 
 Step = TracedTransition | MissedLine
 
@@ -87,7 +87,7 @@ class Walk:
     scenario : Scenario
     rules : Rules
     stretches : sequence of sequence of Step
-    said : sequence of Said
+    said : sequence of TapOutput
         What the eavesdroppers said; none where it is not known.
     flags : sequence of Flag
         Onset and alarm of an attack, by step.
@@ -98,7 +98,7 @@ class Walk:
         scenario: Scenario,
         rules: Rules,
         stretches: Sequence[Sequence[Step]],
-        said: Sequence[Said] = (),
+        said: Sequence[TapOutput] = (),
         flags: Sequence[Flag] = (),
     ) -> None:
         self._s, self._agreement, self._states = scenario, rules.agreement, rules.states

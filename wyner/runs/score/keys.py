@@ -79,7 +79,7 @@ class Copies:
             yield _TOPICS[code & 1], sessions[code >> 1 & 0x7FFFFF], code >> 24
 
 
-class Heard:
+class HeardCopies:
     """Copies 0 that a tap has heard, each with the number of her recording."""
 
     def __init__(self) -> None:
@@ -340,7 +340,7 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
 
 
 def _rates(
-    run: Run, claim: Assumption, sent: Copies, heard: Heard, leaving: Mapping[str, _Leaving]
+    run: Run, claim: Assumption, sent: Copies, heard: HeardCopies, leaving: Mapping[str, _Leaving]
 ) -> dict[str, MissRate]:
     """Her misses by class: direction, and how often the message left.
 
@@ -376,7 +376,9 @@ def _rates(
     return audit.judge()
 
 
-def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | None) -> AuditedBlock:
+def _audited(
+    walk: _Walk, at: tuple[str, int], block: _Block, heard: HeardCopies | None
+) -> AuditedBlock:
     a = walk.schedule.assumption
     rows = a.rows(block.transitions, block.steps, len(block.copies))
     missed = 0 if heard is None else sum(heard.life(copy) is None for copy in block.copies)
@@ -395,9 +397,9 @@ def _audited(walk: _Walk, at: tuple[str, int], block: _Block, heard: Heard | Non
     )
 
 
-def _heard(run: Run) -> Heard | None:
+def _heard(run: Run) -> HeardCopies | None:
     """Every copy 0 in the capture, with the number of her recording; None where there is none."""
-    heard = Heard()
+    heard = HeardCopies()
     try:
         reader = run.capture()
         for _, message in reader.records():

@@ -15,7 +15,7 @@ from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
 from tap_service.sandboxed import guarded
 from tap_service.status import Listener, status_of
 from wyner.runs.score.by_step import BySteps
-from wyner.runs.score.score import Said
+from wyner.runs.score.score import TapOutput
 
 COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "malformed")
 
@@ -128,12 +128,12 @@ class Replay:
         counts = dict.fromkeys(COUNTS, 0) | {"malformed": self.reader.malformed}
         return [status_of(x, x.belief(), counts) for x in self.listeners]
 
-    def said(self) -> list[Said]:
+    def said(self) -> list[TapOutput]:
         """What each said, for scoring."""
         out = []
         for x in self.listeners:
             guesses = self._guesses[x.name], self._reviews[x.name]
-            out.append(Said(x.name, self.session, *guesses, x.belief(), x.failed))
+            out.append(TapOutput(x.name, self.session, *guesses, x.belief(), x.failed))
         return out
 
     def report(self) -> dict[str, Any]:

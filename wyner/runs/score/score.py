@@ -125,7 +125,7 @@ class TruthTaker:
 
 
 @dataclass(frozen=True, slots=True)
-class Said:
+class TapOutput:
     """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
 
     Where she was not ``heard_out``, nobody knows which symbols she believes in. ``behind`` counts
@@ -241,7 +241,7 @@ class Later(Mapping[Step, int]):
         return len(self._live) + sum(at not in self._live for at in self._reviewed)
 
 
-def score(truth: Truth, said: Said) -> EavesdropperScore:
+def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
     blind = 1.0 / truth.size
     keys = {} if said.failed else _on_record(truth, said)
@@ -279,7 +279,7 @@ def score(truth: Truth, said: Said) -> EavesdropperScore:
     )
 
 
-def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
+def _on_record(truth: Truth, said: TapOutput) -> Mapping[Step, int]:
     """The keys of the steps between the first and the last guess of hers in each session.
 
     Without a guess there is nothing to score.
@@ -296,7 +296,7 @@ def _on_record(truth: Truth, said: Said) -> Mapping[Step, int]:
     )
 
 
-def _bits(truth: Truth, said: Said) -> Proportion:
+def _bits(truth: Truth, said: TapOutput) -> Proportion:
     """Message symbols right, of her last session's; of the newest only, where she kept no more."""
     if not said.heard_out or said.failed or not said.live:
         return Proportion(0.0, 0)
@@ -311,12 +311,12 @@ def _bits(truth: Truth, said: Said) -> Proportion:
     return Proportion(right + missed / truth.size, asked)
 
 
-def _stray(truth: Truth, said: Said) -> int:
+def _stray(truth: Truth, said: TapOutput) -> int:
     """Steps of her last session that she takes for the message's and that are not."""
     return sum((said.session, k) not in truth.symbols for k, _ in said.belief.symbols)
 
 
-def read_said(run: Run) -> list[Said]:
+def read_said(run: Run) -> list[TapOutput]:
     """What each eavesdropper of a run said, from the tap's files.
 
     Raises
@@ -335,7 +335,7 @@ def read_said(run: Run) -> list[Said]:
     return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
 
 
-def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> Said:
+def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
     """What one eavesdropper said, from her record and her guesses by kind."""
     symbols = record["symbols"]
     belief = Belief(
@@ -349,7 +349,7 @@ def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]
         bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
         keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
     )
-    return Said(
+    return TapOutput(
         name=printable(str(record["name"])),
         session=str(record["session"]),
         live=guesses.get("guess", {}),

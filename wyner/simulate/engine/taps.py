@@ -17,7 +17,7 @@ from wyner.simulate.engine.loop import Runs
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
+class TapResult:
     """What one eavesdropper got of one run.
 
     Parameters
@@ -85,7 +85,7 @@ def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
 
 def listen(
     runs: Runs, link: Transfer, names: Sequence[str | type[Eavesdropper]], place: int
-) -> list[Heard]:
+) -> list[TapResult]:
     """Let each named eavesdropper hear run ``place``, and score her against the truth.
 
     Nothing is lost; but of the nonces' copies, which the engine does not send, one who goes for
@@ -137,5 +137,5 @@ def listen(
         belief = tap.belief()
         read = sum(m in belief.whole for m in messages)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
-        out.append(Heard(agreements if tap.guesses else 0, hits, len(messages), read, *held))
+        out.append(TapResult(agreements if tap.guesses else 0, hits, len(messages), read, *held))
     return out

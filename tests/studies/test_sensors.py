@@ -1,0 +1,58 @@
+"""The studies of noisy sensors: small ones, and what their recorded data say."""
+
+import csv
+from pathlib import Path
+
+import pytest
+
+from studies import DATA, corners, waiting
+from studies.__main__ import main
+
+
+def recorded(name: str) -> list[dict[str, str]]:
+    with (DATA / f"{name}.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_a_million_corner_steps_of_each_noisy_scenario_are_on_record_without_a_wrong_key() -> None:
+    rows = recorded("corners")
+    assert {row["scenario"] for row in rows} == set(corners.noisy_scenarios())
+    for row in rows:
+        assert int(row["runs"]) * int(row["steps"]) == 1_000_000
+        assert int(row["wrong"]) == 0
+        assert float(row["agreed"]) > 0.99
+
+
+def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small one, measured now: 4 runs of 100 steps."""
+    for name, value in (("RUNS", 4), ("AT_ONCE", 2), ("STEPS", 100), ("TAPPED", 1)):
+        monkeypatch.setattr(corners, name, value)
+    monkeypatch.setattr(corners, "TAPPED_STEPS", 60)
+    rows = {row[0]: dict(zip(corners.COLUMNS, row, strict=True)) for row in corners.corner_rows()}
+    assert rows.keys() == {"encoder", "noisy"}
+    for name, row in rows.items():
+        assert row["wrong"] == 0
+        assert row["agreed"] > 0.9
+        scenario = corners.at_the_corners(name)
+        assert scenario.plant.noise is not None
+        assert scenario.defender.noise is not None
+        assert scenario.plant.noise.half_widths == scenario.defender.noise.half_widths
+
+
+def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers_condition(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """60 steps, seed 5: at alpha 2.5 her own box calls symbols secret that four readings tell."""
+    monkeypatch.setattr(waiting, "STEPS", 60)
+    monkeypatch.setattr(waiting, "ALPHAS", (2.5, 12.0))
+    small, large = (dict(zip(waiting.COLUMNS, r, strict=True)) for r in waiting.waiting_rows())
+    assert small["within"] == 0
+    assert small["one_step_resolved"] > 0.2 * small["one_step_secret"] > 0
+    assert large["within"] == 1
+    assert large["offer_secret"] > 40
+    assert large["offer_resolved"] == 0
+
+
+def test_data_are_measured_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["nothing", "--data", str(tmp_path)]) == 2
+    assert capsys.readouterr().err.startswith("wyner: name: got 'nothing'")
