@@ -1,9 +1,10 @@
 """Seeded schedules of the whole link: ``python -m tests.campaigns.schedules --count 1000000``.
 
 Each seed draws its own faults: loss, repetition, delay, deaths and lost journals; one in eight
-makes keys too, and in half of them the plant acts: a device with a deadline, or a simulation in
-lock-step that nobody can put back. With ``--networks`` each has a network table besides. Both
-endpoints, their journals and the shell are those of the services. Goes on where it stopped.
+makes keys too, half of these key the coin, and in half of them the plant acts: a device with a
+deadline, or a simulation in lock-step that nobody can put back. With ``--networks`` each has a
+network table besides. Both endpoints, their journals and the shell are those of the services. Goes
+on where it stopped.
 """
 
 import argparse
@@ -16,21 +17,26 @@ from collections.abc import Callable, Iterator
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
+from unittest.mock import patch
 
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
-from protocol.link.events import Event, Interrupted, Missed
+from protocol.defence import key_digits
+from protocol.link import coins
+from protocol.link.events import Alarm, Event, Interrupted, Missed
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Network, Scenario, parse_scenario
+from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
 from protocol.vectors import Vector
 from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint
 from tests.support.copies import Copies
+from tests.support.giving import agree
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
@@ -38,6 +44,7 @@ from wyner.simulate.network import Side, Simulation
 from wyner.sweeps.grid import code_version
 
 EACH: Final = 5000
+COUNTED: Final = ("schedules", "acting", "cut", "keys", "watched")
 PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
 """Steps of a schedule; an eighth of them have the last two."""
@@ -45,13 +52,22 @@ STEPS: Final = (6, 12, 24, 48)
 MISLED: Final = 0.03
 """Probability, for each offer to a plant that acts, that its session ends about then."""
 
+WATCHED_STEPS: Final = 96
+"""Steps of a schedule whose coin is keyed: its first keys come when some blocks are confirmed."""
+
+DIGITS: Final = 5
+"""Of a key there, so that keys change all the time."""
+
+AGREED_S: Final = 0.3
+"""The longest time between two rounds in which the ends ask each other what may be given."""
+
 SMALL_BLOCKS: Final = Keys(eps_E=0.99, eps_sec=1e-3)
 """Blocks of 2, 4, 8 ... transitions, so that some are confirmed within a schedule."""
 
 
 @cache
-def loop(*, keyed: bool, acts: bool) -> tuple[Scenario, CandidateLaw]:
-    """The paper's loop, with keys or without; as matrices, or as a plant that acts."""
+def loop(*, keyed: bool, acts: bool, watched: bool = False) -> tuple[Scenario, CandidateLaw]:
+    """The paper's loop, with keys or without, its coin keyed or not; a plant that acts or not."""
     scenario, law = law_of("sustained")
     if acts:
         tables = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
@@ -63,7 +79,9 @@ def loop(*, keyed: bool, acts: bool) -> tuple[Scenario, CandidateLaw]:
             "disturbance": {"enters": "none"},
         }
         scenario = parse_scenario(tables, "acting")
-    return (scenario.model_copy(update={"keys": SMALL_BLOCKS}) if keyed else scenario), law
+    tables = {"keys": SMALL_BLOCKS} if keyed else {}
+    coin = {"defence": DefenceTable(kind="keyed-coin")} if watched else {}
+    return scenario.model_copy(update={**tables, **coin}), law
 
 
 class Acting:
@@ -182,7 +200,17 @@ class Watched(Simulation):
         self._device = device
         self.cut = 0
         """Steps that a session's end cut short."""
+        self.watched: set[tuple[str, int]] = set()
+        self._coins: dict[tuple[str, int], tuple[str, int]] = {}
+        self._applied: dict[tuple[str, int], int] = {}
         super().__init__(*args, **kwargs)
+        if self.scenario.defence.keyed:
+            self._agree()
+
+    def _agree(self) -> None:
+        """Both ends ask what may be given, now and again."""
+        agree(*self.stores.values())
+        self.after(self.random.random() * AGREED_S, self._agree)
 
     def _new_plant(self, lives: int) -> PlantCore:
         if self._device is not None:
@@ -217,6 +245,9 @@ class Watched(Simulation):
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
+        assert not isinstance(event, Alarm), "an honest step made an alarm"
+        if isinstance(event, CountedTransition) and self.scenario.defence.keyed:
+            self._coin_was(event)
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
@@ -229,16 +260,30 @@ class Watched(Simulation):
         assert event.u == device.u, "a step had another input than its trace says"
         self.cut += isinstance(event, Interrupted)
 
+    def _coin_was(self, t: CountedTransition) -> None:
+        """A keyed coin is the digit of its step alone, and who watches it expects that one."""
+        at = t.session, t.k
+        if t.coin == NO_SYMBOL:
+            if t.expected != NO_SYMBOL:
+                self.watched.add(at)
+                assert self._applied.get(at, t.expected) == t.expected, "another coin was expected"
+            return
+        self._applied[at] = t.coin
+        if t.coin_key:
+            digit = t.coin_key, t.k - t.coin_from
+            assert self._coins.setdefault(digit, at) == at, "a digit served two steps"
+
 
 class Outcome(NamedTuple):
     """What came of a schedule.
 
-    ``keys`` that both ends have confirmed, steps that a session's end ``cut`` short, and what was
-    ``wrong``.
+    ``keys`` that both ends have confirmed, steps that a session's end ``cut`` short, steps that a
+    key ``watched``, and what was ``wrong``.
     """
 
     keys: int = 0
     cut: int = 0
+    watched: int = 0
     wrong: tuple[str, ...] = ()
 
 
@@ -247,10 +292,17 @@ def acts(seed: int) -> bool:
     return seed // 8 % 2 == 1
 
 
+def watched(seed: int) -> bool:
+    """Whether the coin of a seed is keyed: of half of those that make keys, acting or not."""
+    return seed % 8 == 0 and seed // 16 % 2 == 1
+
+
 def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
     """What comes of the schedule of a seed, with a network table of its own where asked."""
     faults, step_s, steps, keyed = faults_of(seed)
-    scenario, law = loop(keyed=keyed, acts=acts(seed))
+    if watched(seed):
+        steps = WATCHED_STEPS
+    scenario, law = loop(keyed=keyed, acts=acts(seed), watched=watched(seed))
     if networks:
         scenario = scenario.model_copy(update={"network": network_of(seed)})
     device = Acting(scenario, seed) if acts(seed) else None
@@ -270,19 +322,25 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
             device=device,
             own=own,
         )
-        history = link.run(steps=steps, seconds=100.0 if networks else 20.0)
+        with patch.object(coins, "digits", _short):
+            history = link.run(steps=steps, seconds=200.0 if networks else 20.0)
     except AssertionError as error:
         return Outcome(wrong=(f"{type(error).__name__}: {error}",))
     lines = list(violations(history, PAYLOADS))
     if link.k < steps and not lines:
         lines.append(f"{link.k} of {steps} steps although the processes have been well since 8 s")
     if not keyed:
-        return Outcome(0, link.cut, tuple(lines))
+        return Outcome(0, link.cut, 0, tuple(lines))
     mine, theirs = (link.stores[side] for side in ("controller", "plant"))
-    lines += differing(mine, theirs)
+    lines += differing(mine, theirs, spent=watched(seed))
     shared = {name for name, state in theirs.ids() if state == "confirmed"}
     keys = sum(name in shared for name, state in mine.ids() if state == "confirmed")
-    return Outcome(keys, link.cut, tuple(lines))
+    return Outcome(keys, link.cut, len(link.watched), tuple(lines))
+
+
+def _short(key: bytes, size: int) -> tuple[int, ...]:
+    """The first digits of a key."""
+    return key_digits.digits(key, size)[:DIGITS]
 
 
 def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
@@ -290,16 +348,20 @@ def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
     return plant
 
 
-def differing(mine: KeyStore, theirs: KeyStore) -> Iterator[str]:
-    """Keys under one id that are not the same, and keys that one end alone holds for good."""
+def differing(mine: KeyStore, theirs: KeyStore, *, spent: bool) -> Iterator[str]:
+    """Keys under one id that are not the same, and keys that one end alone holds for good.
+
+    Where keys are ``spent``, one end erases them before the other does.
+    """
     for one, other in ((mine, theirs), (theirs, mine)):
         keys = other.compare()
         for (name, state), key in zip(one.ids(), one.compare().values(), strict=True):
-            if name in keys and keys[name] != key:
+            erased = spent and None in (key, keys.get(name))
+            if name in keys and keys[name] != key and not erased:
                 yield f"key {name}: the two ends hold different ones"
             if state == "confirmed" and name not in keys:
                 yield f"key {name}: confirmed at the {one.side}, and not there at the other end"
-            if state == "dropped":
+            if state == "dropped" and not spent:
                 yield f"key {name}: dropped at the {one.side}: the ends hold different blocks"
 
 
@@ -312,7 +374,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--networks", action="store_true", help="a network table for each seed")
     args = parser.parse_args(argv)
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
-    done = {"schedules": 0, "acting": 0, "cut": 0, "keys": 0, "broken": [], "versions": {}, **done}
+    done = {**dict.fromkeys(COUNTED, 0), "broken": [], "versions": {}, **done}
     version = code_version()
     done["versions"].setdefault(version, [done["schedules"], 0])
     began, until = time.monotonic(), time.monotonic() + args.seconds
@@ -324,6 +386,7 @@ def main(argv: list[str] | None = None) -> int:
         outcome = outcome_of(seed, networks=args.networks)
         done["keys"] += outcome.keys
         done["cut"] += outcome.cut
+        done["watched"] += outcome.watched
         done["acting"] += acts(seed)
         if outcome.wrong:
             done["broken"].append([seed, *outcome.wrong])

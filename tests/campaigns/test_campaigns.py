@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, fuzz, live, schedules, spoiled, spoiled_stores
+from tests.secret.test_keyed_coin import WRONG
 
 
 def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: Path) -> None:
@@ -19,6 +21,24 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
         done = json.loads(results.read_text())
         assert done["schedules"] == count
     assert done["keys"] > 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", WRONG)
+def test_schedules_find_a_wrong_keyed_coin(
+    wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seeds = [seed for seed in range(4000) if schedules.watched(seed)][:40]
+    wrong(monkeypatch)
+    assert any(schedules.outcome_of(seed).wrong for seed in seeds)
+
+
+@pytest.mark.slow
+def test_schedules_watch_steps_with_a_keyed_coin() -> None:
+    seeds = [seed for seed in range(4000) if schedules.watched(seed)][:12]
+    found = [schedules.outcome_of(seed) for seed in seeds]
+    assert not [outcome.wrong for outcome in found if outcome.wrong]
+    assert sum(outcome.watched for outcome in found) > 100
 
 
 def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:

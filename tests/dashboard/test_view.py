@@ -426,6 +426,7 @@ def test_an_alarm_is_a_red_line() -> None:
     spans = [(line, span) for line in lines_of(state, 120, 40) for span in line.spans]
     red = [line.plain[s.start : s.end].strip() for line, s in spans if "red" in str(s.style)]
     assert "ALARMS: 3, the last at step 650" in red
+    assert "ALARMS: 3, the last at step" in shown(state, 80, 24)
     assert "ALARMS" not in shown(state_after(700), 120, 40)
 
 

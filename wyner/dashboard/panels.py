@@ -105,8 +105,9 @@ class Panels:
         body: list[RenderableType] = [line(step + time + pace)]
         states = self._states(plant.x, width, 2 + max(0, extra))
         body.append(states)
-        body.append(self._carried(width))
-        if extra > 0:
+        if extra > 0 or not self.state.alarms:  # an alarm is told however narrow it is
+            body.append(self._carried(width))
+        if extra > 0 or self.state.alarms:
             body.append(self._control(width))
         return len(body) + states.row_count, titled(title, *body)
 
@@ -150,7 +151,8 @@ class Panels:
         """Where the state is, among the controller's sets."""
         controller, alarms = self.state.controller, self.state.alarms
         if alarms:
-            told = longest(width, f" {alarms}", f" {alarms.rpartition(': read')[0]}")
+            short = alarms.partition(": read")[0]
+            told = longest(width, f" {alarms}", f" {short}", f" {short.partition(',')[0]}")
             return line(told, STYLES["bad"])
         if controller is None or controller.set_index < 0:
             return line(" control: outside of every set, or silent")

@@ -27,9 +27,11 @@ from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.scenario import Scenario
+from protocol.secret.records import Key
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.journal import ReceiverJournal
+from runtime.keys import coins
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -265,6 +267,12 @@ class Simulation:
             self.stores[side] = KeyStore(None, side)
         return KeyMaker(self.stores[side])
 
+    def _coin_keys(self, side: Side, session: str | None) -> tuple[Key, ...]:
+        """What a new process finds in its store for the coin of its session."""
+        if side not in self.stores or session is None or not self.scenario.defence.keyed:
+            return ()
+        return coins.held(self.stores[side], session)
+
     def keep(self, side: Side, task: Task) -> None:
         """Have a task done some time later, if the process still lives, and told later still."""
         end = self.ends[side]
@@ -342,6 +350,7 @@ class Simulation:
             record=record,
             step=self._queue.step(),
             contributions=self._queue.contributions(None if record is None else record.session),
+            coin_keys=self._coin_keys("controller", None if record is None else record.session),
             predict=self._predict,
         )
         return self._controller
@@ -351,6 +360,7 @@ class Simulation:
         draws = self._run if lives == 1 else self._run + 1000 * lives
         # Where outputs are read such a step is made again with the d that it had.
         disturbed = draws if self.scenario.plant.C is None else self._run
+        record = self._plant_journal.load()
         self.plant = open_core(
             self.scenario,
             self._plant_journal,
@@ -361,6 +371,7 @@ class Simulation:
             Pacing(self._step_s, self.scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
             folder=self._folder,
+            coin_keys=self._coin_keys("plant", None if record is None else record.session),
             sensors=Stream(self._seed, SENSOR, width=self.scenario.readings, run=self._run),
         )
         return self.plant
