@@ -241,7 +241,8 @@ def _print(report: object, *, color: bool) -> None:
             print(printable(f"{tap.name}: {held_line(held)}"))
     print()
     print(
-        f"{len(report.runs)} runs, {report.transitions} transitions; by the paper's rule "
+        f"{len(report.runs)} run{'' if len(report.runs) == 1 else 's'}, "
+        f"{report.transitions} transitions; by the paper's rule "
         f"{report.claimed_bits:.0f} bits count as secret"
     )
     print(NOTE)

@@ -23,7 +23,7 @@ from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
 from wyner.runs.page.walk import STYLE as WALK_STYLE
 from wyner.runs.page.walk import Walk, shapes_legend
 from wyner.runs.page.windows import Windows
-from wyner.runs.run import Run
+from wyner.runs.run import Run, RunError
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import step_cost
 from wyner.runs.score.report import HEADINGS, NOTE, rows
@@ -93,7 +93,7 @@ def write_report(run_dir: Path, output: Path | None = None, step: int | None = N
     return path
 
 
-class StepError(ValueError):
+class StepError(RunError):
     """A step that the run does not have; the message is one line."""
 
 
