@@ -173,8 +173,8 @@ class Lattice:
         with np.errstate(divide="ignore"):
             return float(np.logaddexp.reduce((self.idle_until(begin) + np.log(self.left)).ravel()))
 
-    def moved(self, weights: Array, symbol: int, low: int) -> Array:
-        """Rows of weights of a window's nodes, shape (R, count E), after a symbol.
+    def moved(self, weights: Array, symbol: int | None, low: int) -> Array:
+        """Rows of weights of a window's nodes, shape (R, count E), after a symbol, any if None.
 
         The window begins at step ``low``; returns shape (R, (count + G) E), from step ``low`` + 1.
         """
@@ -184,8 +184,9 @@ class Lattice:
         have = min(count, self.steps - low)
         out = np.zeros((rows, count + self.wait, E))
         by_step = nodes[:, :have].swapaxes(0, 1)
+        band = self.uniform if symbol is None else self.band[symbol]
         for g in range(self.wait):
-            part = by_step @ self.band[symbol, low : low + have, :, g]
+            part = by_step @ band[low : low + have, :, g]
             out[:, g : g + have] += part.swapaxes(0, 1)
         return out.reshape(rows, (count + self.wait) * E)
 

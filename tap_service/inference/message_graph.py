@@ -27,6 +27,10 @@ HEATS: Final = (1.0, 0.6, 0.35)
 """Powers of their weights by which they are drawn, a part by each: the unlikely ones too."""
 
 
+FAINT: Final = 1e-12
+"""Share of the likeliest node's weight up to which one is left out while a check is judged."""
+
+
 @dataclass(frozen=True)
 class Layer:
     """The graph's arcs at the end of one byte, in the order of the nodes that they lead to.
@@ -249,7 +253,8 @@ def judge(
         low += 1
         scale = np.maximum(moved.max(axis=1), 1e-300)
         level += np.log(scale)
-        used = np.flatnonzero((moved / scale[:, None]).max(axis=0).reshape(-1, E).max(axis=1))
+        by_step = (moved / scale[:, None]).max(axis=0).reshape(-1, E).max(axis=1)
+        used = np.flatnonzero(by_step > FAINT)
         if not len(used):
             break
         first, last = int(used[0]), int(used[-1])

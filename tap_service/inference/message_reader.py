@@ -15,14 +15,19 @@ import numpy as np
 
 from protocol.arrays import Array, Integers
 from protocol.schemes.base import Scheme
-from protocol.schemes.framing import CHECK_BYTES, START, encode_frame
+from protocol.schemes.framing import START, encode_frame
 from protocol.schemes.table import StateTable
 from tap_service.capture.transcript import steps_in_a_row
 from tap_service.inference.alignment import align
 from tap_service.inference.english import AnyBytes, English
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import Lattice
-from tap_service.inference.message_search import BEAM, REFUTED, Found, MessageSearch
+from tap_service.inference.message_search import (
+    BEAM,
+    REFUTED,
+    Found,
+    MessageSearch,
+)
 
 NOT_TEXT: Final = 0.02
 """Probability that a message is of any bytes at all."""
@@ -48,7 +53,7 @@ PSEUDO: Final = 0.25
 MOST_MESSAGES: Final = 64
 """Messages looked for in one stretch."""
 
-LN2: Final = float(np.log(2))
+TINY: Final = 1e-300
 
 
 @dataclass(frozen=True)
@@ -72,8 +77,6 @@ class Message:
         Messages on her list that have a thousandth of the likeliest one's weight.
     due_k : int
         The step at which one under way should end, or -1.
-    searching : bool
-        Whether a wider search may find more.
     refuted : bool
         Whether no message that she takes for possible has its check, so that what she takes the
         steps for is wrong somewhere.
@@ -87,7 +90,6 @@ class Message:
     whole: bool
     rivals: int
     due_k: int = -1
-    searching: bool = False
     refuted: bool = False
 
 
@@ -176,6 +178,82 @@ def _shares(
     return out
 
 
+@dataclass(frozen=True)
+class _Judged:
+    """What a search's findings come to.
+
+    Parameters
+    ----------
+    message : Message
+    ends : array, shape (K + 1, E)
+        Log weight that it ends at each node.
+    searching : bool
+        Whether a wider search may find more.
+    any : float
+        Probability that it is of any bytes, among which was not searched.
+    """
+
+    message: Message
+    ends: Array
+    searching: bool
+    any: float
+
+
+@dataclass(frozen=True)
+class _Shares:
+    """Of all that may come next, how likely each is.
+
+    Parameters
+    ----------
+    none : float
+        Nothing.
+    any : float
+        A message of any bytes, among which was not searched.
+    lost, open : array, shape (searches,)
+        A message that the search let go; one that is under way.
+    listed : array, shape (N,)
+        The messages found, likeliest first.
+    payloads : list of bytes
+        They.
+    best : int
+        Which search found the likeliest.
+    """
+
+    none: float
+    any: float
+    lost: Array
+    open: Array
+    listed: Array
+    payloads: list[bytes]
+    best: int
+
+    @classmethod
+    def of(cls, founds: Sequence[Found], none: float) -> "_Shares":
+        """By what was found among texts, then among all bytes, and the log weight of nothing."""
+        listed: dict[bytes, float] = {}
+        lost, opened, top = [], [], []
+        priors = np.log([1 - NOT_TEXT, NOT_TEXT]).tolist()
+        for f, prior in zip(founds, priors, strict=False):
+            lost.append(f.plain + prior + float(np.log(max(1 - f.kept, TINY))))
+            opened.append(f.open + prior)
+            top.append(float(f.weights.max(initial=-np.inf)) + prior)
+            for payload, weight in zip(f.payloads, (f.weights + prior).tolist(), strict=True):
+                listed[payload] = float(np.logaddexp(listed.get(payload, -np.inf), weight))
+        payloads = sorted(listed, key=lambda one: -listed[one])
+        other = founds[0].any + priors[1] if len(founds) == 1 else -np.inf
+        parts = np.array([none, other, *lost, *opened, *(listed[one] for one in payloads)])
+        p = np.exp(parts - float(np.logaddexp.reduce(parts)))
+        none, other = p[:2].tolist()
+        its_lost, its_open, its_listed = np.split(p[2:], [len(lost), 2 * len(lost)])
+        return cls(none, other, its_lost, its_open, its_listed, payloads, int(np.argmax(top)))
+
+    @property
+    def entropy(self) -> float:
+        """In bits, of which it is, but for whether it is none."""
+        p = np.concatenate([[self.any], self.lost, self.open, self.listed])
+        return -float((p * np.log2(np.maximum(p, TINY))).sum())
+
+
 class MessageReader:
     """Reads the messages of a transcript, again and again as it grows.
 
@@ -235,7 +313,7 @@ class MessageReader:
         if not fresh:
             entry[:] = 1 / self._states
         lattice = Lattice(self._table, verdicts, ciphers, entry)
-        search = MessageSearch(lattice, self._language, self._beam)
+        search = MessageSearch(lattice, self._beam)
         begin = np.full((lattice.steps + 1, self._states), -np.inf)
         with np.errstate(divide="ignore"):
             begin[0] = np.log(entry)
@@ -244,24 +322,13 @@ class MessageReader:
         for _ in range(MOST_MESSAGES):
             if search.silent(begin):
                 break
-            found = search.find(begin)
-            if found is None:
+            read = self._next(search, lattice, begin, session, first)
+            if read is None:
                 break
-            message = self._message(search, lattice, begin, found, session, first)
-            if message is None:
-                break
-            for wider in WIDER:
-                if not message.whole or message.probability >= SURE or not message.searching:
-                    break
-                again = search.find(begin, wider * self._beam)
-                assert again is not None
-                better = self._message(search, lattice, begin, again, session, first)
-                if better is not None and better.probability >= message.probability:
-                    found, message = again, better
+            message, begin = read
             out.append(message)
             if not message.whole:
                 break
-            begin = found.unchecked_ends if message.refuted else found.ends
         self._room = len(steps)
         stream, waits = self._stream(out)
         aligned = align(self._table, verdicts, ciphers, entry, stream, waits)
@@ -288,60 +355,100 @@ class MessageReader:
             waits.pop()
         return np.concatenate(parts), np.array(waits)
 
-    def _message(
+    def _next(
+        self, search: MessageSearch, lattice: Lattice, begin: Array, session: str, first: int
+    ) -> tuple[Message, Array] | None:
+        """The message that comes next and where it ends, or None where there is likely none.
+
+        Searched more widely where it may have been let go, and among all bytes where it is no text.
+        """
+        found = search.find(begin, self._language)
+        if found is None:
+            return None
+
+        def judged(*founds: Found) -> _Judged | None:
+            return self._judge(search, lattice, begin, founds, session, first)
+
+        read = judged(found)
+        for wider in WIDER:
+            if read is None or not read.message.whole or not read.searching:
+                break
+            if read.message.probability >= SURE:
+                break
+            again = search.find(begin, self._language, wider * self._beam)
+            assert again is not None
+            better = judged(again)
+            if better is not None and better.message.probability >= read.message.probability:
+                found, read = again, better
+        if read is not None and read.any > 0.5:
+            among_all = search.find(begin, AnyBytes(), self._beam)
+            assert among_all is not None
+            read = judged(found, among_all)
+        return None if read is None else (read.message, read.ends)
+
+    def _judge(
         self,
         search: MessageSearch,
         lattice: Lattice,
         begin: Array,
-        found: Found,
+        founds: Sequence[Found],
         session: str,
         first: int,
-    ) -> Message | None:
-        """What was found as a message, or None where there is likely none."""
-        text, other = np.log(1 - NOT_TEXT), np.log(NOT_TEXT)
-        none = lattice.none_after(begin)
-        listed = found.weights + text
-        lost = found.plain + text + np.log(max(1 - found.kept, 1e-300))
-        anything = found.any + other
-        opened = found.open + text
-        parts = np.array([none, lost, anything, opened, *listed])
-        total = float(np.logaddexp.reduce(parts))
-        p_none, p_lost, p_any, p_open = np.exp(parts[:4] - total)
-        p = np.exp(listed - total)
-        if p_none > 0.5:
+    ) -> _Judged | None:
+        """What was found as a message, or None where there is likely none.
+
+        Parameters
+        ----------
+        founds : sequence of Found
+            By her language, and among all bytes where these were searched.
+        """
+        shares = _Shares.of(founds, lattice.none_after(begin))
+        if shares.none > 0.5:
             return None
-        entropies = -(p * np.log2(np.maximum(p, 1e-300))).sum()
-        rest = p_lost + p_any + p_open
-        left = float(entropies)
-        if rest > 1e-9:
+        texts = int(isinstance(self._language, English))  # the other one is among all bytes
+        missing, any_bytes, left = 1.0 - float(shares.listed.sum()), None, shares.entropy
+        if missing > 1e-9:
+            any_bytes = search.any_bytes(begin, np.random.default_rng(0))
             # what she does not have is worth at least as much as she can follow
             followed = float(np.log2(search.beam))
-            any_left = search.drawn(begin, np.random.default_rng(0)) - 8 * CHECK_BYTES
-            any_left = max(any_left, followed)
-            more = min(max(found.surprise, followed), any_left)
-            left += float(p_any * any_left + p_lost * more + p_open * (more + found.unsent))
-            for p_part in (p_lost, p_any, p_open):
-                left -= float(p_part * np.log2(max(p_part, 1e-300)))
-        refuted = bool(p_lost > 0.5 and found.kept >= 1 - REFUTED)
-        left = min(left, found.longest) if np.isfinite(left) and not refuted else found.longest
-        is_whole = refuted or (bool(len(p)) and float(p.sum() + p_lost) >= p_open)
-        ends = (found.unchecked_ends if refuted else found.ends).max(axis=1)
-        k = first + (int(ends.argmax()) if np.isfinite(ends).any() else lattice.steps) - 1
-        payload = found.unchecked
-        if not refuted:
-            payload = found.payloads[0] if is_whole else found.under_way
-        return Message(
+            any_left = max(any_bytes.bits_left, followed)
+            left += float(shares.any + (shares.lost + shares.open)[texts:].sum()) * any_left
+            for f, lost, under_way in zip(founds[:texts], shares.lost, shares.open, strict=False):
+                more = min(max(f.surprise, followed), any_left)
+                left += float(lost * more + under_way * (more + f.unsent))
+        likeliest, longest = founds[0], founds[0].longest
+        refuted = bool(shares.lost[0] > 0.5 and likeliest.kept >= 1 - REFUTED)
+        left = min(left, longest) if np.isfinite(left) and not refuted else longest
+        p = shares.listed
+        whole, due, probability = True, -1, 0.0
+        if refuted:
+            payload, ends = likeliest.unchecked, likeliest.unchecked_ends
+        elif any_bytes is not None and (
+            shares.any + float((shares.lost + shares.open)[texts:].sum()) > 0.5
+        ):
+            payload, ends = any_bytes.payload, any_bytes.ends
+            whole, due = not any_bytes.missing, any_bytes.missing
+        elif len(p) and float(p.sum() + shares.lost.sum()) >= shares.open.sum():
+            payload, probability = shares.payloads[0], float(p[0])
+            ends = founds[shares.best].ends
+        else:
+            payload, ends = likeliest.under_way, likeliest.ends
+            whole, due = False, likeliest.missing
+        at, last = ends.max(axis=1), first + lattice.steps - 1
+        k = first + (int(at.argmax()) if np.isfinite(at).any() else lattice.steps) - 1
+        message = Message(
             session,
-            k if is_whole else first + lattice.steps - 1,
+            k if whole else last,
             payload,
-            float(p[0]) if is_whole and not refuted else 0.0,
+            probability,
             left,
-            is_whole,
+            whole,
             int((p > 1e-3 * p.max()).sum()) if len(p) else 0,
-            -1 if is_whole or found.missing < 0 else first + lattice.steps - 1 + found.missing,
-            bool(p_lost > MISSED) and not refuted,
+            -1 if whole or due < 0 else last + due,
             refuted,
         )
+        searching = bool(shares.lost.sum() > MISSED) and not refuted
+        return _Judged(message, ends, searching, shares.any)
 
 
 def _close(table: StateTable) -> int:

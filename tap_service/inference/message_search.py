@@ -18,8 +18,10 @@ from protocol.schemes.framing import (
     CHECK_BYTES,
     LENGTH_BYTES,
     START,
+    Deframer,
     block_bytes,
     digits_of,
+    encode_frame,
     frame_length,
 )
 from tap_service.inference.english import AnyBytes, English
@@ -86,7 +88,7 @@ class Found:
     open : float
         Log weight of all such beginnings.
     missing : int
-        Steps in which the likeliest of them should be over; -1 where there is none.
+        Steps in which those of them that are nearly the likeliest may be over; -1 where none is.
     unsent : float
         Bits of the likeliest of them that the transcript does not hold.
     longest : float
@@ -113,14 +115,42 @@ class Found:
     unchecked_ends: Array
 
 
+@dataclass(frozen=True)
+class AnyMessage:
+    """What is known of a message of which every byte is as likely.
+
+    Parameters
+    ----------
+    bits_left : float
+        Its entropy, given that its check holds.
+    payload : bytes
+        Of the likeliest symbols, its check not looked at; what is known of it where it is under
+        way.
+    ends : array, shape (K + 1, E)
+        Log weight that it ends at each node.
+    missing : int
+        Steps in which it should be over; 0 where the transcript holds it.
+    """
+
+    bits_left: float
+    payload: bytes
+    ends: Array
+    missing: int
+
+
 class Opened:
     """What is known of messages that the transcript does not hold to their end."""
 
     def __init__(self) -> None:
         self.best = self.total = -np.inf
         self.text = b""
-        self.missing = -1
+        self.missing: dict[int, float] = {}  # symbols, and the log weight of the likeliest
         self.unsent = 0.0
+
+    def soonest(self) -> int:
+        """Symbols that those lack which are nearly the likeliest, at least; -1 where none is."""
+        likely = [n for n, weight in self.missing.items() if weight > self.best - CLEARLY]
+        return min(likely, default=-1) if np.isfinite(self.best) else -1
 
 
 class Ended:
@@ -144,12 +174,11 @@ class MessageSearch:
     Parameters
     ----------
     lattice : Lattice
-    language : English or AnyBytes
     beam : int
     """
 
-    def __init__(self, lattice: Lattice, language: English | AnyBytes, beam: int = BEAM) -> None:
-        self._lattice, self._language, self.beam = lattice, language, beam
+    def __init__(self, lattice: Lattice, beam: int = BEAM) -> None:
+        self._lattice, self.beam = lattice, beam
         self._size = lattice.size
         self._header = digits_of(LENGTH_BYTES, self._size)
         self._single = block_bytes(self._size) == 1
@@ -271,7 +300,9 @@ class MessageSearch:
 
     # --- the payload ------------------------------------------------------------------------------
 
-    def find(self, begin: Array, beam: int | None = None) -> Found | None:
+    def find(
+        self, begin: Array, language: English | AnyBytes, beam: int | None = None
+    ) -> Found | None:
         """Search the frame that comes next after ``begin``, log weights of nodes."""
         self.beam = beam or self.beam
         start = self.starts(begin)
@@ -281,7 +312,7 @@ class MessageSearch:
         if begun is None:
             return None
         lengths, alphas, level, low = begun
-        growth = Growth(self._lattice, self._language, lengths, self.beam)
+        growth = Growth(self._lattice, language, lengths, self.beam)
         plan = growth.plan
         dtype = np.int64 if self._single else object
         hypotheses = Beam(len(lengths), alphas.shape[1], int(lengths.max()) + CHECK_BYTES, dtype)
@@ -393,9 +424,11 @@ class MessageSearch:
         if weight[row] > opened.best:
             opened.best = float(weight[row])
             opened.text = beam.text[row, : beam.count[row]].tobytes()
-            opened.missing = int(missing[row] / self._lattice.rate)
             payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
             opened.unsent = payload * float(np.log2(self._size))
+        for symbols in np.unique(missing).tolist():
+            best = float(weight[missing == symbols].max())
+            opened.missing[symbols] = max(opened.missing.get(symbols, -np.inf), best)
         opened.total = float(np.logaddexp(opened.total, np.logaddexp.reduce(weight)))
 
     def _found(
@@ -425,11 +458,11 @@ class MessageSearch:
             likely,
             opened.text,
             opened.total,
-            opened.missing,
+            -1 if (symbols := opened.soonest()) < 0 else int(symbols / self._lattice.rate),
             opened.unsent,
             longest,
             ended.unchecked[1],
-            self._after_any_check(*ended.unchecked[2:]),
+            self._after_any(*ended.unchecked[2:], self._digits * CHECK_BYTES),
         )
 
     def _nodes(self, alpha: Array, low: int) -> Array:
@@ -440,43 +473,67 @@ class MessageSearch:
             out[low : low + len(nodes)] = np.log(nodes)
         return out
 
-    def _after_any_check(self, alpha: Array, low: int) -> Array:
-        """Log weights of the nodes after a check of any symbols."""
-        for _ in range(self._digits * CHECK_BYTES if len(alpha) else 0):
-            moved = [self._lattice.moved(alpha[None], m, low)[0] for m in range(self._size)]
-            alpha = np.mean(moved, axis=0)[: (self._lattice.steps - low) * self._lattice.states]
+    def _after_any(self, alpha: Array, low: int, count: int) -> Array:
+        """Log weights of the nodes after ``count`` symbols of any kind."""
+        E = self._lattice.states
+        for _ in range(count if len(alpha) else 0):
+            alpha = self._lattice.moved(alpha[None], None, low)[0]
+            alpha, low = alpha[: (self._lattice.steps - low) * E], low + 1
             if not alpha.any():
                 break
-            alpha, low = alpha / alpha.max(), low + 1
+            alpha /= alpha.max()
+            used = np.flatnonzero(alpha.reshape(-1, E).max(axis=1) > NEGLIGIBLE)
+            alpha, low = alpha[used[0] * E : (used[-1] + 1) * E], low + int(used[0])
         return self._nodes(alpha, low)
 
-    def drawn(self, begin: Array, rng: np.random.Generator, count: int = 24) -> float:
-        """Entropy in bits of a message of any bytes, with its check.
+    def any_bytes(self, begin: Array, rng: np.random.Generator, count: int = 24) -> AnyMessage:
+        """What is known of a message of any bytes, by drawing from all that are possible.
 
-        By messages drawn from all that are possible, of the likeliest length.
+        Of the likeliest length. What the transcript does not hold of one under way is unknown.
         """
-        start = self.starts(begin)
-        begun = self._lengths(start)
+        begun = self._lengths(self.starts(begin))
         assert begun is not None  # found before
         lengths, alphas, level, low = begun
-        plan = Plan(lengths.tolist(), self._size)
-        best = int(self._weights(alphas, level, plan.total, low).argmax())
-        alpha, E = np.tile(alphas[best], (count, 1)), self._lattice.states
+        plan, E = Plan(lengths.tolist(), self._size), self._lattice.states
+        weights = self._weights(alphas, level, plan.total, low)
+        best, p = int(weights.argmax()), np.exp(weights - np.logaddexp.reduce(weights))
         total = int(plan.total[best])
-        said = np.zeros((total, count))
+        ends = self._after_any(alphas[best], low, total)
+        # the first takes the likeliest symbol each time, the others are drawn
+        alpha, number = np.tile(alphas[best], (1 + count, 1)), np.arange(1 + count)
+        said, symbols = 0.0, bytearray()
         for j in range(total):
             matrices = self._lattice.window(low, alpha.shape[1] // E)
             low += 1
             ahead = self._rows(np.array([total - 1 - j]), low, matrices.shape[2] // E)[0]
             fits = alpha @ (matrices @ np.exp(ahead - finite(ahead.max()))).T
-            if not (fits.sum(axis=1) > 0).all():
-                return float(8 * (lengths[best] + CHECK_BYTES))
+            going = fits.sum(axis=1) > 0
+            unheard = int((number[~going] > 0).sum())
+            said += unheard * (total - j) * float(np.log2(self._size))
+            if not going.any():
+                break
+            alpha, fits, number = alpha[going], fits[going], number[going]
             share = fits.cumsum(axis=1)
-            symbol = (share < rng.random((count, 1)) * share[:, -1:]).sum(axis=1)
-            said[j] = -np.log2(fits[np.arange(count), symbol] / share[:, -1])
+            symbol = (share < rng.random((len(fits), 1)) * share[:, -1:]).sum(axis=1)
+            if number[0] == 0:
+                symbol[0] = fits[0].argmax()
+                symbols.append(int(symbol[0]))
+            chosen = fits[np.arange(len(fits)), symbol] / share[:, -1]
+            said -= float(np.log2(chosen[number > 0]).sum())
             alpha = np.stack([a @ matrices[m] for a, m in zip(alpha, symbol, strict=True)])
             alpha /= alpha.max(axis=1, keepdims=True)
-            alpha, low = self._trimmed(
-                alpha, np.zeros(count), np.full(count, total - 1 - j), low, np.zeros(count)
-            )
-        return float(said.sum(axis=0).mean())
+            left, none = np.full(len(alpha), total - 1 - j), np.zeros(len(alpha))
+            alpha, low = self._trimmed(alpha, none, left, low, none)
+        length = -float((p * np.log2(np.maximum(p, 1e-300))).sum())
+        frame = Deframer(self._size)
+        header = encode_frame(bytes(int(lengths[best])), self._size)[: 1 + self._header]
+        payload = b""
+        for symbol_of in header + symbols:
+            over = frame.push(symbol_of)
+            payload = frame.partial if over is None else over.payload
+        return AnyMessage(
+            max(said / count + length - 8 * CHECK_BYTES, 0.0),
+            payload,
+            ends,
+            int((total - len(symbols)) / self._lattice.rate),
+        )

@@ -47,7 +47,7 @@ def test_a_message_whose_check_was_not_sent_yet_is_searched_for(steps: int) -> N
     lattice = Lattice(table, spread, np.array(ciphers), entry)
     begin = np.full((steps + 1, states), -np.inf)
     begin[0, 0] = 0.0
-    found = MessageSearch(lattice, AnyBytes(), 32).find(begin)
+    found = MessageSearch(lattice, 32).find(begin, AnyBytes())
     assert found is not None
     assert {len(text) for text in found.payloads} <= {1}
     assert np.isfinite(found.any)
