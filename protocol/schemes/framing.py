@@ -87,12 +87,14 @@ class Deframer:
 
     The symbols of the frame under way are kept (`symbols`), so that it can be rebuilt after a
     restart by pushing them again. ``refused`` counts frames that failed their check.
+    ``ended`` is the payload of the frame that ended last, whether its check held or not.
     """
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.symbols = bytearray()
         self.refused = 0
+        self.ended = b""
         self._bytes = bytearray()
         self._block = LENGTH_BYTES
         self._digits = digits_of(LENGTH_BYTES, size)
@@ -134,6 +136,7 @@ class Deframer:
         if self._value >= 256**self._block:
             self.reset()
             self.refused += 1
+            self.ended = b""
             return None
         self._bytes += self._value.to_bytes(self._block, "big")
         missing = LENGTH_BYTES + self._payload_length() + CHECK_BYTES - len(self._bytes)
@@ -142,10 +145,11 @@ class Deframer:
             return None
         body, check = self._bytes[:-CHECK_BYTES], self._bytes[-CHECK_BYTES:]
         self.reset()
+        self.ended = bytes(body[LENGTH_BYTES:])
         if zlib.crc32(body) != int.from_bytes(check, "big"):
             self.refused += 1
             return None
-        return bytes(body[LENGTH_BYTES:])
+        return self.ended
 
     def _begin(self, block: int) -> None:
         self._block, self._digits = block, digits_of(block, self.size)

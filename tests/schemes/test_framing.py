@@ -113,6 +113,7 @@ def test_every_single_damaged_bit_is_refused() -> None:
         deframer = Deframer(2)
         assert push_all(deframer, bytes(damaged)) == []
         assert deframer.refused == 1
+        assert len(deframer.ended) == len(b"paper")
 
 
 @given(st.integers(3, 256), payloads, st.data())
