@@ -169,7 +169,8 @@ def _parts(value: Any) -> Iterator[tuple[str, Any]]:
         names: Iterable[str] = getattr(value, "_fields", None) or [""] * len(value)
         yield from zip(names, value, strict=True)
     elif hasattr(type(value), "model_fields"):
-        yield from value.__dict__.items()
+        for name in type(value).model_fields:
+            yield name, getattr(value, name, None)
     elif is_dataclass(value):
         yield from ((f.name, getattr(value, f.name, None)) for f in fields(value))
 
