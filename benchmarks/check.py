@@ -35,12 +35,12 @@ class _Heard(TimingPorts):
 
     tap: RotatingLog
 
-    def publish(self, kind: "type[Message]", payload: bytes) -> None:
+    def publish(self, message: "Message") -> None:
         """Leave it for the partner, and on record."""
-        super().publish(kind, payload)
-        if kind in FIELD:
+        super().publish(message)
+        if type(message) in FIELD:
             line = b'{"event":"field","t_ns":%d,"topic":"%s","message":%s}'
-            self.tap.write(line % (time.time_ns(), kind.topic.encode(), payload))
+            self.tap.write(line % (time.time_ns(), message.topic.encode(), message.wire()))
 
 
 def make_run(folder: Path, steps: int, name: str = "sustained") -> None:

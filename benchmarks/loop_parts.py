@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from protocol.link.peer import Append, Outgoing
+from protocol.link.records import Step
 from runtime.host import FIELD
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class TimedPorts:
     """A service's ports; the write that holds up a step is timed under ``side``'s name."""
 
     def __init__(
-        self, side: str, partner: "list[Outgoing]", watch: Stopwatch, files: "Files"
+        self, side: str, partner: "list[Message]", watch: Stopwatch, files: "Files"
     ) -> None:
         self.files = files
         self._side = side
@@ -103,14 +103,14 @@ class TimedPorts:
 
     def write(self, write: "Write") -> None:
         """Keep it in the journal."""
-        if isinstance(write, Append):
+        if isinstance(write, Step):
             self._watch.time(f"{self._side}: journal", lambda: self.files.journal.write(write))
         else:
             self.files.journal.write(write)
 
-    def publish(self, kind: "type[Message]", payload: bytes) -> None:
+    def publish(self, message: "Message") -> None:
         """Leave it for the partner."""
-        self._partner.append(Outgoing(kind, payload))
+        self._partner.append(message)
 
     def submit_key_task(self, task: "Task") -> None:
         """Hand it to the keeper's thread."""
@@ -169,7 +169,7 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
         TraceWriter(folder / CONTROLLER_TRACE, "controller", {}),
         TraceWriter(folder / PLANT_TRACE, "plant", {}),
     ]
-    mail: dict[str, list[Outgoing]] = {"controller": [], "plant": []}
+    mail: dict[str, list[Message]] = {"controller": [], "plant": []}
     ends: list[tuple[str, Peer, TimedPorts]] = [
         (name, endpoint, TimedPorts(name, mail[partner], watch, files))
         for name, partner, endpoint, files in (
@@ -187,7 +187,8 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
             heard = mail[name][:]
             mail[name].clear()
             time.sleep(pause_s)
-            for kind, payload in heard:
+            for message in heard:
+                kind, payload = type(message), message.wire()
                 step = f"{name}: parse, decide, dump"
                 receive = partial(endpoint.receive, kind, payload, time.monotonic())
                 actions = watch.time(step, receive) if kind in FIELD else receive()

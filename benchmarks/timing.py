@@ -137,8 +137,9 @@ class TimingPorts:
         """Keep it in the journal."""
         self.files.journal.write(write)
 
-    def publish(self, kind: "type[Message]", payload: bytes) -> None:
+    def publish(self, message: "Message") -> None:
         """Leave it for the partner."""
+        kind, payload = type(message), message.wire()
         if kind in FIELD:
             self.left_ns = time.perf_counter_ns()
             self.said.update(payload)

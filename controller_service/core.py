@@ -10,9 +10,8 @@ The rules are those of :mod:`protocol.link.session`. Which plant's session is se
 """
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
 from math import inf
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 
 from pydantic import ValidationError
 
@@ -20,12 +19,12 @@ from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phas
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
-from protocol.link.events import Alarm, Delivered, Queued, SessionBegan
+from protocol.link.events import Alarm, Milestone, SessionBegan
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
-from protocol.link.records import SenderRecord
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
+from protocol.link.records import SenderRecord, Step
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
     LARGEST_COUNT,
@@ -38,7 +37,6 @@ from protocol.messages import (
     PlantHello,
     SendCommand,
     SendReply,
-    Status,
 )
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
@@ -77,23 +75,17 @@ Predict = Callable[[Vector, Vector], Vector]
 """A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
 
 
-@dataclass(slots=True)
-class _Step:
-    """A measurement that moved the loop on, until the record has followed it.
+class _Judged(NamedTuple):
+    """What the test made of the transition that a measurement reports.
 
-    ``following`` is the record with all that the next offer needs: the automaton's next state, and
-    the next symbol decided. ``judged`` is None where the measurement reports no new transition,
-    ``offer`` until there is one, and where there is none to give. ``expected`` is the candidate
-    that a key chose, -1 where the transition is unwatched, and ``alarm`` says that its test failed
-    and makes one.
+    ``expected`` is the candidate that a key chose, -1 where the transition is unwatched. ``alarm``
+    says that its test failed and makes an alarm.
     """
 
-    measurement: Measurement
-    following: SenderRecord
-    judged: tuple[AgreementResult, Carry] | None = None
-    offer: Offer | None = None
-    expected: int = NO_SYMBOL
-    alarm: bool = False
+    verdict: AgreementResult
+    carry: Carry
+    expected: int
+    alarm: bool
 
 
 class ControllerCore:
@@ -114,8 +106,8 @@ class ControllerCore:
         The plant's; one that has been silent for several of them is away.
     record : SenderRecord, optional
         As read back from the journal.
-    step : tuple of Measurement and Offer, optional
-        What was heard and said after that record, as read back: to be counted first.
+    step : Step, optional
+        The step after that record, as read back: to be counted first.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key
@@ -158,7 +150,7 @@ class ControllerCore:
         instance: str,
         period_s: float,
         record: SenderRecord | None = None,
-        step: tuple[Measurement, Offer] | None = None,
+        step: Step | None = None,
         contributions: Iterable[Contribution] = (),
         coin_keys: Iterable[Key] = (),
         predict: Predict | None = None,
@@ -179,7 +171,8 @@ class ControllerCore:
         # the step
         self._propose = propose
         self._predict = predict
-        self._step: _Step | None = None
+        self._under_way: tuple[Step, SenderRecord, _Judged | None] | None = None
+        """The step that waits to be counted, with what :meth:`_report` made of its measurement."""
         self._stale = 0
         # the frame under way
         self._fresh = fresh
@@ -187,13 +180,13 @@ class ControllerCore:
         # keys
         self.keying = Keying(rules.schedule, nonces)
         if self.record.session is not None:
-            said = self.record if step is None else step[1]
+            said = self.record if step is None else step.offer
             self.keying.begin(self.record.session, said.block, said.tag, contributions)
         self.coins = OfferedCoins(rules.size, on=rules.keyed)
         self.coins.begin(
             read.session,
             coin_keys,
-            *((read.coin_key, read.coin_from) if step is None else _newest_coin(read, step[1])),
+            *((read.coin_key, read.coin_from) if step is None else _newest_coin(read, step.offer)),
             applied="" if read.offer is None else read.offer.coin_key or "",
         )
         # the session
@@ -213,9 +206,8 @@ class ControllerCore:
         self._health_at = self.now = -inf
         self._aim()
         if step is not None:
-            measurement, offer = step
-            self._step = self._report(measurement, offer.cipher)
-            self._step.offer = offer
+            assert step.measurement is not None
+            self._under_way = (step, *self._report(step.measurement, step.offer.cipher))
 
     @property
     def plant(self) -> str | None:
@@ -235,12 +227,12 @@ class ControllerCore:
     @property
     def unfinished(self) -> bool:
         """Whether an offer, given now or read back from the journal, waits to be counted."""
-        return self._step is not None
+        return self._under_way is not None
 
     @property
     def reported(self) -> int:
         """Transitions that the plant has reported, the one that waits to be counted included."""
-        counts = self._step is not None and self._step.judged is not None
+        counts = self._under_way is not None and self._under_way[2] is not None
         return self.record.transitions + counts
 
     # --- what the shell calls ---------------------------------------------------------------------
@@ -260,7 +252,7 @@ class ControllerCore:
         self.now = now
         try:
             if kind is Measurement:
-                return self._measured(Measurement.model_validate_json(payload), payload)
+                return self._measured(Measurement.from_wire(payload))
             if kind is PlantHello:
                 return self._heard_hello(PlantHello.model_validate_json(payload))
             if kind is BlockAnnouncement:
@@ -281,13 +273,14 @@ class ControllerCore:
         if now < self._status_at:
             return NOTHING_TO_DO
         self._status_at = next_turn(now, self._status_s, phase_of(self.instance))
-        publish, health = self._status()
-        return Actions(publish=publish, health=health)
+        return self._status()
 
     def finish_step(self) -> Actions:
         """Count the step under way; what else waited for that comes after it, one at a time."""
-        if self._step is not None:
-            actions = self._count(self._step)
+        if self._under_way is not None:
+            (step, following, judged), self._under_way = self._under_way, None
+            assert step.measurement is not None
+            actions = self._count(step.measurement, step.offer, following, judged)
         elif self._blocks_differ:
             self._blocks_differ = False
             actions = self._end_session(
@@ -336,19 +329,16 @@ class ControllerCore:
         self.now = now
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
-        publish, health = self._status(force=True)
-        return Actions(
-            write=self._erase_rows(),
-            publish=publish,
-            notices=waiting_notice(self.keying),
-            health=health,
+        self._health_at = now
+        return self._status()._replace(
+            write=self._erase_rows(), notices=waiting_notice(self.keying)
         )
 
     # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
 
-    def _measured(self, measurement: Measurement, payload: bytes) -> Actions:
+    def _measured(self, measurement: Measurement) -> Actions:
         """Judge what it reports, decide, offer (rules 2 and 3); the counting is left for later."""
-        assert self._step is None, "the step before has not been counted"
+        assert self._under_way is None, "the step before has not been counted"
         record = self.record
         if wrong := self._malformed_states(measurement):
             return self._malformed(f"{wrong}; ignored")
@@ -372,23 +362,25 @@ class ControllerCore:
             before is None or measurement.applied_k != before.k or not measurement.x_after
         ):
             return self._diverged(measurement)
-        step = self._report(measurement)
-        if step.following.halted:
-            return NOTHING_TO_DO if record.halted else self._without_offer(step, HALTED, "alarmed")
+        following, judged = self._report(measurement)
+        if following.halted:
+            if record.halted:
+                return NOTHING_TO_DO
+            return self._without_offer(measurement, following, judged, HALTED, "alarmed")
         try:
-            x = self.rules.state(step.following, measurement)
+            x = self.rules.state(following, measurement)
             candidates = self._propose(x)
             predictions = self._predictions(x, candidates)
         except LookupError as error:
-            return self._without_offer(step, str(error), "outside")
+            return self._without_offer(measurement, following, judged, str(error), "outside")
         block, tag = self.keying.word()
         coin_key, coin_from, coin_last = self.coins.named(measurement.k)
-        step.offer = Offer(
+        offer = Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
             predictions=predictions,
-            cipher=step.following.cipher,
+            cipher=following.cipher,
             copy_number=self.keying.copy(),
             nonce=self.keying.nonce(),
             heard=measurement.copy_number,
@@ -398,8 +390,9 @@ class ControllerCore:
             coin_from=coin_from,
             coin_last=coin_last,
         )
-        self._step = step
-        return self._offers(step.offer, payload)
+        step = Step(offer, measurement=measurement)
+        self._under_way = step, following, judged
+        return self._offers(offer, step)
 
     def _malformed_states(self, measurement: Measurement) -> str:
         """What is wrong with a measurement's vectors; nothing where they are the plant's."""
@@ -413,19 +406,24 @@ class ControllerCore:
             return f"measurement: got a state beyond {LARGEST_STATE:g}"
         return self.rules.malformed_coin("measurement.applied_key", measurement.applied_key)
 
-    def _offers(self, offer: Offer, answers: bytes = b"") -> Actions:
-        """Publish an offer; the first one that ``answers`` a measurement is saved before."""
+    def _offers(self, offer: Offer, step: Step | None = None) -> Actions:
+        """Publish an offer; with the ``step`` that it is the answer of, which is saved before."""
         if self._telemetry is not None:
             self._telemetry.phase, self._telemetry.detail = "running", ""
-        wire = offer.wire()
-        write = Append(answers, wire) if answers else None
-        return Actions(write=write, publish=(Outgoing(Offer, wire),), finish_step=write is not None)
+        return Actions(write=step, publish=(offer,), finish_step=step is not None)
 
-    def _without_offer(self, step: _Step, why: str, phase: Phase) -> Actions:
+    def _without_offer(
+        self,
+        measurement: Measurement,
+        following: SenderRecord,
+        judged: _Judged | None,
+        why: str,
+        phase: Phase,
+    ) -> Actions:
         """There is no answer to give: what the measurement reports counts all the same."""
         if self._telemetry is not None:
             self._telemetry.phase = phase
-        actions = self._count(step)
+        actions = self._count(measurement, None, following, judged)
         assert isinstance(actions.write, Save)
         return actions._replace(
             write=actions.write._replace(later=False),
@@ -440,16 +438,19 @@ class ControllerCore:
         assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
         return tuple([self._predict(x, u) for u in candidates])
 
-    def _report(self, measurement: Measurement, decided: int | None = None) -> _Step:
+    def _report(
+        self, measurement: Measurement, decided: int | None = None
+    ) -> tuple[SenderRecord, _Judged | None]:
         """Judge the offer that ``measurement`` reports as applied; decide the next symbol.
 
-        Where it reports none that is new the symbol decided before stays. ``decided`` is the cipher
-        symbol of an answer that was given before.
+        Returns the record that follows, but for what the answer adds, and what the test made of the
+        transition. Where the measurement reports none that is new, the symbol decided before stays.
+        ``decided`` is the cipher symbol of an answer that was given before.
         """
         record = self.record
         offer = record.offer
         if offer is None or measurement.applied_k == record.applied_k:
-            return _Step(measurement, record)
+            return record, None
         verdict = self.rules.judge(
             record.x,
             offer.candidates,
@@ -471,7 +472,7 @@ class ControllerCore:
         if tests != record.failed or alarm:
             halted = record.halted or (alarm and self.rules.halts)
             following = following._replace(failed=tests, halted=halted)
-        return _Step(measurement, following, (verdict, carry), expected=expected, alarm=alarm)
+        return following, _Judged(verdict, carry, expected, alarm)
 
     def _decide(
         self,
@@ -535,11 +536,15 @@ class ControllerCore:
 
     # --- and then: count --------------------------------------------------------------------------
 
-    def _count(self, step: _Step) -> Actions:
+    def _count(
+        self,
+        measurement: Measurement,
+        offer: Offer | None,
+        following: SenderRecord,
+        judged: _Judged | None,
+    ) -> Actions:
         """Bring the record up to the answer given: the transition that it reports, if any."""
-        self._step = None
-        before, measurement, offer = self.record, step.measurement, step.offer
-        following = step.following
+        before = self.record
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
             coin_key, coin_from = _newest_coin(before, offer)
@@ -554,10 +559,9 @@ class ControllerCore:
         self._blocks_differ = _unequal(results)
         actions = NOTHING_TO_DO
         contribution, delivered, alarm = None, False, None
-        if step.judged is None:  # no transition: the state, and the arrows from it, stay
+        if judged is None:  # no transition: the state, and the arrows from it, stay
             self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
         else:
-            verdict, carry = step.judged
             applied = before.offer
             assert applied is not None
             contribution = self.keying.count(
@@ -572,13 +576,13 @@ class ControllerCore:
                 before,
                 applied,
                 measurement.x_after,
-                verdict,
+                judged.verdict,
                 following.state,
-                carry,
+                judged.carry,
                 before.message_symbol,
                 contribution,
                 coin_key=measurement.applied_key,
-                expected=step.expected,
+                expected=judged.expected,
             )
             self.record = following._replace(
                 k=measurement.k,
@@ -590,7 +594,7 @@ class ControllerCore:
                 offer=offer,
             )
             self._aim()
-            if step.alarm:
+            if judged.alarm:
                 alarm = self._alarm(transition, applied)
             if self._telemetry is not None:
                 self._telemetry.counted(transition, alarm)
@@ -636,10 +640,10 @@ class ControllerCore:
         """The last symbol of a message's frame has been counted."""
         payload = self.messages.payload(number)
         assert payload is not None
-        event = Delivered(number, self.messages.identifier(number), payload)
-        publish, health = self._status(force=True)
+        event = Milestone("delivered", payload, self.messages.identifier(number))
+        self._status_soon()
         notice = Notice(f"message {event.identifier} delivered")
-        return Actions((transition, event), None, publish, (notice,), health)
+        return Actions((transition, event), notices=(notice,))
 
     # --- sessions ---------------------------------------------------------------------------------
 
@@ -782,7 +786,7 @@ class ControllerCore:
         self.greeting_at = self.now + GREETING_S
         return Actions(publish=(self._greeting(),))
 
-    def _greeting(self) -> Outgoing:
+    def _greeting(self) -> ControllerHello:
         """Ask the plant to say which session it is in.
 
         The record must have been saved before: no other process may greet as this life.
@@ -793,8 +797,8 @@ class ControllerCore:
         self,
         verdict: Literal["greeting", "accepted", "unknown-session", "other-model"],
         hello: PlantHello | None = None,
-    ) -> Outgoing:
-        said = ControllerHello(
+    ) -> ControllerHello:
+        return ControllerHello(
             instance=self.instance,
             incarnation=self.record.incarnation,
             fingerprint=self.rules.fingerprint,
@@ -802,7 +806,6 @@ class ControllerCore:
             session=hello.session if hello else self.record.session,
             answers=hello.instance if hello else None,
         )
-        return Outgoing(ControllerHello, said.wire())
 
     def _refusal(self, text: str) -> Notice:
         if self._telemetry is not None:
@@ -832,7 +835,7 @@ class ControllerCore:
         answer = keying.block_announcement("controller", session)
         return Actions(
             write=self._erase_rows(),
-            publish=(Outgoing(BlockAnnouncement, answer.wire()),),
+            publish=(answer,),
             keys=keying.tasks(results),
         )
 
@@ -855,7 +858,7 @@ class ControllerCore:
         else:
             detail = f"id: {command.id!r} is another message's"
         reply = SendReply(id=command.id, accepted=accepted, queued=waiting, detail=detail)
-        return actions._replace(publish=(Outgoing(SendReply, reply.wire()),))
+        return actions._replace(publish=(reply,))
 
     def _queue(self, identifier: str, payload: bytes) -> Actions:
         """Traced first: what is queued in the journal must not be missing from the trace.
@@ -864,7 +867,8 @@ class ControllerCore:
         counted again, then so too.
         """
         write = Save(self.record, queued=(identifier, payload))
-        return Actions(events=(Queued(identifier, payload),), write=write)
+        event = Milestone("sent", payload, identifier)
+        return Actions(events=(event,), write=write)
 
     # --- the status -------------------------------------------------------------------------------
 
@@ -875,15 +879,20 @@ class ControllerCore:
             self.record, self.rules, self.keying, self.coins, self.messages, self.malformed
         )
 
-    def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
+    def _status(self) -> Actions:
         """A status to publish, and once in :data:`HEALTH_S` to be kept."""
         if self._telemetry is None:
-            return (), None
+            return NOTHING_TO_DO
         status = self.status()
-        keep = force or self.now >= self._health_at
+        keep = self.now >= self._health_at
         if keep:
             self._health_at = self.now + HEALTH_S
-        return (Outgoing(ControllerStatus, status.wire()),), status if keep else None
+        return Actions(publish=(status,), health=status if keep else None)
+
+    def _status_soon(self) -> None:
+        """Have a status published and kept at the next wake, which is then due at once."""
+        if self._telemetry is not None:
+            self._status_at = self._health_at = self.now
 
 
 def _newest_coin(record: SenderRecord, offer: Offer) -> tuple[str, int]:

@@ -38,9 +38,9 @@ def decoded(t):
     deframer, held, found = Deframer(2), None, []
     for k in range(recorded.steps):
         if held is not None:
-            frame = deframer.push(int(cipher[k] - held) % 2)
-            if frame is not None and frame.intact:
-                found.append(frame.payload)
+            payload = deframer.push(int(cipher[k] - held) % 2)
+            if payload is not None:
+                found.append(payload)
             held = None
         elif near[k, 0] <= t < near[k, 1] <= 1:
             held = guesses[k]

@@ -27,16 +27,16 @@ from protocol.link.events import (
     AttackBegan,
     FrameRefused,
     Interrupted,
+    Milestone,
     Missed,
-    Recovered,
     SessionBegan,
 )
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Append, Notice, Outgoing, Save
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
-from protocol.link.records import PlantStep, ReceiverRecord
+from protocol.link.records import ReceiverRecord, Step
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -47,10 +47,9 @@ from protocol.messages import (
     PlantHello,
     PlantModel,
     PlantStatus,
-    Status,
 )
 from protocol.schemes.base import decrypt
-from protocol.schemes.framing import Deframer, Frame
+from protocol.schemes.framing import Deframer
 from protocol.secret.blocks import BlockResult
 from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
 from protocol.secret.records import Key
@@ -109,7 +108,7 @@ class PlantCore:
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key
         That the key store holds for the session's coin, in order.
-    step : PlantStep, optional
+    step : Step, optional
         The journal's step that was not counted, or begun and not read.
     back : tuple of float, optional
         What a plant that acts has read first, where it is back with a journal; else None.
@@ -163,7 +162,7 @@ class PlantCore:
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
         coin_keys: Iterable[Key] = (),
-        step: PlantStep | None = None,
+        step: Step | None = None,
         back: Vector | None = None,
         fresh: bool = False,
         steps: int | None = None,
@@ -187,11 +186,10 @@ class PlantCore:
         self.coin = coin
         self._fallback = fallback
         self._steps = steps
-        self._step: PlantStep | None = None
-        self._payload = b""  # of its offer, as it came
+        self._step: Step | None = None
         self._keyed = False  # whether a key chose its coin
         self._truth: Truth | None = None if step is None else plant.truth  # of its end
-        self._begun: PlantStep | None = None
+        self._begun: Step | None = None
         if step is not None and step.measurement is not None:
             self._step = step
         else:
@@ -290,7 +288,7 @@ class PlantCore:
             self.pacing.tick(now, running=False)
         try:
             if kind is Offer:
-                return self._offered(Offer.model_validate_json(payload), payload)
+                return self._offered(Offer.from_wire(payload))
             if kind is BlockAnnouncement:
                 return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
             return self._heard_hello(ControllerHello.model_validate_json(payload))
@@ -331,7 +329,7 @@ class PlantCore:
             raise PlantError(why)
         if pacing.waiting:
             self.answered_at = now
-        publish: list[Outgoing] = []
+        publish: list[Message] = []
         silent = now >= self.answered_at + SILENCE_S  # as in wake_at, to the last bit
         if silent:
             self.state = TABLE[self.state, "silence"].next
@@ -346,16 +344,16 @@ class PlantCore:
             actions = self._miss()
         elif over == "ended" and self._step is not None:
             actions = self._end()
-        health: Status | None = None
+        status = NOTHING_TO_DO
         if self._telemetry is not None and now >= self._status_at:
             self._status_at = next_turn(now, self._telemetry.status_s, phase_of(self.instance))
-            status, health = self._status()
-            publish += status
+            status = self._status()
+            publish += status.publish
         if self.accepted and not actions.finish_step and pacing.measurement_due(now):
             if self.record.k != self.measured_k:
                 self.measured_k, self.measured_at = self.record.k, now
-            publish.append(Outgoing(Measurement, self._measurement().wire()))
-        return actions._replace(publish=(*actions.publish, *publish), health=health)
+            publish.append(self._measurement())
+        return actions._replace(publish=(*actions.publish, *publish), health=status.health)
 
     def finish_step(self) -> Actions:
         """Go on with the step that was saved: begin it where it acts, or else count it."""
@@ -385,24 +383,22 @@ class PlantCore:
         self._tell_stopped()
         self.plant.safe("the process ended")
         failed = self.plant.close()
-        publish, health = self._status(force=True)
+        self._status_soon()
         timing = None
         if self._telemetry is not None:
             timing = self._telemetry.punctuality.as_event(self.record.k)
         notices = waiting_notice(self.keying)
         if failed:
             notices = (*notices, Notice(failed, "error"))
-        return Actions(
+        return self._status()._replace(
             events=() if timing is None else (timing,),
             write=self._erase_rows(),
-            publish=publish,
             notices=notices,
-            health=health,
         )
 
     # --- a step: offer, check, coin, begin --------------------------------------------------------
 
-    def _offered(self, offer: Offer, payload: bytes) -> Actions:
+    def _offered(self, offer: Offer) -> Actions:
         """If the offer is for this step: toss the coin, and begin."""
         record, now = self.record, self.now
         if self._finished:  # all that matters now is that the last step was counted
@@ -427,11 +423,10 @@ class PlantCore:
             return NOTHING_TO_DO
         if self.measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self.measured_at)
-        self._payload = payload
         # tossed in any case: whether a key chose is not to show in the time that it takes
         coin, digit = self.coin.toss(record.transitions), self.coins.digit(offer)
         self._keyed = digit is not None
-        return self._begin(PlantStep(offer, coin if digit is None else digit))
+        return self._begin(Step(offer, coin if digit is None else digit))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -462,16 +457,16 @@ class PlantCore:
             return "foreign"
         return "current" if offer.k == self.record.k else "stale"
 
-    def _begin(self, step: PlantStep) -> Actions:
+    def _begin(self, step: Step) -> Actions:
         """Apply the input that the coin chose; where that cannot be undone, save the coin first."""
         self._step = step
         self._moved = True
         if self.plant.acts:
-            return Actions(write=Append(self._payload, b"", step.coin), finish_step=True)
+            return Actions(write=step, finish_step=True)
         self._apply(step)
         return self._end()
 
-    def _apply(self, step: PlantStep) -> None:
+    def _apply(self, step: Step) -> None:
         self.plant.begin(self.record.k, self.record.x, step.u)
         if self._telemetry is not None and self.pacing.timed:
             self._telemetry.punctuality.acted(self.pacing.since_tick_s(self.now))
@@ -495,14 +490,13 @@ class PlantCore:
         self._truth = self.plant.truth
         report = self._report(step.offer, x_next)
         self._step = step._replace(measurement=report)
-        wire = report.wire()
         due = self.accepted and self.pacing.measurement_due(self.now)
         if due:
             self._left = True
             self.measured_k, self.measured_at = record.k + 1, self.now
         return Actions(
-            write=Append(self._payload, wire, step.coin),
-            publish=(Outgoing(Measurement, wire),) if due else (),
+            write=self._step,
+            publish=(report,) if due else (),
             finish_step=True,
         )
 
@@ -555,7 +549,7 @@ class PlantCore:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def _count(self, step: PlantStep, report: Measurement) -> Actions:
+    def _count(self, step: Step, report: Measurement) -> Actions:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
@@ -572,14 +566,17 @@ class PlantCore:
         symbol = decrypt(offer.cipher, pad, scheme.alphabet)
         carried = pad != NO_SYMBOL
         deframer = self.deframer if carried else self._covers
-        frame = deframer.push(symbol)
+        refused = deframer.refused
+        payload = deframer.push(symbol)
+        refusal = deframer.refused > refused
         partial, chunk = f"{record.partial}{symbol:0{self._digits}x}", ""
         if not deframer.symbols:
             partial = ""
         if len(partial) >= CHUNK_SYMBOLS * self._digits:
             partial, chunk = "", partial
         if not carried:
-            symbol, frame, partial, chunk = NO_SYMBOL, None, record.partial, ""
+            symbol, payload, refusal = NO_SYMBOL, None, False
+            partial, chunk = record.partial, ""
         contribution = self.keying.count(
             record.transitions,
             record.k - record.applied_k,
@@ -614,8 +611,8 @@ class PlantCore:
             p=transition.p,
             agreements=record.agreements + (agreed != NO_SYMBOL),
             symbol_errors=record.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
-            messages=record.messages + (frame is not None and frame.intact),
-            frames_refused=record.frames_refused + (frame is not None and not frame.intact),
+            messages=record.messages + (payload is not None),
+            frames_refused=record.frames_refused + refusal,
             nonce=report.nonce,
             applied_copy=report.applied_copy,
             block=report.block,
@@ -632,28 +629,41 @@ class PlantCore:
         judged = self.keying.heard(offer)
         self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
-        return self._counted_actions(transition, chunk, frame, contribution, judged)
-
-    def _counted_actions(
-        self,
-        transition: CountedTransition,
-        chunk: str,
-        frame: Frame | None,
-        contribution: Contribution | None,
-        judged: tuple[BlockResult, ...],
-    ) -> Actions:
-        """What is traced and saved of a transition, and what it means for keys."""
         contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
-        if frame is None:
-            write = Save(self.record, later=not chunk, chunk=chunk)
-            actions = Actions((transition,), write)
-        else:
-            actions = self._frame_ended(transition, chunk, frame)
+        write = Save(self.record, chunk=chunk, later=not chunk)
+        actions = Actions((transition,), write)
+        if payload is not None or refusal:
+            actions = self._frame_ended(actions, transition.k, payload)
         if contradicted is not None:
             notice = Notice(contradicted, "warning")
             actions = actions._replace(notices=(*actions.notices, notice))
-        if not self.keying.on:
-            return actions
+        return self._with_keys(actions, contribution, judged) if self.keying.on else actions
+
+    def _frame_ended(self, actions: Actions, k: int, payload: bytes | None) -> Actions:
+        """``actions``, and what comes of a frame that is whole, or (None) failed its check."""
+        write = Save(self.record, drop_chunks=True, received=payload)
+        if payload is None:
+            refused = FrameRefused(self.record.session, self.record.p)
+            notice = Notice("a frame failed its check and was refused", "error")
+            return actions._replace(
+                events=(*actions.events, refused), write=write, notices=(notice,)
+            )
+        if self._telemetry is not None:
+            self._telemetry.last_message, self._telemetry.message_k = payload, k
+        if self._finished:
+            self._tell_stopped()
+        self._status_soon()
+        notice = Notice(f"message recovered at step {k}: {len(payload)} bytes")
+        recovered = Milestone("recovered", payload)
+        return actions._replace(events=(*actions.events, recovered), write=write, notices=(notice,))
+
+    def _with_keys(
+        self,
+        actions: Actions,
+        contribution: Contribution | None,
+        judged: tuple[BlockResult, ...],
+    ) -> Actions:
+        """``actions`` of a transition, and what it means for keys."""
         tasks = (*self.keying.tasks(judged), *self.coins.tasks(self.now))
         if any(result.what == "unequal" for result in judged):
             self.state = TABLE[self.state, "blocks differ"].next
@@ -669,28 +679,6 @@ class PlantCore:
             contribution=contribution, obsolete_rows=obsolete_rows, later=later
         )
         return actions._replace(write=write, keys=tasks)
-
-    def _frame_ended(self, transition: CountedTransition, chunk: str, frame: Frame) -> Actions:
-        """A frame is whole: a message, or one that failed its check."""
-        record, k = self.record, transition.k
-        write = Save(
-            record,
-            chunk=chunk,
-            drop_chunks=True,
-            received=frame.payload if frame.intact else None,
-        )
-        if not frame.intact:
-            refused = FrameRefused(record.session, record.p)
-            notice = Notice("a frame failed its check and was refused", "error")
-            return Actions((transition, refused), write, notices=(notice,))
-        if self._telemetry is not None:
-            self._telemetry.recovered(frame.payload, k)
-        if self._finished:
-            self._tell_stopped()
-        publish, health = self._status(force=True)
-        text = f"message recovered at step {k}: {len(frame.payload)} bytes"
-        events = (transition, Recovered(frame.payload))
-        return Actions(events, write, publish, (Notice(text),), health)
 
     # --- steps without an offer -------------------------------------------------------------------
 
@@ -754,13 +742,13 @@ class PlantCore:
             self.record = record._replace(u=following)
 
     def _interrupted(
-        self, begun: PlantStep | None, x_next: Vector, *, sure: bool = False
+        self, begun: Step | None, x_next: Vector, *, sure: bool = False
     ) -> Interrupted:
         """Count a step that ends at ``x_next`` as a missed one.
 
         Parameters
         ----------
-        begun : PlantStep, optional
+        begun : Step, optional
             What it had begun; None where nothing is known of it.
         x_next : tuple of float, shape (n,)
         sure : bool
@@ -842,7 +830,7 @@ class PlantCore:
         """Answer a controller that does not have this session."""
         text = f"speaks up while controller {self.controller} has the session: "
         text += "two controllers on one loop?"
-        publish: tuple[Outgoing, ...] = (self._hello(),)
+        publish: tuple[Message, ...] = (self._hello(),)
         if what in ("another model", "another model, never met"):
             text = f"has another model, {hello.fingerprint[:8]}; ignored"
             if hello.verdict != "greeting":
@@ -850,10 +838,10 @@ class PlantCore:
         notice = Notice(f"controller {hello.instance} {text}", "warning", "incompatible")
         return Actions(publish=publish, notices=(notice,))
 
-    def _hello(self) -> Outgoing:
+    def _hello(self) -> PlantHello:
         """Ask the controller to take up this session, or look for one."""
         record = self.record
-        hello = PlantHello(
+        return PlantHello(
             instance=self.instance,
             session=record.session,
             controller=None if self.state in TO_ANYONE else self.controller,
@@ -862,7 +850,6 @@ class PlantCore:
             transitions=record.transitions,
             applied_k=record.applied_k,
         )
-        return Outgoing(PlantHello, hello.wire())
 
     def _begin_session(self) -> None:
         """A new session: all that was agreed or half received in the one before is dropped."""
@@ -950,7 +937,7 @@ class PlantCore:
         if self._counted:
             return self._last_keys()
         self._last_at = now + LOCKSTEP_REPEAT_S
-        return Actions(publish=(Outgoing(Measurement, self._measurement().wire()),))
+        return Actions(publish=(self._measurement(),))
 
     def _last_keys(self) -> Actions:
         """Wait for blocks that are whole, at both ends, and no longer than :data:`LAST_KEYS_S`."""
@@ -968,7 +955,7 @@ class PlantCore:
             return Actions(notices=notices)
         self._last_at = now + LAST_KEYS_REPEAT_S
         word = keying.block_announcement("plant", self.record.session)
-        return Actions(publish=(Outgoing(BlockAnnouncement, word.wire()),), notices=notices)
+        return Actions(publish=(word,), notices=notices)
 
     # --- the watchdog and the status --------------------------------------------------------------
 
@@ -984,18 +971,22 @@ class PlantCore:
             self.record, self.deframer, self.keying, self.malformed, now, whole=whole
         )
 
-    def _status(self, *, force: bool = False) -> tuple[tuple[Outgoing, ...], Status | None]:
-        """The messages of a status, and the status to keep: once a second, or on ``force``."""
+    def _status(self) -> Actions:
+        """A status to publish, its model before it where that is due, and to keep once a second."""
         telemetry = self._telemetry
         if telemetry is None:
-            return (), None
+            return NOTHING_TO_DO
         whole = telemetry.model_is_due()
         status = self.status(self.now, whole=whole)
-        publish: tuple[Outgoing, ...] = (Outgoing(PlantStatus, status.wire()),)
+        kept = status if telemetry.health_is_due(self.now) else None
         if whole:  # who hears this one lacks nothing
-            publish = (Outgoing(PlantModel, telemetry.model), *publish)
-        kept = telemetry.health_is_due(self.now, force=force)
-        return publish, status if kept else None
+            return Actions(publish=(telemetry.model, status), health=kept)
+        return Actions(publish=(status,), health=kept)
+
+    def _status_soon(self) -> None:
+        """Have a status published and kept at the next wake, which is then due at once."""
+        if self._telemetry is not None:
+            self._status_at = self._telemetry.health_at = self.now
 
     def _tell_phase(
         self, phase: Literal["greeting", "running", "refused"], detail: str = ""
@@ -1011,7 +1002,7 @@ class PlantCore:
             self._telemetry.phase = "stopped"
 
 
-def _newest_coin(record: ReceiverRecord, step: PlantStep | None) -> tuple[str, int]:
+def _newest_coin(record: ReceiverRecord, step: Step | None) -> tuple[str, int]:
     """The newest key of the session that a coin may have come from, and its first step.
 
     Of a step that was begun and not read nobody knows whether it did.

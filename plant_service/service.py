@@ -20,7 +20,6 @@ from protocol.link.peer import Peer
 from protocol.messages import Offer
 from protocol.scenario import Attack
 from protocol.streams import COIN, SENSOR, Stream, noise, symbols
-from protocol.text import readable
 from runtime.bus import Bus
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
@@ -117,7 +116,7 @@ def _opened(
     if scenario.keys is not None:
         telemetry.keys_refused = refusal(scenario, config.seed) or ""
     for payload in journal.inbox(1):
-        telemetry.last_message = readable(payload)
+        telemetry.last_message = payload
     step_s = config.pace.step_s(scenario.plant.period_s)
     core = open_core(
         scenario,

@@ -42,8 +42,9 @@ Phase = Literal["greeting", "running", "stopped", "refused"]
 class PlantTelemetry:
     """What a status has beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``attack``, ``guard``, ``last_message`` and ``message_k`` are
-    set from outside; ``model`` is what does not change, as it travels.
+    ``phase``, ``detail``, ``late``, ``attack``, ``guard``, ``last_message``, ``message_k`` (the
+    step at which it came through) and ``health_at`` are set from outside; ``model`` is what does
+    not change.
 
     Parameters
     ----------
@@ -63,7 +64,7 @@ class PlantTelemetry:
         self.phase: Phase = "greeting"
         self.detail = ""
         self.late = 0
-        self.last_message = ""
+        self.last_message = b""
         self.message_k = -1
         self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
         self._tail: deque[CountedTransition] = deque(maxlen=TAIL)
@@ -72,7 +73,7 @@ class PlantTelemetry:
         self.keys_refused = ""
         self.attack = ""
         self.guard: Guarded | None = None
-        self.model = _model(scenario, pace, seeded=seeded).wire()
+        self.model = _model(scenario, pace, seeded=seeded)
         self._hidden = 0 if scenario.plant.C is None else scenario.n
         self._old = self._new = 0
         self._partial = Shown()
@@ -80,7 +81,7 @@ class PlantTelemetry:
         self._rate_mark = (0.0, 0)
         self._rate_hz = 0.0
         self._published = 0
-        self._health_at = -inf
+        self.health_at = -inf
 
     def answered(self, seconds: float) -> None:
         """Count an offer that came so long after its measurement."""
@@ -92,22 +93,17 @@ class PlantTelemetry:
         self._new += 1
         return self.watch.counted(t)
 
-    def recovered(self, payload: bytes, k: int) -> None:
-        """A message came through at step ``k``."""
-        self.last_message = readable(payload)
-        self.message_k = k
-
     def model_is_due(self) -> bool:
         """Whether the status to be published now is a whole one, with the model before it."""
         whole = self._published % max(MODEL_AFTER, round(MODEL_S / self.status_s)) == 0
         self._published += 1
         return whole
 
-    def health_is_due(self, now_s: float, *, force: bool) -> bool:
+    def health_is_due(self, now_s: float) -> bool:
         """Whether a status is to be kept in the run's folder: once in :data:`HEALTH_S`."""
-        due = force or now_s >= self._health_at
+        due = now_s >= self.health_at
         if due:
-            self._health_at = now_s + HEALTH_S
+            self.health_at = now_s + HEALTH_S
         return due
 
     def _state(self, record: ReceiverRecord) -> Vector:
@@ -160,7 +156,7 @@ class PlantTelemetry:
             automaton=record.s,
             recovered_symbols=record.p,
             messages=record.messages,
-            last_message=self.last_message,
+            last_message=readable(self.last_message),
             message_k=self.message_k,
             latency_counts=tuple(self._latencies),
             partial=self._partial.text(deframer.partial),

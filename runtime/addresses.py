@@ -1,12 +1,13 @@
 """Where a bus listens and connects: endpoints as Zenoh writes them, and the files of TLS."""
 
 import errno
+import random
 import re
 import socket
 from collections.abc import Iterable
-from contextlib import ExitStack
 from dataclasses import dataclass
 from ipaddress import ip_address
+from itertools import islice
 from pathlib import Path
 from typing import Final, Self
 
@@ -115,21 +116,48 @@ def _one_machine(here: str, there: str) -> bool:
         return False
 
 
+LOWEST_PORT: Final = 10_000
+LARGEST_PORT: Final = 65_535
+CLIENT_PORTS: Final = Path("/proc/sys/net/ipv4/ip_local_port_range")
+
+
 def free_endpoints(count: int) -> list[str]:
     """``count`` distinct free loopback endpoints that this function gives to no other process.
 
-    The listener comes later. So each port is reserved by an abstract Unix socket, which the kernel
-    frees when this process ends.
+    The listener comes later, and may be started again while its clients try to connect. So no port
+    is one that the kernel may give to a client (its range is `kernel_ports`), and each is reserved
+    by an abstract Unix socket, which the kernel frees when this process ends.
+
+    Raises
+    ------
+    TransportError
+        When so many are not free.
     """
-    found: list[int] = []
-    with ExitStack() as stack:
-        while len(found) < count:
-            one = stack.enter_context(socket.socket())  # held: the next one is another
-            one.bind(("127.0.0.1", 0))
-            port: int = one.getsockname()[1]
-            if taken_down(port):
-                found.append(port)
+    clients = kernel_ports()
+    ports = [port for port in range(LOWEST_PORT, LARGEST_PORT + 1) if port not in clients]
+    random.SystemRandom().shuffle(ports)
+    found = list(islice((port for port in ports if _is_free(port) and taken_down(port)), count))
+    if len(found) < count:
+        raise TransportError(f"ports: {len(found)} are free for listeners, expected {count}")
     return [f"tcp/127.0.0.1:{port}" for port in found]
+
+
+def kernel_ports() -> range:
+    """Ports that the kernel gives to clients, one of which may connect before a listener binds."""
+    try:
+        first, last = map(int, CLIENT_PORTS.read_text(encoding="ascii").split())
+    except (OSError, ValueError):  # another system: what IANA sets aside for clients
+        return range(49152, LARGEST_PORT + 1)
+    return range(first, last + 1)
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket() as one:
+        try:
+            one.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
 
 
 def taken_down(port: int) -> bool:

@@ -6,24 +6,16 @@ are two of each: in files, here and in :mod:`runtime.journal_files`, and in memo
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
 from protocol.link.peer import Save
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
-from protocol.messages import Measurement, Offer
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.secret.nonces import Contribution
 from runtime.journal_files import JournalError, JournalFiles
 from runtime.keys.store_file import check_of
 from runtime.ports import Journal
-
-
-class SenderStep(NamedTuple):
-    """What the controller heard and said after its record was made."""
-
-    measurement: Measurement
-    offer: Offer
 
 
 class SenderJournal(Journal, Protocol):
@@ -37,7 +29,7 @@ class SenderJournal(Journal, Protocol):
     def load(self) -> SenderRecord | None:
         """The record as last written; None in a new journal."""
 
-    def step(self) -> SenderStep | None:
+    def step(self) -> Step | None:
         """The step that followed the record, to be counted again; None where none did."""
 
     def contributions(self, session: str | None) -> list[Contribution]:
@@ -59,7 +51,7 @@ class ReceiverJournal(Journal, Protocol):
     def load(self) -> ReceiverRecord | None:
         """The record as last written; None in a new journal."""
 
-    def step(self) -> PlantStep | None:
+    def step(self) -> Step | None:
         """The step after the record, or the one that the record says was begun; None: none."""
 
     def contributions(self, session: str | None) -> list[Contribution]:
@@ -87,7 +79,7 @@ class ControllerJournal(JournalFiles[SenderRecord], SenderJournal):
         super().__init__(path, scenario)
         self.queued: int = self._execute("SELECT COUNT(*) FROM outbox")[0][0]
 
-    def step(self) -> SenderStep | None:
+    def step(self) -> Step | None:
         """The step that followed the record, to be counted again; None where none did.
 
         Raises
@@ -95,8 +87,7 @@ class ControllerJournal(JournalFiles[SenderRecord], SenderJournal):
         JournalError
             When it is not one.
         """
-        found = self._step(Measurement, Offer)
-        return None if found is None else SenderStep(*found[:2])
+        return self._step()
 
     def _add_to_tables(self, save: Save) -> None:
         if save.queued is not None:
@@ -153,7 +144,7 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
         "check_ INTEGER)"
     )
 
-    def step(self) -> PlantStep | None:
+    def step(self) -> Step | None:
         """The step after the record, or the one that the record says was begun; None: none.
 
         Raises
@@ -161,17 +152,12 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
         JournalError
             When it is not one.
         """
-        found = self._step(Offer, Measurement)
-        if found is not None:
-            offer, measurement, coin = found
-            return PlantStep(offer, coin, measurement)
-        if self._last is None:
-            return None
+        step = self._step()
+        if step is not None or self._found is None:
+            return step
         with self._readable():
-            if self._last.begun:
-                return PlantStep(Offer.model_validate_json(self._last.request), self._last.coin)
-            record: ReceiverRecord = self.adapter.validate_json(self._last.record)
-            return record.begun
+            record: ReceiverRecord = self.adapter.validate_json(self._found.record)
+        return record.begun
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
@@ -189,10 +175,8 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
         if save.drop_chunks:
             self._execute("DELETE FROM chunk")
         if save.chunk:
-            self._add("chunk", "symbols", save.chunk)
+            row = (save.chunk, check_of(save.chunk))
+            self._execute("INSERT INTO chunk (symbols, check_) VALUES (?, ?)", row)
         if save.received is not None:
-            self._add("inbox", "payload", save.received)
-
-    def _add(self, table: str, name: str, value: object) -> None:
-        row = (value, check_of(value))
-        self._execute(f"INSERT INTO {table} ({name}, check_) VALUES (?, ?)", row)
+            message = (save.received, check_of(save.received))
+            self._execute("INSERT INTO inbox (payload, check_) VALUES (?, ?)", message)

@@ -19,20 +19,18 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
-from pydantic import BaseModel, TypeAdapter, ValidationError
+from pydantic import TypeAdapter, ValidationError
 
-from protocol.link.peer import Append, Save, Write
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.peer import Save, Write
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 from runtime.keys.store_file import check_of
-from runtime.step_log import LARGEST_STEP, STEPS, TAG_BYTES, Damaged, Step, StepLog
+from runtime.step_log import LARGEST_STEP, STEPS, TAG_BYTES, Damaged, Entry, StepLog
 
-JOURNAL_VERSION: Final = 9
-
-_M = TypeVar("_M", bound=BaseModel)
-_N = TypeVar("_N", bound=BaseModel)
+JOURNAL_VERSION: Final = 10
 
 R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
 
@@ -136,15 +134,17 @@ class JournalFiles(ABC, Generic[R]):
     def _read(self) -> None:
         """Find the last write: in the database, or among the steps that follow it."""
         rows = self._rows_kept("SELECT number, body, check_ FROM record")
-        self._last = Step(*rows[0]) if rows else None
+        self._found = Entry(*rows[0]) if rows else None
         try:
-            steps = self._steps.read(rows[0][0] if rows else 0)
+            entries = self._steps.read(rows[0][0] if rows else 0)
         except Damaged as error:
             self._steps.close()
             raise JournalError(f"{self._beside}: {error}") from None
-        self._logged = [step.row for step in steps if step.row is not None]
-        if steps:
-            self._last = steps[-1]
+        self._logged = [entry.row for entry in entries if entry.row is not None]
+        if entries:
+            self._found = entries[-1]
+        self._number = 0 if self._found is None else self._found.number
+        self._begun = self._found is not None and self._found.begun
 
     def _execute(self, statement: str, values: Sequence[Any] = ()) -> list[Any]:
         try:
@@ -162,30 +162,28 @@ class JournalFiles(ABC, Generic[R]):
         return rows
 
     def load(self) -> R | None:
-        """The record as last saved, or None in a new journal.
+        """The record as last saved when the journal was opened, or None in a new one.
 
         Raises
         ------
         JournalError
             When it is not one.
         """
-        if self._last is None:
+        if self._found is None:
             return None
-        self._body = self._last.record
+        self._body = self._found.record
         with self._readable():
             record: R = self.adapter.validate_json(self._body)
         return record
 
-    def _step(self, request: type[_M], response: type[_N]) -> tuple[_M, _N, int] | None:
-        last = self._last
-        if last is None or not last.response:
+    def _step(self) -> Step | None:
+        """The step that was written last before the journal was opened, if nothing followed it."""
+        found = self._found
+        if found is None or not found.offer:
             return None
         with self._readable():
-            both = (
-                request.model_validate_json(last.request),
-                response.model_validate_json(last.response),
-            )
-        return *both, last.coin
+            said = Measurement.from_wire(found.measurement) if found.measurement else None
+            return Step(Offer.from_wire(found.offer), found.coin, said)
 
     @contextmanager
     def _readable(self) -> Iterator[None]:
@@ -206,11 +204,11 @@ class JournalFiles(ABC, Generic[R]):
 
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
-        if isinstance(write, Append):
-            if self._rare and not (self._last is not None and self._last.begun):
+        if isinstance(write, Step):
+            if self._rare and not self._begun:
                 self._save()
             self._log(write)
-            if write.response:
+            if write.measurement is not None:
                 self._body = None
             return
         self._body = self.adapter.dump_json(write.record)
@@ -253,22 +251,18 @@ class JournalFiles(ABC, Generic[R]):
     @contextmanager
     def _transaction(self) -> Iterator[None]:
         """A rare write: all or nothing; the staged record is in it, and no step is left."""
-        last = Step(self._next_number, self._staged)
+        record = (self._number + 1, self._staged)
         self._execute("BEGIN IMMEDIATE")
         yield
         self._write_rows()
-        row = (*last[:2], check_of(*last[:2]))
+        row = (*record, check_of(*record))
         self._execute("INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?)", row)
         self._execute("COMMIT")
-        self._last, self._forget = last, False
+        self._number, self._begun, self._forget = record[0], False, False
         self._rows.clear()
         self._logged.clear()
         with self._named():
             self._steps.clear()
-
-    @property
-    def _next_number(self) -> int:
-        return 1 if self._last is None else self._last.number + 1
 
     @property
     def _staged(self) -> bytes:
@@ -282,7 +276,7 @@ class JournalFiles(ABC, Generic[R]):
             with self._transaction():
                 pass
         else:
-            self._log(Append(b"", b""))
+            self._log(None)
 
     @property
     def _rare(self) -> bool:
@@ -295,15 +289,15 @@ class JournalFiles(ABC, Generic[R]):
             or self._steps.size > LARGEST_STEP
         )
 
-    def _log(self, append: Append) -> None:
-        """The staged record and what followed it, if anything did."""
+    def _log(self, step: Step | None) -> None:
+        """The staged record and the step that follows it, if one does."""
         row = self._rows[0].contribution if len(self._rows) == 1 else None
-        step = Step(self._next_number, self._staged, *append, row)
         with self._named():
-            self._steps.append(step)
-        self._last = step
-        if step.row is not None:
-            self._logged.append(step.row)
+            self._steps.append(self._number + 1, self._staged, step, row)
+        self._number += 1
+        self._begun = step is not None and step.measurement is None
+        if row is not None:
+            self._logged.append(row)
             self._rows.clear()
 
     @contextmanager

@@ -6,11 +6,10 @@ staged: an end that dies comes back with the record before the step, and the ste
 
 from typing import Generic
 
-from protocol.link.peer import Append, Save, Write
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
-from protocol.messages import Measurement, Offer
+from protocol.link.peer import Save, Write
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.secret.nonces import Contribution
-from runtime.journal import ReceiverJournal, SenderJournal, SenderStep
+from runtime.journal import ReceiverJournal, SenderJournal
 from runtime.journal_files import R
 
 
@@ -20,23 +19,23 @@ class _MemoryJournal(Generic[R]):
     def __init__(self) -> None:
         self._record: R | None = None
         self._staged: R | None = None
-        self._append: Append | None = None
+        self._step: Step | None = None
         self._contributions: dict[tuple[str, int], Contribution] = {}
         self._rows: list[Save] = []
 
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for."""
-        if isinstance(write, Append):
+        if isinstance(write, Step):
             assert self._staged is not None, "the step before has not been counted"
-            self._record, self._append = self._staged, write
-            if write.response:
+            self._record, self._step = self._staged, write
+            if write.measurement is not None:
                 self._staged = None
             self._write_rows()
             return
         self._staged = write.record  # type: ignore[assignment]
         self._rows.append(write)
         if not write.later:
-            self._record, self._append = self._staged, None
+            self._record, self._step = self._staged, None
             self._write_rows()
 
     def _write_rows(self) -> None:
@@ -65,7 +64,7 @@ class _MemoryJournal(Generic[R]):
 
     def forget(self) -> None:
         """Lose the record."""
-        self._record = self._staged = self._append = None
+        self._record = self._staged = self._step = None
         self._rows.clear()
         self._contributions.clear()
 
@@ -90,18 +89,13 @@ class MemoryControllerJournal(_MemoryJournal[SenderRecord], SenderJournal):
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for."""
         super().write(write)
-        if not isinstance(write, Append) and write.queued is not None:
+        if isinstance(write, Save) and write.queued is not None:
             self._queue.append(write.queued)
             self.queued += 1
 
-    def step(self) -> SenderStep | None:
+    def step(self) -> Step | None:
         """The step that followed the record, to be counted again; None where none did."""
-        if self._append is None:
-            return None
-        request, response, _coin = self._append
-        return SenderStep(
-            Measurement.model_validate_json(request), Offer.model_validate_json(response)
-        )
+        return self._step
 
     def payload(self, number: int) -> bytes | None:
         """Message ``number``, or None while it is not queued."""
@@ -127,20 +121,16 @@ class MemoryPlantJournal(_MemoryJournal[ReceiverRecord], ReceiverJournal):
     def write(self, write: Write) -> None:
         """Keep what the endpoint asks for."""
         super().write(write)
-        if not isinstance(write, Append):
+        if isinstance(write, Save):
             self._chunks = write.chunk if write.drop_chunks else self._chunks + write.chunk
             if write.received is not None:
                 self._inbox.append(write.received)
 
-    def step(self) -> PlantStep | None:
+    def step(self) -> Step | None:
         """The step after the record, or the one that the record says was begun; None: none."""
-        if self._append is None:
-            return None if self._record is None else self._record.begun
-        request, response, coin = self._append
-        offer = Offer.model_validate_json(request)
-        if not response:
-            return PlantStep(offer, coin)
-        return PlantStep(offer, coin, Measurement.model_validate_json(response))
+        if self._step is None and self._record is not None:
+            return self._record.begun
+        return self._step
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

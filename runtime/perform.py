@@ -29,7 +29,7 @@ class Ports(Protocol):
     def write(self, write: Write) -> None:
         """Keep it; on return it survives the death of the process (a ``later`` one may not)."""
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
+    def publish(self, message: Message) -> None:
         """Send it, without waiting for anybody."""
 
     def trace(self, event: Event) -> None:
@@ -59,8 +59,8 @@ def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
             ports.trace(event)
         if actions.write is not None:
             ports.write(actions.write)
-        for kind, payload in actions.publish:
-            ports.publish(kind, payload)
+        for message in actions.publish:
+            ports.publish(message)
         for task in actions.keys:
             ports.submit_key_task(task)
         for notice in actions.notices:
@@ -114,10 +114,10 @@ class CrashingPorts:
         self.passes("writing")
         self._ports.write(write)
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
+    def publish(self, message: Message) -> None:
         """Crash, or publish."""
         self.passes("publishing")
-        self._ports.publish(kind, payload)
+        self._ports.publish(message)
 
     def trace(self, event: Event) -> None:
         """Crash, or trace."""

@@ -67,9 +67,9 @@ class BusPorts:
         self.limited: dict[str, RateLimitedLog] = {}
         self.burst = Burst()
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
+    def publish(self, message: Message) -> None:
         """Put it on the bus that its type belongs to."""
-        self.publishers[kind].put(payload)
+        self.publishers[type(message)].put(message.wire())
 
     def log_notice(self, notice: Notice) -> None:
         """Log it; with a subject once a second at most."""

@@ -1,6 +1,6 @@
 """The steps of a journal since its last rare write: one write to a file each, checked when read.
 
-A step begins with the journal's own tag and has a number that goes up by one, and a CRC-32. A
+An entry begins with the journal's own tag and has a number that goes up by one, and a CRC-32. A
 process that is killed leaves whole steps and at most one torn one, the last, which is cut off.
 """
 
@@ -13,6 +13,7 @@ from typing import Final, NamedTuple
 from zlib import crc32
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.records import Step
 from protocol.secret.nonces import Contribution
 from runtime.files import open_private
 
@@ -30,8 +31,8 @@ READY: Final = bytes(1 << 16)
 
 _CHECK: Final = struct.Struct("<I")
 _HEAD: Final = struct.Struct("<QhIII?QIBB")
-"""number, coin; lengths of record, heard, said; whether there is a row, its j, its steps and the
-lengths of its two nonces."""
+"""number, coin; lengths of record, offer, measurement; whether there is a row, its j, its steps and
+the lengths of its two nonces."""
 
 _HEAD_AT: Final = TAG_BYTES + _CHECK.size
 
@@ -40,23 +41,23 @@ class Damaged(Exception):
     """A step is damaged and whole steps follow it; the text says at which byte."""
 
 
-class Step(NamedTuple):
-    """One write: a record, what was heard and said after it (or nothing), and a key block's row.
+class Entry(NamedTuple):
+    """One write, as it is read back: a record, the step after it (or none), a key block's row.
 
-    ``request`` and ``response`` are messages as they travelled.
+    ``offer`` and ``measurement`` are messages as they travelled.
     """
 
     number: int
     record: bytes
-    request: bytes = b""
-    response: bytes = b""
+    offer: bytes = b""
+    measurement: bytes = b""
     coin: int = NO_SYMBOL
     row: Contribution | None = None
 
     @property
     def begun(self) -> bool:
-        """Whether the step after the record is under way, with nothing said yet."""
-        return bool(self.request) and not self.response
+        """Whether the step after the record is under way, with no measurement yet."""
+        return bool(self.offer) and not self.measurement
 
 
 class StepLog:
@@ -86,7 +87,7 @@ class StepLog:
         self._file = open_private(path, os.O_RDWR | os.O_CREAT)
         self.size = self._ready = 0
 
-    def read(self, after: int) -> list[Step]:
+    def read(self, after: int) -> list[Entry]:
         """The whole steps that follow write ``after``, in order; all else goes.
 
         That is a torn step, steps that a rare write has made superfluous, and steps that do not
@@ -98,7 +99,7 @@ class StepLog:
             When whole steps lie behind what is none.
         """
         data = os.pread(self._file, os.fstat(self._file).st_size, 0)
-        steps: list[Step] = []
+        steps: list[Entry] = []
         end = 0
         while (found := self._whole(data, end)) is not None:
             if steps and found[0].number != steps[-1].number + 1:
@@ -117,42 +118,49 @@ class StepLog:
         self.size = self._ready = end
         return [step for step in steps if step.number > after]
 
-    def _whole(self, data: bytes, at: int) -> tuple[Step, int] | None:
+    def _whole(self, data: bytes, at: int) -> tuple[Entry, int] | None:
         """The step that begins at ``at`` and where it ends; None where it is not whole."""
         place = at + _HEAD_AT + _HEAD.size
         if not data.startswith(self._tag, at) or place > len(data):
             return None
         head = _HEAD.unpack_from(data, at + _HEAD_AT)
-        number, coin, *lengths, has_row, j, steps, offer, measurement = head
+        number, coin, *lengths, has_row, j, steps, first, second = head
         parts: list[bytes] = []
-        for length in (*lengths, offer, measurement):
+        for length in (*lengths, first, second):
             parts.append(data[place : place + length])
             place += length
         check = _CHECK.unpack_from(data, at + TAG_BYTES)[0]
         if place > len(data) or crc32(data[at + _HEAD_AT : place]) != check:
             return None
-        record, request, response, *nonces = parts
+        record, offer, measurement, *nonces = parts
         row = Contribution(j, steps, nonces[0] or None, nonces[1] or None) if has_row else None
-        return Step(number, record, request, response, coin, row), place
+        return Entry(number, record, offer, measurement, coin, row), place
 
-    def append(self, step: Step) -> None:
-        """Write one more step; on return it survives the death of this process."""
-        number, record, request, response, coin, row = step
-        j, steps, offer, measurement = row or (0, 0, None, None)
-        offer, measurement = offer or b"", measurement or b""
+    def append(
+        self, number: int, record: bytes, step: Step | None = None, row: Contribution | None = None
+    ) -> None:
+        """Write one more entry; on return it survives the death of this process."""
+        offer = measurement = b""
+        coin = NO_SYMBOL
+        if step is not None:
+            offer, coin = step.offer.wire(), step.coin
+            if step.measurement is not None:
+                measurement = step.measurement.wire()
+        j, steps, *nonces = row or (0, 0, None, None)
+        first, second = (nonce or b"" for nonce in nonces)
         head = _HEAD.pack(
             number,
             coin,
             len(record),
-            len(request),
-            len(response),
+            len(offer),
+            len(measurement),
             row is not None,
             j,
             steps,
-            len(offer),
-            len(measurement),
+            len(first),
+            len(second),
         )
-        body = b"".join((head, record, request, response, offer, measurement))
+        body = b"".join((head, record, offer, measurement, first, second))
         data = self._tag + _CHECK.pack(crc32(body)) + body
         if os.pwrite(self._file, data, self.size) < len(data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))

@@ -11,7 +11,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, get_args, get_type_hints
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
@@ -19,14 +19,12 @@ from protocol.link import plant_session as plants
 from protocol.link.events import (
     Alarm,
     AttackBegan,
-    Delivered,
     Event,
     Forged,
     FrameRefused,
     Interrupted,
+    Milestone,
     Missed,
-    Queued,
-    Recovered,
     SessionBegan,
     Timing,
 )
@@ -175,9 +173,7 @@ EVENTS: Final[tuple[tuple[str, type[Event]], ...]] = (
     ("plant", AttackBegan),
     ("controller", Alarm),
     ("both", Forged),
-    ("controller", Queued),
-    ("controller", Delivered),
-    ("plant", Recovered),
+    ("both", Milestone),
     ("plant", FrameRefused),
     ("plant", Timing),
     ("both", BlockStored),
@@ -200,12 +196,14 @@ def event_fields(kind: type[Event]) -> list[str]:
     return named
 
 
-def event_name(kind: type[Event]) -> str:
+def event_names(kind: type[Event]) -> tuple[str, ...]:
     """What a trace's lines of this kind call themselves."""
+    if kind is Milestone:
+        return get_args(get_type_hints(Milestone)["at"])
     found = re.search(r'"event": "(\w+)"', inspect.getsource(kind.as_event))
     if found is None:
         raise ValueError(f"{kind.__name__}.as_event: expected the event's name in its source")
-    return found[1]
+    return (found[1],)
 
 
 def event_table() -> str:
@@ -214,7 +212,8 @@ def event_table() -> str:
     for side, kind in EVENTS:
         fields = ", ".join(f"`{name}`" for name in event_fields(kind) if name != "event")
         said = " ".join((inspect.getdoc(kind) or "").split()).replace("``", "`")
-        lines.append(f"| `{event_name(kind)}` | {side} | {fields} | {said} |")
+        names = ", ".join(f"`{name}`" for name in event_names(kind))
+        lines.append(f"| {names} | {side} | {fields} | {said} |")
     return "\n".join([*lines, ""])
 
 

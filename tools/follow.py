@@ -21,7 +21,6 @@ import base64
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -33,6 +32,8 @@ from math import inf
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any, Final, NamedTuple, TextIO
+
+from runtime.addresses import free_endpoints
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 
@@ -261,13 +262,6 @@ def _having(calls: list[Call], tag: str) -> list[Call]:
 # --- a real run ----------------------------------------------------------------------------------
 
 
-def _port() -> int:
-    with socket.socket() as listener:
-        listener.bind(("127.0.0.1", 0))
-        port: int = listener.getsockname()[1]
-        return port
-
-
 class Run:
     """Plant, controller and one ``wyner send``, each traced into a file of ``folder``.
 
@@ -280,7 +274,7 @@ class Run:
 
     def __init__(self, folder: Path, scenario: str) -> None:
         self.folder, self.scenario = folder, scenario
-        field_at, ops_at, commands_at = (f"tcp/127.0.0.1:{_port()}" for _ in range(3))
+        field_at, ops_at, commands_at = free_endpoints(3)
         self._plant = ["--listen", f"field={field_at}", "--listen", f"ops={ops_at}"]
         self._controller = ["--connect", f"field={field_at}", "--connect", f"ops={ops_at}"]
         self._controller += ["--listen", f"ops={commands_at}"]

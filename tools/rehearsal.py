@@ -128,7 +128,7 @@ class Rehearsal:
                 p += 1
                 whole = deframer.push(m_p)
                 if whole is not None:
-                    recovered, messages, solved_k = whole.payload.decode(), messages + 1, k
+                    recovered, messages, solved_k = whole.decode(), messages + 1, k
             x = x_next
             if (k + 1) % every:
                 continue

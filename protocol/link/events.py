@@ -4,7 +4,7 @@ A transition is :class:`protocol.link.session.CountedTransition`.
 """
 
 import base64
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from protocol.link.session import Truth
 from protocol.vectors import Vector
@@ -156,37 +156,30 @@ class Timing(NamedTuple):
         return {"event": "timing", **self._asdict()}
 
 
-class Queued(NamedTuple):
-    """A message was handed to the controller."""
+class Milestone(NamedTuple):
+    """A message has come so far on its way.
 
-    identifier: str
+    Parameters
+    ----------
+    at : {"sent", "delivered", "recovered"}
+        ``sent``: it was handed to the controller. ``delivered``: the controller has counted every
+        symbol of its frame. ``recovered``: its frame passed the check at the plant.
+    payload : bytes
+    identifier : str
+        The operator's; the plant does not know it.
+    """
+
+    at: Literal["sent", "delivered", "recovered"]
     payload: bytes
+    identifier: str = ""
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
-        return {"event": "sent", "id": self.identifier, "payload": _text(self.payload)}
-
-
-class Delivered(NamedTuple):
-    """Every symbol of a message's frame has been counted by the controller."""
-
-    number: int
-    identifier: str
-    payload: bytes
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "delivered", "id": self.identifier, "payload": _text(self.payload)}
-
-
-class Recovered(NamedTuple):
-    """A whole frame passed its check at the plant."""
-
-    payload: bytes
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "recovered", "payload": _text(self.payload)}
+        event: dict[str, Any] = {"event": self.at}
+        if self.at != "recovered":
+            event["id"] = self.identifier
+        event["payload"] = base64.b64encode(self.payload).decode()
+        return event
 
 
 class FrameRefused(NamedTuple):
@@ -204,7 +197,3 @@ def _labelled(fields: dict[str, Any]) -> dict[str, Any]:
     """The fields, with those of the truth in place of it."""
     truth: Truth | None = fields.pop("truth")
     return fields if truth is None else fields | truth.fields()
-
-
-def _text(payload: bytes) -> str:
-    return base64.b64encode(payload).decode()

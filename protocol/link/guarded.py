@@ -12,7 +12,7 @@ from pydantic_core import from_json
 from protocol.defence.base import Defence
 from protocol.link.events import Forged
 from protocol.link.guard import Guard, Opened, Promise
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Outgoing, Peer
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
 from protocol.messages import Measurement, Message, Offer
 from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Side
@@ -185,31 +185,30 @@ class Guarded:
 
     def _closed(self, actions: Actions, now: float) -> Actions:
         """The same actions with their messages closed; and tasks, where keys run out."""
-        if any(out.kind is self._said for out in actions.publish):
+        if any(isinstance(out, self._said) for out in actions.publish):
             publish = tuple([self._close(out) for out in actions.publish])
             actions = actions._replace(publish=publish)
             if now > -inf:
                 actions = actions._replace(keys=(*actions.keys, *self._tasks(now)))
         return actions
 
-    def _close(self, out: Outgoing) -> Outgoing:
-        if out.kind is not self._said:
+    def _close(self, out: Message) -> Message:
+        if not isinstance(out, Measurement | Offer) or not isinstance(out, self._said):
             return out
-        message = from_json(out.payload)
-        session, k = message["session"], message["k"]
-        if session != self._session:
-            self._begin(session)
+        k, payload = out.k, out.wire()
+        if out.session != self._session:
+            self._begin(out.session)
         self._k = max(self._k, k)
         if not self._out.on or k <= self._plain_k:
             return out
-        after_k = message.get("applied_k", -2) + 1
-        closed = self._out.closed(k, out.payload, after_k)
-        if closed == out.payload:
+        after_k = out.applied_k + 1 if isinstance(out, Measurement) else -1
+        closed = self._out.closed(k, payload, after_k)
+        if closed == payload:
             self._plain_k = k
         elif (number := self._out.covers(k)) >= 0:
             older = self._out.covers(after_k) if self._out.codes else -1
             self._out.drop_below(older if older >= 0 else number)
-        return out._replace(payload=closed)
+        return out.travelling_as(closed)
 
     def _begin(self, session: str) -> None:
         """Another session begins, with keys of its own."""

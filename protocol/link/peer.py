@@ -7,31 +7,17 @@ stands in :mod:`runtime.perform`; no other module knows it. The two endpoints ar
 
 from typing import Final, Literal, NamedTuple, Protocol
 
-from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.messages import Message, Status
 from protocol.secret.nonces import Contribution
 from protocol.secret.tasks import Done, Task
 
 
-class Append(NamedTuple):
-    """A step as it passed, for the journal: what was heard and what is about to be said.
-
-    It is kept beside the record before it, and is all it takes to count the step again; the record
-    after it comes with the next write. ``coin`` is b_r at the plant. A plant that cannot compute a
-    step twice writes it before it acts, with nothing said yet, and again once it has been read.
-    """
-
-    request: bytes
-    response: bytes
-    coin: int = NO_SYMBOL
-
-
 class Save(NamedTuple):
     """A record for the journal, with what came along, all or nothing.
 
-    ``later``: the next :class:`Append` takes it along; until then nothing is lost, for it can be
+    ``later``: the next :class:`Step` takes it along; until then nothing is lost, for it can be
     counted again. ``chunk`` has symbols of the frame under way that have left the plant's record,
     ``drop_chunks`` says that this frame is over, ``received`` is the payload of a whole frame.
     ``queued`` is a message for the controller's queue, after its identifier. ``contribution`` is
@@ -55,14 +41,8 @@ class Save(NamedTuple):
         return more or bool(self.chunk) or self.drop_chunks
 
 
-Write = Append | Save
-
-
-class Outgoing(NamedTuple):
-    """A message on its way: its type, which gives the topic, and its bytes."""
-
-    kind: type[Message]
-    payload: bytes
+Write = Step | Save
+"""What a journal is given: a step, kept beside the record before it, or the record after it."""
 
 
 class Notice(NamedTuple):
@@ -84,7 +64,7 @@ class Actions(NamedTuple):
 
     events: tuple[Event, ...] = ()
     write: Write | None = None
-    publish: tuple[Outgoing, ...] = ()
+    publish: tuple[Message, ...] = ()
     notices: tuple[Notice, ...] = ()
     health: Status | None = None
     finish_step: bool = False

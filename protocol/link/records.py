@@ -9,19 +9,22 @@ from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
 
 
-class PlantStep(NamedTuple):
-    """A step of the plant that is not counted yet: the offer, and the candidate that was chosen.
+class Step(NamedTuple):
+    """A step that is not counted yet: it is saved, and all it takes to count the step again.
 
-    ``measurement`` reports it; None where the step was begun and its end not read.
+    At the plant ``measurement`` reports the step that ``offer`` led to, and ``coin`` is b_r, the
+    number of the candidate that was chosen. A plant that cannot make a step twice saves its coin
+    before it acts, with the measurement still None. At the controller ``offer`` answers
+    ``measurement``, and there is no coin.
     """
 
     offer: Offer
-    coin: int
+    coin: int = NO_SYMBOL
     measurement: Measurement | None = None
 
     @property
     def u(self) -> Vector:
-        """The input chosen."""
+        """The input chosen, at the plant."""
         return self.offer.candidates[self.coin]
 
 
@@ -114,7 +117,7 @@ class ReceiverRecord(NamedTuple):
     incarnation: int = 0
     blocks_begun: int = 0
     sensor_seed: int = 0
-    begun: PlantStep | None = None
+    begun: Step | None = None
     coin_key: str = ""
     coin_from: int = -1
     keyed: bool = False

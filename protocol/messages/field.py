@@ -1,6 +1,7 @@
 """Field messages, which everyone reads: no key, plaintext or state, and one form in all states."""
 
-from typing import Annotated, ClassVar
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import ConfigDict, Field, StringConstraints
 
@@ -22,15 +23,48 @@ Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
 Bits = Annotated[int, Field(ge=0, lt=2**64)]
 
 
-class _Step(Message):
-    """A message of a step: fields that its scenario has no use for are None, and stay away."""
+class StepMessage(Message):
+    """A message of a step: fields that its scenario has no use for are None, and stay away.
+
+    It goes to the journal and to the bus, and is turned into bytes once. One that was heard keeps
+    the bytes that came.
+    """
+
+    @classmethod
+    def from_wire(cls, payload: bytes) -> Self:
+        """The message that ``payload`` is.
+
+        Raises
+        ------
+        pydantic.ValidationError
+            When it is none.
+        """
+        message = cls.model_validate_json(payload)
+        message.__dict__["_bytes"] = payload
+        return message
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""
-        return self.__pydantic_serializer__.to_json(self, exclude_none=True)
+        made: bytes | None = self.__dict__.get("_bytes")
+        if made is None:
+            made = self.__pydantic_serializer__.to_json(self, exclude_none=True)
+            self.__dict__["_bytes"] = made
+        return made
+
+    def travelling_as(self, payload: bytes) -> Self:
+        """This message, with other bytes on the wire: those that a defence makes of it."""
+        copy = self.model_copy()
+        copy.__dict__["_bytes"] = payload
+        return copy
+
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """A copy with other values; it has bytes of its own."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy.__dict__.pop("_bytes", None)
+        return copy
 
 
-class Measurement(_Step):
+class Measurement(StepMessage):
     """Plant to controller: x(k), and the last applied offer with the state right after it.
 
     The five fields from ``copy_number`` on serve keys. In a scenario that makes none they keep
@@ -88,7 +122,7 @@ class Measurement(_Step):
     mac: Mac | None = None
 
 
-class Offer(_Step):
+class Offer(StepMessage):
     """Controller to plant, in answer to Measurement(k): M candidate inputs and a cipher symbol.
 
     Fields that are not listed are those of `Measurement`.

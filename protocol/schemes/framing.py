@@ -13,7 +13,7 @@ import zlib
 from collections.abc import Iterator
 from functools import cache
 from itertools import repeat
-from typing import Final, NamedTuple
+from typing import Final
 
 IDLE: Final = 0
 START: Final = 1
@@ -82,23 +82,19 @@ def encode_frame(payload: bytes, size: int) -> bytes:
     return bytes(out)
 
 
-class Frame(NamedTuple):
-    """The end of a frame: its payload, and whether the check held."""
-
-    payload: bytes
-    intact: bool
-
-
 class Deframer:
     """Takes message symbols one at a time and gives back whole frames.
 
     The symbols of the frame under way are kept (`symbols`), so that it can be rebuilt after a
-    restart by pushing them again.
+    restart by pushing them again. ``refused`` counts frames that failed their check.
+    ``ended`` is the payload of the frame that ended last, whether its check held or not.
     """
 
     def __init__(self, size: int) -> None:
         self.size = size
         self.symbols = bytearray()
+        self.refused = 0
+        self.ended = b""
         self._bytes = bytearray()
         self._block = LENGTH_BYTES
         self._digits = digits_of(LENGTH_BYTES, size)
@@ -122,8 +118,8 @@ class Deframer:
     def _payload_length(self) -> int:
         return int.from_bytes(self._bytes[:LENGTH_BYTES], "big")
 
-    def push(self, symbol: int) -> Frame | None:
-        """Take the next message symbol; a frame when this one completed it.
+    def push(self, symbol: int) -> bytes | None:
+        """Take the next message symbol; the payload, where this one completed an intact frame.
 
         Outside a frame anything but the start symbol is idle. A block whose digits exceed its bytes
         (possible where M is no power of two) refuses the frame.
@@ -139,16 +135,21 @@ class Deframer:
             return None
         if self._value >= 256**self._block:
             self.reset()
-            return Frame(b"", False)
+            self.refused += 1
+            self.ended = b""
+            return None
         self._bytes += self._value.to_bytes(self._block, "big")
         missing = LENGTH_BYTES + self._payload_length() + CHECK_BYTES - len(self._bytes)
         if missing:
             self._begin(min(missing, block_bytes(self.size)))
             return None
         body, check = self._bytes[:-CHECK_BYTES], self._bytes[-CHECK_BYTES:]
-        frame = Frame(bytes(body[LENGTH_BYTES:]), zlib.crc32(body) == int.from_bytes(check, "big"))
         self.reset()
-        return frame
+        self.ended = bytes(body[LENGTH_BYTES:])
+        if zlib.crc32(body) != int.from_bytes(check, "big"):
+            self.refused += 1
+            return None
+        return self.ended
 
     def _begin(self, block: int) -> None:
         self._block, self._digits = block, digits_of(block, self.size)

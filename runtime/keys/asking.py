@@ -13,7 +13,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from protocol.link.peer import Actions, Notice, Outgoing
+from protocol.link.peer import Actions, Notice
 from protocol.messages import KeyAnswer, KeyRequest, Message
 from runtime.keys import ledger
 from runtime.keys.giving import Asking, What, new_use, pending
@@ -64,7 +64,7 @@ class Asker:
         """When :meth:`wake` is due, on the loop's clock, in seconds."""
         return self._look_at
 
-    def wake(self, now: float) -> tuple[Outgoing, ...]:
+    def wake(self, now: float) -> tuple[KeyRequest, ...]:
         """New requests, and again those that were not answered."""
         if now < self._look_at:
             return ()
@@ -75,18 +75,16 @@ class Asker:
             said_at[use] = self._said_at.get(use, -inf)
             if now >= said_at[use] + REPEAT_S:
                 said_at[use] = now
-                request = KeyRequest(side=self._side, use=use, what=what, names=names)
-                said.append(Outgoing(KeyRequest, request.wire()))
+                said.append(KeyRequest(side=self._side, use=use, what=what, names=names))
         self._said_at = said_at
         return tuple(said)
 
-    def _pending(self) -> tuple[Outgoing, ...]:
+    def _pending(self) -> tuple[KeyRequest, ...]:
         """Requests that the other end has not answered."""
-        requests = (
+        return tuple(
             KeyRequest(side=self._side, use=use, what=what, names=names)
             for use, what, names in pending(self._store)
         )
-        return tuple(Outgoing(KeyRequest, request.wire()) for request in requests)
 
     def receive(self, kind: type[Message], payload: bytes) -> Actions:
         """Take a request or an answer of the other end; this end's own are ignored."""
@@ -102,7 +100,7 @@ class Asker:
         if request.side == self._side:
             return Actions()
         store, what, names = self._store, request.what, request.names
-        first: tuple[Outgoing, ...] = ()
+        first: tuple[KeyRequest, ...] = ()
         refused: Sequence[str]
         if what == "pads":
             refused = ledger.mark(store, request.use, names)
@@ -120,7 +118,7 @@ class Asker:
             else:
                 refused = store.given_before(what, names)
         answer = KeyAnswer(side=request.side, use=request.use, what=what, refused=tuple(refused))
-        return Actions(publish=(*first, Outgoing(KeyAnswer, answer.wire())))
+        return Actions(publish=(*first, answer))
 
     def _answered(self, answer: KeyAnswer) -> Actions:
         if answer.side != self._side:

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from pydantic import ValidationError
 
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Outgoing
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.messages import Message, SealCommand, Sealed, SealedReceipt, SealReply
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.records import KeysRefused, UnknownKeys
@@ -95,12 +95,12 @@ class SealingEnd(End):
                 text = self._book.next()
             except KeysRefused as error:
                 notices = (Notice(f"nothing can be sealed: {error}", "error", "keys"),)
-        publish = self._asker.wake(now)
+        publish: tuple[Message, ...] = self._asker.wake(now)
         if text is not None:
             sealed = Sealed(
                 id=text.identifier, key_ids=text.key_ids, cipher=text.cipher, tag=text.tag
             )
-            publish = (Outgoing(Sealed, sealed.wire()), *publish)
+            publish = (sealed, *publish)
         return Actions(publish=publish, notices=notices)
 
     def _commanded(self, command: SealCommand, now: float) -> Actions:
@@ -122,7 +122,7 @@ class SealingEnd(End):
             except (KeysRefused, ValueError) as error:
                 detail = str(error)
         reply = SealReply(id=command.id, accepted=accepted, delivered=delivered, detail=detail)
-        return Actions(publish=(Outgoing(SealReply, reply.wire()),))
+        return Actions(publish=(reply,))
 
 
 class OpeningEnd(End):
@@ -163,6 +163,6 @@ class OpeningEnd(End):
             # a forger who names other keys is answered too: the controller compares them
             receipt = SealedReceipt(id=message.id, key_ids=message.key_ids, refused=str(error))
             notice = Notice(f"not opened: {error}", "warning", "sealed")
-            return Actions(publish=(Outgoing(SealedReceipt, receipt.wire()),), notices=(notice,))
+            return Actions(publish=(receipt,), notices=(notice,))
         notices = (Notice(told),) if told else ()
-        return Actions(publish=(Outgoing(SealedReceipt, receipt.wire()),), notices=notices)
+        return Actions(publish=(receipt,), notices=notices)

@@ -411,12 +411,10 @@ class Follower:
         if len(self._steps) >= 2 * KEPT_SYMBOLS:
             del self._steps[:KEPT_SYMBOLS]
             del self._symbols[:KEPT_SYMBOLS]
-        frame = self._deframer.push(value)
-        if frame is None:
+        payload = self._deframer.push(value)
+        if not payload:
             return
-        if not frame.intact or not frame.payload:
-            return
-        self.whole.append(frame.payload)
+        self.whole.append(payload)
         del self.whole[:-KEPT_MESSAGES]
         self.whole_count += 1
         if self.solved_k < 0:

@@ -292,9 +292,9 @@ class ListDecoding:
         deframer = Deframer(self.size)
         payload = None
         for symbol in self.paths.frame(node):
-            frame = deframer.push(symbol)
-            if frame is not None and frame.intact:
-                payload = frame.payload
+            whole = deframer.push(symbol)
+            if whole is not None:
+                payload = whole
         return payload
 
     def _prune(self, k: int) -> None:

@@ -529,8 +529,8 @@ class MessageSearch:
         header = encode_frame(bytes(int(lengths[best])), self._size)[: 1 + self._header]
         payload = b""
         for symbol_of in header + symbols:
-            over = frame.push(symbol_of)
-            payload = frame.partial if over is None else over.payload
+            frame.push(symbol_of)
+            payload = frame.partial if frame.symbols else frame.ended
         return AnyMessage(
             max(said / count + length - 8 * CHECK_BYTES, 0.0),
             payload,

@@ -26,7 +26,8 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions, Append, Save
+from protocol.link.peer import Actions, Save
+from protocol.link.records import Step
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
@@ -40,6 +41,7 @@ from runtime.memory_journal import MemoryPlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
+from tests.support.mail import mail
 from tests.support.safety import violations
 from tests.support.told import log_of
 from tests.support.twin_journals import TwinPlantJournal
@@ -159,7 +161,7 @@ class Bench:
             if actions.write is not None:
                 self.journal.write(actions.write)
                 self.device.calls.append("write" if isinstance(actions.write, Save) else "append")
-            self.published += [o for o in actions.publish if o.kind is Measurement]
+            self.published += [mail(m) for m in actions.publish if isinstance(m, Measurement)]
             if not actions.finish_step:
                 return
             actions = self.endpoint.finish_step()
@@ -170,8 +172,8 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert bench.endpoint.plant.acts
     bench.device.calls.clear()
     actions = bench.offer(0.2)
-    assert isinstance(actions.write, Append)
-    assert actions.write.response == b""
+    assert isinstance(actions.write, Step)
+    assert actions.write.measurement is None
     assert bench.device.calls == []  # nothing moves before it is saved
     bench.do(actions)
     assert bench.device.calls == ["append", "apply"]
@@ -261,7 +263,7 @@ def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
     bench = Bench(Device())
     bench.do(bench.offer(0.2))
     actions = bench.endpoint.wake(1.0)
-    assert isinstance(actions.write, Append)
+    assert isinstance(actions.write, Step)
     bench.journal.write(actions.write)  # and then the process dies
     back = Bench(Device(), bench.journal)
     assert back.record.transitions == 1

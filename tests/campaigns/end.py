@@ -13,7 +13,7 @@ from typing import Final, Literal, NamedTuple
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Event, FrameRefused, SessionBegan
-from protocol.link.peer import Actions, Notice, Outgoing, Save, Write
+from protocol.link.peer import Actions, Notice, Save, Write
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult, ClosedBlock
@@ -26,6 +26,7 @@ from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
 from tests.support.line_ends import LinePlant, Reports, line_controller, line_plant
+from tests.support.mail import Mail, mail
 
 Side = Literal["plant", "controller"]
 
@@ -136,7 +137,7 @@ class End:
         self.things += 1
 
     def _begin_event(self) -> None:
-        self.out: list[Outgoing] = []
+        self.out: list[Mail] = []
         self.news: list[CountedTransition] = []
         self.again = self.ended = self.confirmed = self.answered = False
         self.things = 0
@@ -215,14 +216,12 @@ class End:
                     raise Broken(f"{write.received!r} arrived, and was not sent")
                 self.view = self.view._replace(received=place + 1)
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
+    def publish(self, message: Message) -> None:
         """Send it; a step's message says the same in each copy, and its copy 0 leaves once."""
         self.things += 1
-        if kind in (Measurement, Offer):
-            message = kind.model_validate_json(payload)
-            assert isinstance(message, Measurement | Offer)
-            payload = self._said_before(message).wire()
-        self.out.append(Outgoing(kind, payload))
+        if isinstance(message, Measurement | Offer):
+            message = self._said_before(message)
+        self.out.append(mail(message))
 
     def _said_before(self, message: Measurement | Offer) -> Measurement | Offer:
         topic, at = message.topic, (message.session, message.k)

@@ -5,12 +5,12 @@ import zlib
 from collections.abc import Hashable, Iterator
 from typing import NamedTuple, TypeVar
 
-from protocol.link.peer import Outgoing
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from tests.campaigns.end import Broken, Doing, End, Side, View
 from tests.campaigns.packing import pack, unpack
 from tests.campaigns.stores import Stores
+from tests.support.mail import Mail
 
 T = TypeVar("T", bound=Hashable)
 
@@ -49,7 +49,7 @@ class Ends:
     timed : bool
         A deadline each step.
     stores : Stores
-    messages : dict of Outgoing to int
+    messages : dict of Mail to int
         The numbers of messages, shared by both ends.
     acts : bool
         The plant is a device.
@@ -206,16 +206,16 @@ class Messages:
     """All messages that were sent, each with its number."""
 
     def __init__(self) -> None:
-        self._all: list[Outgoing] = []
-        self._numbers: dict[Outgoing, int] = {}
+        self._all: list[Mail] = []
+        self._numbers: dict[Mail, int] = {}
 
     def __len__(self) -> int:
         return len(self._all)
 
-    def __getitem__(self, number: int) -> Outgoing:
+    def __getitem__(self, number: int) -> Mail:
         return self._all[number]
 
-    def number(self, message: Outgoing) -> int:
+    def number(self, message: Mail) -> int:
         """The number of a message."""
         number = self._numbers.setdefault(message, len(self._all))
         if number == len(self._all):

@@ -217,12 +217,12 @@ class Watched(Simulation):
             self._device.passes = self.ends["plant"].ports.passes
         return super()._new_plant(lives)
 
-    def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
+    def send(self, to: Side, message: Message) -> None:
         """Look at a message of the loop, and send it."""
-        if kind in (Measurement, Offer) and self.scenario.keys is not None:
-            self._copies.left(kind.model_validate_json(payload))
-        super().send(to, kind, payload)
-        if kind is Offer and self._device is not None and self.chance(MISLED):
+        if isinstance(message, Measurement | Offer) and self.scenario.keys is not None:
+            self._copies.left(message)
+        super().send(to, message)
+        if isinstance(message, Offer) and self._device is not None and self.chance(MISLED):
             self.after(self.random.random() * 0.2, self._end_the_session)
 
     def _end_the_session(self) -> None:
@@ -240,7 +240,7 @@ class Watched(Simulation):
             answers=receiver.instance,
         )
         self.history.amnesias += 1
-        self.deliver("plant", ControllerHello, word.wire())
+        self.deliver("plant", word)
 
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""

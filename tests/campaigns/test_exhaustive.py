@@ -81,8 +81,8 @@ def publish_first(patch: Patch) -> None:
     right = perform.perform
 
     def wrong(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-        for kind, payload in actions.publish:
-            ports.publish(kind, payload)
+        for message in actions.publish:
+            ports.publish(message)
         right(actions._replace(publish=()), endpoint, ports)
 
     patch.setattr(perform, "perform", wrong)

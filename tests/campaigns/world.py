@@ -11,7 +11,7 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
-from protocol.link.peer import Actions, Notice, Outgoing
+from protocol.link.peer import Actions, Notice
 from protocol.link.session import CountedTransition
 from protocol.messages import Offer
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -19,6 +19,7 @@ from runtime.perform import perform
 from tests.campaigns.end import LONG_S
 from tests.campaigns.loop import propose, rules_of
 from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant
+from tests.support.mail import Mail
 
 REMEMBERED = 2
 """Messages of each direction that are on their way at most."""
@@ -46,8 +47,8 @@ class World:
     step_s: float | None = None
     names: int = 0
     now: float = 0.0
-    to_plant: list[Outgoing] = field(default_factory=list)
-    to_controller: list[Outgoing] = field(default_factory=list)
+    to_plant: list[Mail] = field(default_factory=list)
+    to_controller: list[Mail] = field(default_factory=list)
     sent: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     got: dict[tuple[str, int], CountedTransition] = field(default_factory=dict)
     plant: PlantCore = field(init=False)
@@ -80,13 +81,13 @@ class World:
         self.names += 1
         return f"{self.names:016x}"
 
-    def _controller_said(self, message: Outgoing) -> None:
+    def _controller_said(self, message: Mail) -> None:
         self._remember(self.to_plant, message)
 
-    def _plant_said(self, message: Outgoing) -> None:
+    def _plant_said(self, message: Mail) -> None:
         self._remember(self.to_controller, message)
 
-    def _remember(self, where: list[Outgoing], message: Outgoing) -> None:
+    def _remember(self, where: list[Mail], message: Mail) -> None:
         if message in where:
             where.remove(message)
         where.append(message)

@@ -6,13 +6,11 @@ import pytest
 
 from protocol.agreement import AgreementResult
 from protocol.link.events import (
-    Delivered,
     Event,
     FrameRefused,
     Interrupted,
+    Milestone,
     Missed,
-    Queued,
-    Recovered,
     SessionBegan,
     Timing,
 )
@@ -88,9 +86,9 @@ CENTRES = ((3.0,), (5.0,))
                 "overruns": 1,
             },
         ),
-        (Queued("m1", b"a"), {"event": "sent", "id": "m1", "payload": "YQ=="}),
-        (Delivered(0, "m1", b"a"), {"event": "delivered", "id": "m1", "payload": "YQ=="}),
-        (Recovered(b"a"), {"event": "recovered", "payload": "YQ=="}),
+        (Milestone("sent", b"a", "m1"), {"event": "sent", "id": "m1", "payload": "YQ=="}),
+        (Milestone("delivered", b"a", "m1"), {"event": "delivered", "id": "m1", "payload": "YQ=="}),
+        (Milestone("recovered", b"a"), {"event": "recovered", "payload": "YQ=="}),
         (FrameRefused(S, 7), {"event": "refused", "session": S, "p": 7}),
         (
             BlockStored(S, 1, 5),

@@ -9,7 +9,7 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
@@ -302,7 +302,7 @@ ROWS = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
 RULES = replace(line_rules(alpha=4.0, largest_input=5.0), schedule=SCHEDULE)
 
 
-def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) -> ControllerCore:
+def sender(record: SenderRecord, step: Step | None = None) -> ControllerCore:
     draws = iter(NONCES[2:])
     return ControllerCore(
         RULES,
@@ -320,7 +320,7 @@ def sender(record: SenderRecord, step: tuple[Measurement, Offer] | None = None) 
 
 def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCore:
     draws = iter(NONCES[2:])
-    step = None if word is None else PlantStep(offer(), 0, word)
+    step = None if word is None else Step(offer(), 0, word)
     line = ScriptedLine()
     return PlantCore(
         RULES,
@@ -340,13 +340,19 @@ def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCo
 
 AS_SENDER = SenderRecord(session=S, transitions=6, block=0, tag=TAG)
 AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=TAG)
+ANSWERED = Step(offer(block=1, tag=THEIRS), measurement=said(-1, NO_TAG))
 
 
 @pytest.mark.parametrize(
     ("begun", "word"),
     [
         (lambda: sender(AS_SENDER), (0, TAG)),
-        (lambda: sender(AS_SENDER, (said(-1, NO_TAG), offer(block=1, tag=THEIRS))), (1, THEIRS)),
+        (
+            lambda: sender(
+                AS_SENDER, Step(offer(block=1, tag=THEIRS), measurement=said(-1, NO_TAG))
+            ),
+            (1, THEIRS),
+        ),
         (lambda: receiver(AS_RECEIVER), (0, TAG)),
         (lambda: receiver(AS_RECEIVER, said(1, THEIRS)), (1, THEIRS)),
     ],

@@ -20,7 +20,7 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event, FrameRefused, SessionBegan
-from protocol.link.peer import Actions, Outgoing, Save, Write
+from protocol.link.peer import Actions, Save, Write
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
@@ -29,6 +29,7 @@ from runtime.perform import Crashed, CrashingPorts, CrashPoint, perform
 from tests.support.acting_line import ActingLine, LineDevice, acting_plant
 from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
+from tests.support.mail import Mail
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
@@ -81,7 +82,7 @@ class Controller:
         M = self.link.shared.size
         return tuple((-x[0] + (2 * i - M + 1) * self.shift,) for i in range(M))
 
-    def said(self, message: Outgoing) -> None:
+    def said(self, message: Mail) -> None:
         if message.kind is Offer:
             self.offered.append(Offer.model_validate_json(message.payload))
         self.link.to_plant.append(message)
@@ -102,8 +103,8 @@ class Link(RuleBasedStateMachine):
         self.names = 0
         self.now = 0.0
         self.fresh = Chosen()
-        self.to_plant: list[Outgoing] = []
-        self.to_controller: list[Outgoing] = []
+        self.to_plant: list[Mail] = []
+        self.to_controller: list[Mail] = []
         self.sent: dict[tuple[str, int], object] = {}
         self.got: dict[tuple[str, int], object] = {}
         self.ciphers: dict[tuple[str, int], int] = {}
@@ -220,7 +221,7 @@ class Link(RuleBasedStateMachine):
         del self.to_controller[:-MEMORY]
 
     def tell_controller(
-        self, one: Controller, message: Outgoing, dies: CrashPoint | None = None
+        self, one: Controller, message: Mail, dies: CrashPoint | None = None
     ) -> None:
         if message.kind is PlantHello:
             hello = PlantHello.model_validate_json(message.payload)
@@ -242,7 +243,7 @@ class Link(RuleBasedStateMachine):
         del self.to_plant[:-MEMORY]
 
     def tell_plant(
-        self, message: Outgoing, coin: int, d: float, dies: CrashPoint | None = None
+        self, message: Mail, coin: int, d: float, dies: CrashPoint | None = None
     ) -> None:
         self.line.coin, self.line.d = coin, d
         self.plant_does(partial(self.plant.receive, *message), dies)

@@ -14,11 +14,11 @@ import pytest
 
 from plant_service.core import CHUNK_SYMBOLS
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import Scheme
-from protocol.schemes.framing import IDLE, Frame, encode_frame
+from protocol.schemes.framing import IDLE, encode_frame
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
 from protocol.secret.blocks import NO_TAG, Schedule
@@ -89,9 +89,7 @@ class Ends:
         self.meet()
         self.compare()
 
-    def controller(
-        self, record: SenderRecord | None, step: tuple[Measurement, Offer] | None = None
-    ) -> ControllerInHand:
+    def controller(self, record: SenderRecord | None, step: Step | None = None) -> ControllerInHand:
         """A process of it, with the rows that its journal has."""
         counted = [row for row in self.rows if record is not None and row.j < record.transitions]
         return ControllerInHand(
@@ -178,7 +176,7 @@ class Ends:
         assert offer is not None
         assert effects == Done(append=True, offer=offer)
         if self.random.random() < 0.1:  # it dies once it has saved that
-            self.sender = self.controller(self.said, (measurement, offer))
+            self.sender = self.controller(self.said, Step(offer, measurement=measurement))
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         self.finish_step(measurement, offer)
         assert offer == Offer(
@@ -239,7 +237,7 @@ class Ends:
         assert self.sender.finish_step() == Done(
             save=delivered is not None,
             transition=None if counted is None else counted.shared,
-            delivered=delivered,
+            delivered=None if delivered is None else str(delivered),
             contribution=contribution,
         )
         assert not self.sender.unfinished
@@ -323,24 +321,24 @@ class Ends:
             counted = [self.receiver.applied(offer, coin, x_next)]
         assert counted == [self.uncounted]
         (saved,) = self.receiver.saved
-        assert (saved.chunk, saved.received) == (chunk, frame and frame.payload)
+        assert (saved.chunk, saved.received) == (chunk, frame)
         assert saved.drop_chunks == (frame is not None)
         assert saved.contribution == self.contribution
         assert self.receiver.appended is None or self.receiver.appended.coin == coin
-        self.chunks = "" if frame else self.chunks + chunk
+        self.chunks = "" if frame is not None else self.chunks + chunk
         if not self.receiver.accepted:
             self.meet()
         self.compare()
         assert self.receiver.check(offer) == "stale"
 
-    def frame(self, p: int, carried: bool, symbol: int) -> tuple[Frame | None, str, str]:
+    def frame(self, p: int, carried: bool, symbol: int) -> tuple[bytes | None, str, str]:
         """The frame that ends with this symbol; what is kept of one under way, and what leaves."""
         partial = self.kept.partial
         if not carried or p > len(self.stream):
             return None, partial, ""
         if p in self.ends:
             self.inbox.append(PAYLOADS[self.ends.index(p)])
-            return Frame(self.inbox[-1], True), "", ""
+            return self.inbox[-1], "", ""
         digits = 1 if self.size <= 16 else 2
         partial += f"{symbol:0{digits}x}"
         return (

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.controller_in_hand import ControllerInHand, Done
@@ -69,11 +69,11 @@ class Link:
         self.draws = Draws()
         self.instances = 0
         self.sessions = 1
-        self.saved_sender: tuple[SenderRecord | None, tuple[Measurement, Offer] | None]
+        self.saved_sender: tuple[SenderRecord | None, Step | None]
         self.saved_sender = (None, None)
         self.sender = self.new_sender(None)
         first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-        self.saved_receiver: tuple[ReceiverRecord, PlantStep | None] = (first, None)
+        self.saved_receiver: tuple[ReceiverRecord, Step | None] = (first, None)
         self.receiver = self.new_receiver(first)
         self.measurement: Measurement | None = None
         self.measured: list[Measurement] = []
@@ -89,9 +89,7 @@ class Link:
         self.instances += 1
         return f"{self.instances:016x}"
 
-    def new_sender(
-        self, record: SenderRecord | None, step: tuple[Measurement, Offer] | None = None
-    ) -> ControllerInHand:
+    def new_sender(self, record: SenderRecord | None, step: Step | None = None) -> ControllerInHand:
         return ControllerInHand(
             RULES,
             propose,
@@ -102,7 +100,7 @@ class Link:
             fresh=self.draws,
         )
 
-    def new_receiver(self, record: ReceiverRecord, step: PlantStep | None = None) -> PlantInHand:
+    def new_receiver(self, record: ReceiverRecord, step: Step | None = None) -> PlantInHand:
         return PlantInHand(RULES, self.instance(), record, step=step)
 
     # --- commands ---------------------------------------------------------------------------------
@@ -165,7 +163,10 @@ class Link:
             return
         if effects.append:
             assert effects.offer is not None
-            self.saved_sender = (self.sender.record, (self.measurement, effects.offer))
+            self.saved_sender = (
+                self.sender.record,
+                Step(effects.offer, measurement=self.measurement),
+            )
         if how == "and dies before sending":
             self.say("controller", "has saved, and dies before it has sent")
             return

@@ -8,40 +8,49 @@ from pathlib import Path
 import pytest
 
 from runtime import addresses
-from runtime.addresses import free_endpoints
+from runtime.addresses import free_endpoints, kernel_ports
+from runtime.bus import TransportError
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-class SamePorts(socket.socket):
-    """The kernel may give a port again as soon as nobody listens there."""
-
-    ports: list[int]
-
-    def getsockname(self) -> tuple[str, int]:
-        return "127.0.0.1", self.ports.pop(0)
-
-
 def test_two_programs_at_once_are_given_different_ports(monkeypatch: pytest.MonkeyPatch) -> None:
-    first = free_endpoints(3)
-    ports = [int(endpoint.rpartition(":")[2]) for endpoint in first]
-    assert len(set(ports)) == 3
+    monkeypatch.setattr(addresses, "LOWEST_PORT", 20_000)
+    monkeypatch.setattr(addresses, "LARGEST_PORT", 20_039)
+    first = free_endpoints(10)
+    assert len(set(first)) == 10
     code = (
-        "import sys\n"
-        "from tests.runtime.test_addresses import SamePorts, addresses\n"
-        "SamePorts.ports = [int(p) for p in sys.argv[1:]]\n"
-        "addresses.socket.socket = lambda *k: SamePorts(*k) if not k else real(*k)\n"
-        "print(*addresses.free_endpoints(1))\n"
-    ).replace("SamePorts.ports", "real = addresses.socket.socket\nSamePorts.ports")
-    spare = 65000 + ports[0] % 500  # nobody asks the kernel for it here
-    done = subprocess.run(
-        [sys.executable, "-c", code, *map(str, ports), str(spare)],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        check=True,
+        "from runtime import addresses\n"
+        "addresses.LOWEST_PORT, addresses.LARGEST_PORT = 20_000, 20_039\n"
+        "print(*addresses.free_endpoints(10))\n"
     )
-    assert done.stdout.split() == [f"tcp/127.0.0.1:{spare}"]
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    second = done.stdout.split()
+    assert len(set(second)) == 10
+    assert not set(first) & set(second)
+    with pytest.raises(TransportError):
+        free_endpoints(40)
+
+
+def test_no_port_is_one_that_the_kernel_may_give_to_a_client() -> None:
+    """A client that connects while a killed listener is away would else take its port."""
+    clients = kernel_ports()
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        with socket.create_connection(server.getsockname()) as client:
+            assert client.getsockname()[1] in clients
+        assert server.getsockname()[1] in clients
+    ports = [int(endpoint.rpartition(":")[2]) for endpoint in free_endpoints(50)]
+    assert not set(ports) & set(clients)
+
+
+def test_a_client_that_holds_a_port_keeps_its_listener_from_coming_back() -> None:
+    """Why: what a client was given is not to be listened on."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        client = socket.create_connection(server.getsockname())
+        with client, pytest.raises(OSError, match="in use"):
+            socket.create_server(client.getsockname())
 
 
 def test_a_port_is_free_again_once_its_program_has_ended() -> None:

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.peer import Append, Save
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
+from protocol.link.peer import Save
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.journal import ControllerJournal, PlantJournal, ReceiverJournal, SenderJournal
@@ -76,13 +76,16 @@ def test_a_step_comes_back_with_the_record_before_it_until_the_next_record(
 ) -> None:
     journal = plant()
     journal.write(Save(RECEIVER))
-    journal.write(Append(OFFER.wire(), MEASUREMENT.wire(), 1))
+    journal.write(Step(OFFER, 1, MEASUREMENT))
     queue = controller()
     queue.write(Save(SENDER))
-    queue.write(Append(MEASUREMENT.wire(), OFFER.wire()))
+    queue.write(Step(OFFER, measurement=MEASUREMENT))
     journal = plant()
-    assert (journal.load(), journal.step()) == (RECEIVER, PlantStep(OFFER, 1, MEASUREMENT))
-    assert (controller().load(), controller().step()) == (SENDER, (MEASUREMENT, OFFER))
+    assert (journal.load(), journal.step()) == (RECEIVER, Step(OFFER, 1, MEASUREMENT))
+    assert (controller().load(), controller().step()) == (
+        SENDER,
+        Step(OFFER, measurement=MEASUREMENT),
+    )
     journal.write(Save(RECEIVER._replace(k=5)))
     assert (plant().load(), plant().step()) == (RECEIVER._replace(k=5), None)
 
@@ -94,7 +97,7 @@ def test_a_staged_record_and_its_row_are_lost_with_the_process(plant: PlantAfter
     assert journal.load() == RECEIVER
     assert journal.contributions(SESSION) == [row(3)]
     journal.write(Save(RECEIVER._replace(k=5), later=True, contribution=row(4)))
-    journal.write(Append(OFFER.wire(), MEASUREMENT.wire(), 0))
+    journal.write(Step(OFFER, 0, MEASUREMENT))
     assert plant().load() == RECEIVER._replace(k=5)
     assert plant().contributions(SESSION) == [row(3), row(4)]
 
@@ -102,11 +105,11 @@ def test_a_staged_record_and_its_row_are_lost_with_the_process(plant: PlantAfter
 def test_a_step_is_begun_and_then_read(plant: PlantAfterDeath) -> None:
     journal = plant()
     journal.write(Save(RECEIVER))
-    journal.write(Append(OFFER.wire(), b"", 1))
+    journal.write(Step(OFFER, 1))
     journal = plant()
-    assert (journal.load(), journal.step()) == (RECEIVER, PlantStep(OFFER, 1))
-    journal.write(Save(RECEIVER._replace(begun=PlantStep(OFFER, 1))))
-    assert plant().step() == PlantStep(OFFER, 1)
+    assert (journal.load(), journal.step()) == (RECEIVER, Step(OFFER, 1))
+    journal.write(Save(RECEIVER._replace(begun=Step(OFFER, 1))))
+    assert plant().step() == Step(OFFER, 1)
 
 
 def test_rows_go_when_they_are_obsolete_and_with_their_session(plant: PlantAfterDeath) -> None:

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.peer import Append, Save
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
-from protocol.messages import Measurement, Message, Offer
+from protocol.link.peer import Save
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.messages import Measurement, Offer
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JournalError
 
@@ -47,7 +47,6 @@ def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() is None
         journal.write(Save(SENDER))
-        assert journal.load() == SENDER
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
@@ -61,6 +60,7 @@ def test_the_last_save_counts(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for k in range(100):
             journal.write(Save(RECEIVER._replace(k=k)))
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         record = journal.load()
         assert record is not None
         assert record.k == 99
@@ -107,25 +107,21 @@ MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4,
 OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
 
 
-def wire(message: Message) -> bytes:
-    return message.wire()
-
-
 def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.step() is None
         journal.write(Save(SENDER))
-        journal.write(Append(wire(MEASUREMENT), wire(OFFER)))
+        journal.write(Step(OFFER, measurement=MEASUREMENT))
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
-        assert journal.step() == (MEASUREMENT, OFFER)
-        journal.write(Append(wire(MEASUREMENT), wire(OFFER)))  # what was loaded can be built on
+        assert journal.step() == Step(OFFER, measurement=MEASUREMENT)
+        journal.write(Step(OFFER, measurement=MEASUREMENT))  # what was loaded can be built on
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         journal2.write(Save(RECEIVER, chunk="10"))
-        journal2.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
+        journal2.write(Step(OFFER, 1, MEASUREMENT))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
-        assert journal2.step() == PlantStep(OFFER, 1, MEASUREMENT)
+        assert journal2.step() == Step(OFFER, 1, MEASUREMENT)
         assert journal2.chunks() == "10"
 
 
@@ -134,25 +130,30 @@ def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
 ) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         journal.write(Save(RECEIVER))
-        journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
+        journal.write(Step(OFFER, 1, MEASUREMENT))
         with pytest.raises(AssertionError, match="not been counted"):
-            journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
+            journal.write(Step(OFFER, 1, MEASUREMENT))
         journal.write(Save(RECEIVER._replace(k=5), later=True))
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.load() == RECEIVER
-        assert journal.step() is not None
+        assert journal.step() == Step(OFFER, 1, MEASUREMENT)
         journal.write(Save(RECEIVER._replace(k=5), later=True))
-        journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))
+        journal.write(Step(OFFER, 0, MEASUREMENT))
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.load() == RECEIVER._replace(k=5)
-        assert journal.step() == PlantStep(OFFER, 0, MEASUREMENT)
+        assert journal.step() == Step(OFFER, 0, MEASUREMENT)
         journal.write(Save(RECEIVER._replace(k=6)))
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.step() is None
 
 
-@pytest.mark.parametrize("request_", [b"{}", b"not json", wire(MEASUREMENT)])
-def test_a_step_that_is_none_is_refused(tmp_path: Path, request_: bytes) -> None:
+@pytest.mark.parametrize("wrong", [b"{}", b"not json", MEASUREMENT.wire()])
+def test_a_step_that_is_none_is_refused(tmp_path: Path, wrong: bytes) -> None:
+    offer = OFFER.model_copy()
+    offer.__dict__["_bytes"] = wrong
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         journal.write(Save(RECEIVER))
-        journal.write(Append(request_, wire(MEASUREMENT), 0))
+        journal.write(Step(offer, 0, MEASUREMENT))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
         journal.step()
     assert "record" in one_line(error, tmp_path / "p")
@@ -256,10 +257,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from protocol.link.peer import Append, Save
+from protocol.link.peer import Save
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import ReceiverRecord, Step
 
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)
@@ -283,8 +284,7 @@ while True:
     measurement = Measurement(
         session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
     )
-    said = measurement.wire()
-    journal.write(Append(offer.wire(), said, record.k % 2))
+    journal.write(Step(offer, record.k % 2, measurement))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -349,12 +349,11 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
         with monkeypatch.context() as full:
             full.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:40], at))
             with pytest.raises(JournalError, match="No space left") as error:
-                journal.write(Append(wire(OFFER), wire(MEASUREMENT), 1))
+                journal.write(Step(OFFER, 1, MEASUREMENT))
         one_line(error, tmp_path / "j-steps")
-        assert journal.step() is None
-        journal.write(Append(wire(OFFER), wire(MEASUREMENT), 0))  # over what was torn
+        journal.write(Step(OFFER, 0, MEASUREMENT))  # over what was torn
         with no_file_grows(), pytest.raises(JournalError) as error:
             journal.write(Save(RECEIVER, chunk="01"))
         one_line(error, path)
     with PlantJournal(path, SCENARIO) as journal:
-        assert journal.step() == PlantStep(OFFER, 0, MEASUREMENT)
+        assert journal.step() == Step(OFFER, 0, MEASUREMENT)

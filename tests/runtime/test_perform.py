@@ -5,20 +5,22 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.link.events import Event, Missed, Recovered
-from protocol.link.peer import Actions, Append, Notice, Outgoing, Peer, Save, Write
-from protocol.link.records import SenderRecord
+from protocol.link.events import Event, Milestone, Missed
+from protocol.link.peer import Actions, Notice, Peer, Save, Write
+from protocol.link.records import SenderRecord, Step
 from protocol.link.session import CountedTransition
-from protocol.messages import ControllerStatus, Measurement, Message, Status
+from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult
 from protocol.secret.tasks import Done, Task
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.line_ends import ToldPorts, line_controller, line_plant
 from tests.support.line_plant import line_rules
+from tests.support.mail import Mail
 from tools.rehearsal import Rehearsal
 
-STEP = Append(b"heard", b"said")
+SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
+STEP = Step(Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0), 0, SAID)
 RECORD = Save(SenderRecord(), later=True)
 VERDICT = BlockResult("1" * 16, 0, "confirmed")
 WELL = next(
@@ -80,8 +82,8 @@ class Listing:
     def write(self, write: Write) -> None:
         self._done.append(write)
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
-        self._done.append(Outgoing(kind, payload))
+    def publish(self, message: Message) -> None:
+        self._done.append(message)
 
     def submit_key_task(self, task: Task) -> None:
         self._done.append(task)
@@ -98,17 +100,16 @@ class Listing:
 
 def test_save_publish_settle_trace_keep_tell() -> None:
     done: list[object] = []
-    said = Outgoing(Measurement, b"said")
-    actions = Actions(write=STEP, publish=(said,), finish_step=True)
+    actions = Actions(write=STEP, publish=(SAID,), finish_step=True)
     perform(actions, Script(done), Listing(done))
-    assert done == [STEP, said, "settle", EVENT, RECORD, VERDICT, "told", WELL]
+    assert done == [STEP, SAID, "settle", EVENT, RECORD, VERDICT, "told", WELL]
 
 
 @pytest.mark.parametrize(("before", "done"), [
     ("writing", []),
     ("publishing", [STEP]),
-    ("tracing", [STEP, Outgoing(Measurement, b"said"), "settle"]),
-    ("keeping", [STEP, Outgoing(Measurement, b"said"), "settle", EVENT, RECORD]),
+    ("tracing", [STEP, SAID, "settle"]),
+    ("keeping", [STEP, SAID, "settle", EVENT, RECORD]),
 ])  # fmt: skip
 def test_who_dies_before_something_has_done_all_that_comes_before_it(
     before: str, done: list[object]
@@ -116,7 +117,7 @@ def test_who_dies_before_something_has_done_all_that_comes_before_it(
     happened: list[object] = []
     ports = CrashingPorts(Listing(happened))
     ports.crash_at(before=before)  # type: ignore[arg-type]
-    actions = Actions(write=STEP, publish=(Outgoing(Measurement, b"said"),), finish_step=True)
+    actions = Actions(write=STEP, publish=(SAID,), finish_step=True)
     with pytest.raises(Crashed):
         perform(actions, Script(happened), ports)
     assert happened == done
@@ -125,12 +126,12 @@ def test_who_dies_before_something_has_done_all_that_comes_before_it(
 EVERYTHING = Actions(
     events=(EVENT, EVENT),
     write=STEP,
-    publish=(Outgoing(Measurement, b"said"),),
+    publish=(SAID,),
     notices=(Notice("told"),),
     health=WELL,
     keys=(VERDICT,),
 )
-DONE = [EVENT, EVENT, STEP, Outgoing(Measurement, b"said"), VERDICT, "told", WELL]
+DONE = [EVENT, EVENT, STEP, SAID, VERDICT, "told", WELL]
 
 
 @pytest.mark.parametrize("after", range(5))
@@ -193,7 +194,7 @@ class Pair:
             "controller": {},
             "plant": {},
         }
-        self.mail: dict[str, deque[Outgoing]] = {"controller": deque(), "plant": deque()}
+        self.mail: dict[str, deque[Mail]] = {"controller": deque(), "plant": deque()}
         self.queue = MemoryControllerJournal(PAYLOAD)
         self.plant_journal = MemoryPlantJournal()
         self.ends: dict[str, tuple[Peer, CrashingPorts]] = {}
@@ -225,7 +226,7 @@ class Pair:
         self.do(side, lambda: endpoint.start(self.now))
 
     def note(self, side: str, event: Event) -> None:
-        if isinstance(event, Recovered):
+        if isinstance(event, Milestone) and event.at == "recovered":
             self.inbox.append(event.payload)
         elif isinstance(event, CountedTransition):
             self.counted[side][event.session, event.j] = event.shared

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.peer import Actions, Notice, Outgoing
+from protocol.link.peer import Actions, Notice
 from protocol.messages import (
     KeyAnswer,
     KeyRequest,
@@ -23,6 +23,7 @@ from runtime.keys.asking import AUDITED, LOOK_S, REPEAT_S
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import OpeningEnd, SealingEnd
 from runtime.keys.store import KeyStore
+from tests.support.mail import mail
 
 TEXTS = {f"m{i}": f"message {i}".encode() * (i + 1) for i in range(5)}
 
@@ -52,9 +53,9 @@ class World:
     def meet(self) -> None:
         """Each end learns from the other what it gave before: nothing."""
         for end, other in ((self.sealing, self.opening), (self.opening, self.sealing)):
-            for _, request in end.wake(-1.0).publish:
-                for _, answer in other.receive(KeyRequest, request, -1.0).publish:
-                    told = end.receive(KeyAnswer, answer, -1.0)
+            for request in end.wake(-1.0).publish:
+                for answer in other.receive(KeyRequest, request.wire(), -1.0).publish:
+                    told = end.receive(KeyAnswer, answer.wire(), -1.0)
             assert told == Actions(notices=(Notice(AUDITED),))
 
     def block(self) -> None:
@@ -67,23 +68,22 @@ class World:
         if not self.now:  # in a run they ask beside all else; here they have asked
             self.asked += 0.1
             for end, other in ((self.sealing, self.opening), (self.opening, self.sealing)):
-                for _, request in end.wake(self.asked).publish:
-                    for _, answer in other.receive(KeyRequest, request, self.asked).publish:
-                        end.receive(KeyAnswer, answer, self.asked)
+                for request in end.wake(self.asked).publish:
+                    for answer in other.receive(KeyRequest, request.wire(), self.asked).publish:
+                        end.receive(KeyAnswer, answer.wire(), self.asked)
 
     def carry_out(self, actions: Actions, *, dies: float) -> None:
         if self.random.random() < dies:  # after its transaction, before anything is said
             self.live()
             return
-        for kind, payload in actions.publish:
-            if kind is SealReply:
-                reply = SealReply.model_validate_json(payload)
-                assert reply.accepted
-                if reply.delivered:
-                    self.delivered.add(reply.id)
+        for message in actions.publish:
+            if isinstance(message, SealReply):
+                assert message.accepted
+                if message.delivered:
+                    self.delivered.add(message.id)
                 continue
             for _ in range(self.random.choice((0, 1, 1, 2))):
-                self.wire.append((self.now + self.random.expovariate(5.0), kind, payload))
+                self.wire.append((self.now + self.random.expovariate(5.0), *mail(message)))
         if self.random.random() < dies:
             self.live()
 
@@ -111,13 +111,15 @@ class World:
     def sealed(self, now: float = 0.0) -> Sealed:
         """What the controller sends next, once the plant was asked for its keys."""
         (request,) = self.sealing.wake(now).publish
-        assert request.kind is KeyRequest
-        assert self.sealing.receive(KeyRequest, request.payload, now) == Actions()  # its own
-        (answer,) = self.opening.receive(KeyRequest, request.payload, now).publish
-        assert self.opening.receive(KeyAnswer, answer.payload, now) == Actions()
-        assert self.sealing.receive(KeyAnswer, answer.payload, now) == Actions()
+        assert isinstance(request, KeyRequest)
+        asked = request.wire()
+        assert self.sealing.receive(KeyRequest, asked, now) == Actions()  # its own
+        (answer,) = self.opening.receive(KeyRequest, asked, now).publish
+        assert self.opening.receive(KeyAnswer, answer.wire(), now) == Actions()
+        assert self.sealing.receive(KeyAnswer, answer.wire(), now) == Actions()
         (sealed,) = self.sealing.wake(now).publish
-        return Sealed.model_validate_json(sealed.payload)
+        assert isinstance(sealed, Sealed)
+        return sealed
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -150,18 +152,19 @@ def test_garbage_and_forgeries_change_nothing(tmp_path: Path) -> None:
     assert world.sealing.receive(SealedReceipt, receipt, 0.0) == Actions()
     long = SealCommand(id="m", payload=bytes(70_000)).wire()
     (out,) = world.sealing.receive(SealCommand, long, 0.0).publish
-    assert "got 70000 bytes" in SealReply.model_validate_json(out.payload).detail
+    assert isinstance(out, SealReply)
+    assert "got 70000 bytes" in out.detail
 
 
 def test_it_is_repeated_until_it_is_acknowledged_and_no_longer(tmp_path: Path) -> None:
     world = World(tmp_path, 1)
     world.block()
     world.sealing.receive(SealCommand, SealCommand(id="m", payload=b"text").wire(), 0.0)
-    first = world.sealed().wire()
+    first = world.sealed()
     assert world.sealing.wake(REPEAT_S / 2) == Actions()
-    assert world.sealing.wake(REPEAT_S).publish == (Outgoing(Sealed, first),)
-    receipt = world.opening.receive(Sealed, first, 0.0).publish[0]
-    world.sealing.receive(SealedReceipt, receipt.payload, 0.3)
+    assert world.sealing.wake(REPEAT_S).publish == (first,)
+    receipt = world.opening.receive(Sealed, first.wire(), 0.0).publish[0]
+    world.sealing.receive(SealedReceipt, receipt.wire(), 0.3)
     assert world.sealing.due_at == inf
     for store in world.stores.values():
         store.close()
@@ -183,8 +186,8 @@ def commanded(world: World, name: str, text: bytes, now: float = 0.0) -> SealRep
     actions = world.sealing.receive(SealCommand, SealCommand(id=name, payload=text).wire(), now)
     (out,) = actions.publish
     assert actions == Actions(publish=(out,))
-    assert out.kind is SealReply
-    return SealReply.model_validate_json(out.payload)
+    assert isinstance(out, SealReply)
+    return out
 
 
 def reply(name: str, detail: str, *, accepted: bool = True, delivered: bool = False) -> SealReply:
@@ -252,7 +255,7 @@ def test_the_plant_opens_once_and_acknowledges_each_time(world: World) -> None:
     world.block()
     commanded(world, "m", b"text")
     sealed = world.sealed().wire()
-    receipt = Outgoing(SealedReceipt, SealedReceipt(id="m").wire())
+    receipt = SealedReceipt(id="m")
     first = world.opening.receive(Sealed, sealed, 0.0)
     told = Notice("sealed message m opened: 4 bytes")
     assert first == Actions(publish=(receipt,), notices=(told,))
@@ -273,17 +276,17 @@ def test_what_cannot_be_opened_is_refused_and_given_up_and_the_next_one_goes_out
     world.stores["plant"].db.deserialize(copy)
     why = "2 of the keys asked for are not in this store"
     told = Notice(f"not opened: {why}", "warning", "sealed")
-    refusal = SealedReceipt(id="m", key_ids=sealed.key_ids, refused=why).wire()
+    refusal = SealedReceipt(id="m", key_ids=sealed.key_ids, refused=why)
     assert world.opening.receive(Sealed, sealed.wire(), 0.1) == Actions(
-        publish=(Outgoing(SealedReceipt, refusal),), notices=(told,)
+        publish=(refusal,), notices=(told,)
     )
     other = SealedReceipt(id="m", key_ids=("a", "b"), refused=why).wire()  # a forger's message's
     assert world.sealing.receive(SealedReceipt, other, 0.2) == Actions()
     text = f"sealed message m given up: the plant cannot open it: {why}"
-    assert world.sealing.receive(SealedReceipt, refusal, 0.2) == Actions(
+    assert world.sealing.receive(SealedReceipt, refusal.wire(), 0.2) == Actions(
         notices=(Notice(text, "error"),)
     )
-    assert world.sealing.receive(SealedReceipt, refusal, 0.2) == Actions()
+    assert world.sealing.receive(SealedReceipt, refusal.wire(), 0.2) == Actions()
     why = "id: 'm' was given up: the plant had lost its keys; send the message again, under "
     assert commanded(world, "m", b"text") == reply("m", f"{why}another id", accepted=False)
     assert world.sealing.due_at == 0.2

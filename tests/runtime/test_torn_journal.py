@@ -9,14 +9,14 @@ from typing import Any, Final
 
 import pytest
 
-from protocol.link.peer import Append, Save
-from protocol.link.records import ReceiverRecord
+from protocol.link.peer import Save
+from protocol.link.records import ReceiverRecord, Step
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime import journal_files
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JOURNAL_VERSION, JournalError
-from runtime.step_log import Step, StepLog
+from runtime.step_log import Entry, StepLog
 from tests.support.twin_journals import SCENARIO, copied
 
 SESSION: Final = "0123456789abcdef"
@@ -24,12 +24,12 @@ RECORD: Final = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.0,))
 NAME: Final = "journal.sqlite3"
 
 
-def offer(k: int) -> bytes:
-    return Offer(session=SESSION, k=k, candidates=((1.0,), (2.0,)), cipher=0).wire()
+def offer(k: int) -> Offer:
+    return Offer(session=SESSION, k=k, candidates=((1.0,), (2.0,)), cipher=0)
 
 
-def measurement(k: int) -> bytes:
-    return Measurement(session=SESSION, k=k + 1, x=(0.5,), applied_k=k, x_after=(0.25,)).wire()
+def measurement(k: int) -> Measurement:
+    return Measurement(session=SESSION, k=k + 1, x=(0.5,), applied_k=k, x_after=(0.25,))
 
 
 def row(k: int) -> Contribution:
@@ -41,7 +41,7 @@ def steps(journal: PlantJournal, first: int, last: int) -> None:
     for k in range(first, last):
         record = RECORD._replace(k=k)
         journal.write(Save(record, later=True, contribution=row(k - 1) if k else None))
-        journal.write(Append(offer(k), measurement(k), k % 2))
+        journal.write(Step(offer(k), k % 2, measurement(k)))
 
 
 def state(path: Path) -> Any:
@@ -103,13 +103,18 @@ def tried(folder: Path, files: dict[str, bytes], name: str, versions: Iterator[b
 def test_a_torn_or_flipped_step_is_not_there_byte_by_byte(tmp_path: Path) -> None:
     path, tag = tmp_path / "steps", b"8 bytes."
     written = [
-        Step(k, b"record", offer(k), measurement(k), k % 2, row(k) if k else None) for k in range(3)
+        Entry(k, b"record", offer(k).wire(), measurement(k).wire(), k % 2, row(k) if k else None)
+        for k in range(3)
     ]
     log = StepLog(path, tag)
-    for step in written[:2]:
-        log.append(step)
+
+    def append(k: int) -> None:
+        log.append(k, b"record", Step(offer(k), k % 2, measurement(k)), row(k) if k else None)
+
+    append(0)
+    append(1)
     before = path.read_bytes()
-    log.append(written[2])
+    append(2)
     after = path.read_bytes()
     assert log.read(-1) == written
     versions = list(torn(before, after))
@@ -118,7 +123,7 @@ def test_a_torn_or_flipped_step_is_not_there_byte_by_byte(tmp_path: Path) -> Non
         path.write_bytes(version)
         assert log.read(-1) == written[:2]
         assert path.read_bytes() == before
-        log.append(written[2])
+        append(2)
         assert path.read_bytes() == after
     log.close()
 
@@ -202,7 +207,7 @@ def test_what_was_made_ready_is_no_step(tmp_path: Path) -> None:
     with PlantJournal(killed, SCENARIO) as journal:
         assert journal.load() == RECORD._replace(k=2)
         journal.write(Save(RECORD._replace(k=3), later=True))
-        journal.write(Append(offer(3), measurement(3), 1))
+        journal.write(Step(offer(3), 1, measurement(3)))
         assert state(copied(killed, tmp_path / "again"))[0].k == 3
 
 
@@ -236,9 +241,9 @@ def test_a_long_run_of_steps_is_put_into_the_database(
         record = RECORD._replace(k=60)
         journal.write(Save(record, later=True, contribution=row(59)))
         for k in range(60, 90):  # begun and read in two writes
-            journal.write(Append(offer(k), b"", 1))
+            journal.write(Step(offer(k), 1))
             assert state(copied(path, tmp_path / f"{k}"))[1] is not None
-            journal.write(Append(offer(k), measurement(k), 1))
+            journal.write(Step(offer(k), 1, measurement(k)))
             journal.write(Save(RECORD._replace(k=k + 1), later=True, contribution=row(k)))
     found = state(path)
     assert found[0].k == 89

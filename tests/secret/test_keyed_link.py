@@ -17,7 +17,8 @@ from controller_service import core as controller_core
 from plant_service import core as plant_core
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
-from protocol.link.peer import Actions, Append, Peer
+from protocol.link.peer import Actions, Peer
+from protocol.link.records import Step
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, contribution_of
@@ -124,9 +125,9 @@ def test_keys_are_made_and_served_once_all_is_well() -> None:
 
 
 def send_before_save(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-    if isinstance(actions.write, Append):
-        for kind, payload in actions.publish:
-            ports.publish(kind, payload)
+    if isinstance(actions.write, Step):
+        for message in actions.publish:
+            ports.publish(message)
         actions = actions._replace(publish=())
     perform(actions, endpoint, ports)
 

@@ -70,13 +70,11 @@ class Listening(Simulation):
         self.seen: list[tuple[str, int, int, int]] = []
         super().__init__(*args, **more)  # type: ignore[arg-type]
 
-    def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
-        if kind in (Measurement, Offer):
-            message = kind.model_validate_json(payload)
-            assert isinstance(message, Measurement | Offer)
+    def send(self, to: Side, message: Message) -> None:
+        if isinstance(message, Measurement | Offer):
             named = message.heard if isinstance(message, Offer) else message.applied_copy
-            self.seen.append((kind.topic, message.k, message.copy_number, named))
-        super().send(to, kind, payload)
+            self.seen.append((message.topic, message.k, message.copy_number, named))
+        super().send(to, message)
 
 
 @pytest.mark.slow

@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 
 from protocol.link.peer import Notice
-from protocol.messages import KeyRequest
 from protocol.secret.records import BlockRow, KeysRefused, UnknownKeys
 from protocol.secret.sealed import Unsealed
 from runtime.keys.asking import AUDITED, Asker
 from runtime.keys.sealed_book import MOST_TRIES, SealedBook
 from runtime.keys.store import KeyStore
 from tests.support.giving import agree, ask, sealed_by
+from tests.support.mail import mail
 
 TEXT = b"The old mill, at nine."
 KEYS = [bytes([row]) * 32 for row in range(1, 13)]
@@ -300,16 +300,16 @@ def test_an_end_that_was_put_back_has_not_met_the_other_before_its_newest_keys_a
     asker, partner = Asker(plant), Asker(controller)
     told: list[Notice] = []
     requests = asker.wake(0.0)
-    for place, (kind, request) in enumerate(requests):
+    for place, request in enumerate(requests):
         if place == len(requests) - 1:
             add_keys(plant.store, number=1)
-        for answer_kind, answer in partner.receive(kind, request).publish:
-            told += asker.receive(answer_kind, answer).notices
+        for answer in partner.receive(*mail(request)).publish:
+            told += asker.receive(*mail(answer)).notices
     assert told == []
-    ((kind, request),) = asker.wake(1.0)
-    assert KeyRequest.model_validate_json(request).what == "made"
-    for answer_kind, answer in partner.receive(kind, request).publish:
-        told += asker.receive(answer_kind, answer).notices
+    (request,) = asker.wake(1.0)
+    assert request.what == "made"
+    for answer in partner.receive(*mail(request)).publish:
+        told += asker.receive(*mail(answer)).notices
     assert [notice.text for notice in told] == [AUDITED]
 
 
@@ -350,15 +350,15 @@ def test_a_mark_that_was_forgotten_while_its_answer_is_on_its_way_serves_no_othe
     ask(asker, partner, 0.0)
     controller.queue("a", TEXT)
     controller.next()
-    ((kind, request),) = asker.wake(1.0)
-    (late,) = partner.receive(kind, request).publish
+    (request,) = asker.wake(1.0)
+    (late,) = partner.receive(*mail(request)).publish
     put_back(plant.store, old_plant)
     anew = Asker(plant)
-    for kind, request in anew.wake(2.0):
+    for request in anew.wake(2.0):
         # what the controller asks once more is lost on the way
-        *_, (answer_kind, answer) = asker.receive(kind, request).publish
-        anew.receive(answer_kind, answer)
-    asker.receive(*late)
+        *_, answer = asker.receive(*mail(request)).publish
+        anew.receive(*mail(answer))
+    asker.receive(*mail(late))
     first = controller.next()
     assert first is not None
     put_back(controller.store, old_controller)

@@ -17,9 +17,9 @@ DEAD = (20.0, 50.0)
 class DeadLink(Simulation):
     """A network that loses every offer while the link is dead."""
 
-    def send(self, to: object, kind: type[Message], payload: bytes) -> None:
-        if not (kind is Offer and DEAD[0] <= self.now_s < DEAD[1]):
-            super().send(to, kind, payload)  # type: ignore[arg-type]
+    def send(self, to: object, message: Message) -> None:
+        if not (isinstance(message, Offer) and DEAD[0] <= self.now_s < DEAD[1]):
+            super().send(to, message)  # type: ignore[arg-type]
 
 
 def excursion(fallback: str, seconds: float) -> tuple[float, DeadLink, Callable[[], bool]]:

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from protocol.link.peer import Append, Write
+from protocol.link.peer import Write
+from protocol.link.records import Step
 from protocol.scenario import Scenario
 from runtime.journal import PlantJournal
 from tests.support.safety import violations
@@ -135,7 +136,7 @@ class Watched(PlantJournal):
     def write(self, write: Write) -> None:
         before = len(self._executed)
         super().write(write)
-        if isinstance(write, Append):
+        if isinstance(write, Step):
             self.of_steps.append(len(self._executed) - before)
 
     def forget(self) -> None:

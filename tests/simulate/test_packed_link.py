@@ -116,8 +116,8 @@ def test_two_hundred_candidates() -> None:
     runs = simulate_runs(scenario, law, seed=1, runs=range(2), steps=80)
     link = transfer(runs, payloads=[b"The old mill, at nine."])
     deframer = Deframer(200)
-    frames = [deframer.push(v) for v in link.message_symbol[:, 0].tolist() if v != NO_SYMBOL]
-    assert [f.payload for f in frames if f] == [b"The old mill, at nine."]
+    found = [deframer.push(v) for v in link.message_symbol[:, 0].tolist() if v != NO_SYMBOL]
+    assert [payload for payload in found if payload is not None] == [b"The old mill, at nine."]
     assert runs.coin.max() > 127
     history = Simulation(scenario, law, seed=1, payloads=(b"both ends",)).run(steps=60)
     assert history.inbox == [b"both ends"]

@@ -8,10 +8,10 @@ from copy import copy
 from typing import Any, NamedTuple
 
 from controller_service.core import ControllerCore, Predict
-from protocol.link.events import Delivered
+from protocol.link.events import Milestone
 from protocol.link.keying import Keying
-from protocol.link.peer import Actions, Append, Save
-from protocol.link.records import SenderRecord
+from protocol.link.peer import Actions, Save
+from protocol.link.records import SenderRecord, Step
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.blocks import BlockResult
@@ -56,7 +56,7 @@ class Done(NamedTuple):
     save: bool = False
     append: bool = False
     transition: CountedTransition | None = None
-    delivered: int | None = None
+    delivered: str | None = None
     offer: Offer | None = None
     reply: ControllerHello | None = None
     refusal: str = ""
@@ -71,18 +71,18 @@ def done(actions: Actions) -> Done:
     """What ``actions`` come to."""
     write = actions.write
     said: dict[Any, Any] = {}
-    for kind, payload in actions.publish:
-        assert kind not in said
-        said[kind] = kind.model_validate_json(payload)
+    for message in actions.publish:
+        assert type(message) not in said
+        said[type(message)] = message
     transitions = [event for event in actions.events if isinstance(event, CountedTransition)]
-    delivered = [event.number for event in actions.events if isinstance(event, Delivered)]
+    delivered = [event.identifier for event in actions.events if isinstance(event, Milestone)]
     refusals = [notice.text for notice in actions.notices if notice.subject == "refusals"]
     assert len(transitions) <= 1
     assert len(delivered) <= 1
     assert len(refusals) <= 1
     return Done(
         save=isinstance(write, Save) and not write.later,
-        append=isinstance(write, Append),
+        append=isinstance(write, Step),
         transition=transitions[0] if transitions else None,
         delivered=delivered[0] if delivered else None,
         offer=said.get(Offer),
@@ -108,7 +108,7 @@ class ControllerInHand:
         propose: Callable[[Vector], tuple[Vector, ...]],
         instance: str,
         record: SenderRecord | None = None,
-        step: tuple[Measurement, Offer] | None = None,
+        step: Step | None = None,
         contributions: Iterable[Contribution] = (),
         *,
         messages: Any = None,

@@ -2,12 +2,14 @@
 
 from collections.abc import Callable, Sequence
 
+from protocol.messages import Message
 from protocol.secret.records import WHOLE, Key, Share
 from runtime.keys import ledger
 from runtime.keys.asking import Asker
 from runtime.keys.giving import Giver, pending
 from runtime.keys.sealed_book import SealedBook, SealedText
 from runtime.keys.store import KeyStore
+from tests.support.mail import mail
 
 
 def agree(*stores: KeyStore) -> None:
@@ -19,10 +21,11 @@ def agree(*stores: KeyStore) -> None:
 
 def ask(asker: Asker, partner: Asker, now: float) -> None:
     """One end asks what it has to ask; all that is said comes to the other in its order."""
+    said: list[tuple[Asker, Asker, Message]]
     said = [(partner, asker, out) for out in asker.wake(now)]
     while said:
-        hearer, speaker, (kind, payload) = said.pop(0)
-        said += [(speaker, hearer, out) for out in hearer.receive(kind, payload).publish]
+        hearer, speaker, message = said.pop(0)
+        said += [(speaker, hearer, out) for out in hearer.receive(*mail(message)).publish]
 
 
 def sealed_by(book: SealedBook, plant: KeyStore) -> SealedText | None:

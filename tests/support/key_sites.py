@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from protocol.secret.records import BlockRow, StoreError
+from runtime.addresses import free_endpoints
 from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.support.giving import agree
@@ -29,8 +30,7 @@ Answer = tuple[int, dict[str, Any]]
 
 
 def free_port() -> int:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        return int(taken.getsockname()[1])
+    return int(free_endpoints(1)[0].rpartition(":")[2])
 
 
 class Sites:

@@ -31,6 +31,7 @@ from runtime.perform import Ports as AnyPorts
 from tests.support.copies import Copies
 from tests.support.giving import agree, deliver, deliver_named
 from tests.support.line_ends import Reports, line_controller, line_plant
+from tests.support.mail import mail
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
 Side = Literal["controller", "plant"]
@@ -56,8 +57,8 @@ class Ports:
         self.reports.look(write)
         self.world.journals[self.side].write(write)
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
-        self.world.published(self.side, kind, payload)
+    def publish(self, message: Message) -> None:
+        self.world.published(self.side, *mail(message))
 
     def submit_key_task(self, task: Task) -> None:
         self.world.tasks[self.side].append(task)

@@ -5,10 +5,11 @@ from collections.abc import Callable, Iterable
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin, Plant
+from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Append, Notice, Outgoing, Write
-from protocol.link.records import ReceiverRecord
+from protocol.link.peer import Notice, Write
+from protocol.link.records import ReceiverRecord, Step
 from protocol.link.session import Rules, Truth
 from protocol.messages import Measurement, Message, Status
 from protocol.secret.nonces import NonceSource, fresh_nonce
@@ -17,6 +18,7 @@ from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from tests.support.mail import Mail, mail
 
 PERIOD_S = 1.0
 
@@ -64,9 +66,8 @@ class Reports:
 
     def look(self, write: Write) -> None:
         """A step's record says what its report said, before the report may be said again."""
-        if isinstance(write, Append):
-            said = write.response if b'"x_after"' in write.response else b""
-            self._said = Measurement.model_validate_json(said) if said else None
+        if isinstance(write, Step):
+            self._said = write.measurement if write.coin != NO_SYMBOL else None
             return
         report, record, self._said = self._said, write.record, None
         if report is None or not isinstance(record, ReceiverRecord) or record.k != report.k:
@@ -88,7 +89,7 @@ class ToldPorts:
     def __init__(
         self,
         journal: MemoryControllerJournal | MemoryPlantJournal,
-        publish: Callable[[Outgoing], None],
+        publish: Callable[[Mail], None],
         trace: Callable[[Event], None],
         log_notice: Callable[[Notice], None] = lambda _: None,
     ) -> None:
@@ -102,8 +103,8 @@ class ToldPorts:
         self._reports.look(write)
         self.journal.write(write)
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
-        self._publish(Outgoing(kind, payload))
+    def publish(self, message: Message) -> None:
+        self._publish(mail(message))
 
     def submit_key_task(self, task: Task) -> None:
         raise AssertionError("keys are made, and nobody keeps them")

@@ -13,8 +13,8 @@ from plant_service.plant import Coin, Plant
 from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions, Append, Notice, Outgoing, Save
-from protocol.link.records import PlantStep, ReceiverRecord
+from protocol.link.peer import Actions, Notice, Save
+from protocol.link.records import ReceiverRecord, Step
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
@@ -80,7 +80,7 @@ class PlantInHand:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
-        step: PlantStep | None = None,
+        step: Step | None = None,
         fresh: NonceSource = fresh_nonce,
         *,
         plant: Plant | None = None,
@@ -92,8 +92,8 @@ class PlantInHand:
         self.notices: list[Notice] = []
         self.saved: list[Save] = []
         self.tasks: list[Task] = []
-        self.appended: Append | None = None
-        self.published: list[Outgoing] = []
+        self.appended: Step | None = None
+        self.published: list[Message] = []
         self._new = ""
         self._now = 0.0
         self._first: Measurement | None = None
@@ -145,7 +145,7 @@ class PlantInHand:
             self.notices += actions.notices
             self.published += actions.publish
             self.tasks += actions.keys
-            if isinstance(actions.write, Append):
+            if isinstance(actions.write, Step):
                 self.appended = actions.write
             elif actions.write is not None:
                 self.saved.append(actions.write)
@@ -162,10 +162,7 @@ class PlantInHand:
 
     def said(self, kind: type[Message]) -> Any:
         """The last message of a kind that it published, or None."""
-        for found, payload in reversed(self.published):
-            if found is kind:
-                return kind.model_validate_json(payload)
-        return None
+        return next((found for found in reversed(self.published) if type(found) is kind), None)
 
     # --- sessions ---------------------------------------------------------------------------------
 
@@ -222,8 +219,8 @@ class PlantInHand:
             self._forget()
             self.carry_out(self.core.wake(self._now))
             said = self.published
-        (payload,) = [payload for kind, payload in said if kind is PlantHello]
-        return PlantHello.model_validate_json(payload)
+        (hello,) = [message for message in said if isinstance(message, PlantHello)]
+        return hello
 
     # --- steps ------------------------------------------------------------------------------------
 
@@ -276,7 +273,7 @@ class PlantInHand:
         for notice in actions.notices:
             if notice.subject == "malformed":
                 raise ValueError(notice.text.removesuffix("; ignored"))
-        if isinstance(actions.write, Append):
+        if isinstance(actions.write, Step):
             return "current"
         return "foreign" if core.answered_at == -1.0 else "stale"
 
@@ -297,24 +294,20 @@ class PlantInHand:
         self.events, self.notices, self.saved, self.appended = kept
         return applied
 
-    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> PlantStep:
+    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> Step:
         """The offer is applied and saved, and the process is dead: what its journal has."""
         self.line.coin, self.line.x_next = coin, x_next
         self._forget()
         actions = self.core.receive(Offer, offer.wire(), self._now)
-        assert isinstance(actions.write, Append)
+        assert isinstance(actions.write, Step)
         self.appended = actions.write
         assert self.step is not None
         return self.step
 
     @property
-    def step(self) -> PlantStep | None:
+    def step(self) -> Step | None:
         """The step that was saved last, as its journal has it."""
-        if self.appended is None:
-            return None
-        request, response, coin = self.appended
-        measurement = Measurement.model_validate_json(response)
-        return PlantStep(Offer.model_validate_json(request), coin, measurement)
+        return self.appended
 
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer comes in time: ``u`` is in force, and leads to ``x_next``."""

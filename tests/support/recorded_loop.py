@@ -19,7 +19,7 @@ from controller_service.service import ControllerConfig, open_controller
 from plant_service.core import PlantCore
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.events import Event
-from protocol.link.peer import Actions, Outgoing, Peer
+from protocol.link.peer import Actions, Peer
 from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
@@ -33,6 +33,7 @@ from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from tap_service.capture.recording import mirror_line
 from tests.support.giving import ask
+from tests.support.mail import Mail, mail
 from tests.support.small_run import SCENARIOS, kill, law_of
 from tests.support.traces import read_trace
 from wyner.runs.check import check
@@ -61,19 +62,19 @@ class _Publisher:
     kind: type[Message]
 
     def put(self, payload: bytes) -> None:
-        self.loop.said(self.side, Outgoing(self.kind, payload))
+        self.loop.said(self.side, Mail(self.kind, payload))
 
 
 class _Ports(CrashingPorts):
     """Ports of a process that dies so many things after an event's turn has come."""
 
-    since: type[Event] | None = None
+    since: str = ""
     after = 0
 
     def trace(self, event: Event) -> None:
         """Die, or trace."""
-        if self.since is not None and isinstance(event, self.since):
-            self.since = None
+        if self.since == event.as_event()["event"]:
+            self.since = ""
             self.crash_at(after=self.after)
         super().trace(event)
 
@@ -114,7 +115,7 @@ class RecordedLoop:
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
         header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
-        self._mail: dict[Side, deque[Outgoing]] = {side: deque() for side in SIDES}
+        self._mail: dict[Side, deque[Mail]] = {side: deque() for side in SIDES}
         self.ends: dict[Side, _End] = {}
         for side in SIDES:
             self.start(side)
@@ -173,22 +174,23 @@ class RecordedLoop:
     def queue(self, identifier: str, payload: bytes) -> None:
         """The operator hands over a message."""
         command = SendCommand(id=identifier, payload=payload)
-        self._mail["controller"].append(Outgoing(SendCommand, command.wire()))
+        self._mail["controller"].append(mail(command))
 
-    def crash_at(self, side: Side, after: int, since: type[Event] | None = None) -> None:
+    def crash_at(self, side: Side, after: int, since: str = "") -> None:
         """Let an end die after so many things asked of its ports, from now or from an event on.
 
-        The event itself is the first of them: 0 is before it is traced, 1 before it is saved.
+        The event, by its name in the trace, is the first of them: 0 is before it is traced, 1
+        before it is saved.
         """
         ports = self.ends[side].ports
-        if since is None:
+        if not since:
             ports.crash_at(after=after)
         else:
             ports.since, ports.after = since, after
 
     # --- what happens -----------------------------------------------------------------------------
 
-    def said(self, side: Side, message: Outgoing) -> None:
+    def said(self, side: Side, message: Mail) -> None:
         """A message on its way: the tap hears it, and the other end if it is for it."""
         if message.kind is Offer:
             self._one_cipher(Offer.model_validate_json(message.payload))

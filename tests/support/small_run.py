@@ -15,9 +15,9 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
-from protocol.link.events import Recovered, SessionBegan
+from protocol.link.events import Milestone, SessionBegan
 from protocol.link.fallback import Fallback
-from protocol.link.records import PlantStep, ReceiverRecord, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
@@ -186,7 +186,7 @@ class SmallRun:
             if settled.transition is not None:
                 self._trace.write(settled.transition.as_event())
             if settled.delivered is not None:
-                self._tell("delivered", settled.delivered)
+                self._tell("delivered", int(settled.delivered))
         self._see(effects.offer)
         return effects.offer
 
@@ -196,8 +196,8 @@ class SmallRun:
             if isinstance(event, CountedTransition):
                 self._plant_trace.write(event.as_event())
             elif saved:
-                assert isinstance(event, Recovered | SessionBegan), event
-                if isinstance(event, Recovered):
+                assert isinstance(event, Milestone | SessionBegan), event
+                if isinstance(event, Milestone):
                     self.received.append(event.payload)
                     self._plant_trace.write(event.as_event())
         for save in self.receiver.saved if saved else ():
@@ -238,7 +238,7 @@ class SmallRun:
         )
 
     def _new_plant(
-        self, record: ReceiverRecord, reason: str, step: PlantStep | None = None
+        self, record: ReceiverRecord, reason: str, step: Step | None = None
     ) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)

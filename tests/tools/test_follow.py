@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from protocol.link.peer import Actions, Append
-from protocol.link.records import SenderRecord
+from protocol.link.peer import Actions
+from protocol.link.records import SenderRecord, Step
 from protocol.messages import Offer, SendCommand
 from tools import follow
 
@@ -22,9 +22,17 @@ def _lines(path: Path, *events: tuple[Any, ...]) -> Path:
 
 def test_a_wrapper_of_the_byte_or_of_its_symbol_is_found_at_any_depth() -> None:
     carried = follow.Carried()
-    assert carried.look(Actions(write=Append(b"", OFFER.wire())))
+    assert carried.look(Actions(write=Step(OFFER)))
+    assert carried.tags == {"symbol"}
+    assert carried.types == {
+        "protocol.link.peer.Actions",
+        "protocol.link.records.Step",
+        "protocol.messages.field.Offer",
+    }
+    carried = follow.Carried()
+    assert carried.look([OFFER.wire()])
     assert carried.tags == {"wire:offer:7"}
-    assert carried.types == {"protocol.link.peer.Actions", "protocol.link.peer.Append"}
+    assert not carried.types
     carried = follow.Carried()
     assert carried.look([SendCommand(id="a", payload=follow.BYTE.encode())])
     assert carried.tags == {"byte"}
@@ -32,7 +40,7 @@ def test_a_wrapper_of_the_byte_or_of_its_symbol_is_found_at_any_depth() -> None:
     assert carried.look(SenderRecord(cipher=1, message_symbol=0))
     assert carried.tags == {"symbol"}
     carried = follow.Carried()
-    assert not carried.look((1.0, "other", b"bytes", None, Append(b"", b"")))
+    assert not carried.look((1.0, "other", b"bytes", None, Actions()))
     assert not carried.tags | carried.types
 
 

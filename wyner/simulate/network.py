@@ -96,8 +96,8 @@ class _Ports:
         if isinstance(write, Save):
             self._world.kept(write)
 
-    def publish(self, kind: type[Message], payload: bytes) -> None:
-        self._world.send(self._partner, kind, payload)
+    def publish(self, message: Message) -> None:
+        self._world.send(self._partner, message)
 
     def submit_key_task(self, task: Task) -> None:
         self._world.keep(self._side, task)
@@ -248,16 +248,16 @@ class Simulation:
 
     # --- what the ports do ------------------------------------------------------------------------
 
-    def send(self, to: Side, kind: type[Message], payload: bytes) -> None:
+    def send(self, to: Side, message: Message) -> None:
         """Put a message on the network, which does with it what it likes."""
         faults = self._faults
-        if kind is Offer:
-            self._offered.append(Offer.model_validate_json(payload))
+        if isinstance(message, Offer):
+            self._offered.append(message)
         if self.chance(faults.loss):
             return
         for _ in range(2 if self.chance(faults.repeat) else 1):
             late = self.random.random() * faults.delay_s if self._sick else 0.0
-            self.after(late, lambda: self.deliver(to, kind, payload))
+            self.after(late, lambda: self.deliver(to, message))
 
     def key_maker(self, side: Side) -> KeyMaker | None:
         """A new process's key maker, over the store that outlives it."""
@@ -376,11 +376,12 @@ class Simulation:
         )
         return self.plant
 
-    def deliver(self, to: Side, kind: type[Message], payload: bytes) -> None:
+    def deliver(self, to: Side, message: Message) -> None:
         """A message arrives; nobody is there while the process is dead."""
         end = self.ends[to]
         if end.endpoint is not None:
-            self._perform(end, end.endpoint.receive(kind, payload, self.now_s))
+            heard = end.endpoint.receive(type(message), message.wire(), self.now_s)
+            self._perform(end, heard)
 
     def _wake(self, end: SimulatedEnd, at_s: float) -> None:
         if end.endpoint is None or at_s != end.wakes_at:  # overtaken by an earlier one, or dead

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from plant_service.core import PlantCore
-from protocol.link.session import CountedTransition, Truth
+from protocol.link.session import Truth
 from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
@@ -44,7 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if draw.random() < 0.5:
             loop.crash_at(side, draw.randrange(12))
         else:
-            loop.crash_at(side, draw.randrange(4), CountedTransition)
+            loop.crash_at(side, draw.randrange(4), "transition")
     loop.run(lambda: loop.transitions >= STEPS)
     assert min(loop.lives.values()) > 3
     loop.stop()

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.framing import Deframer, Frame
+from protocol.schemes.framing import Deframer
 from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
@@ -67,7 +67,8 @@ class Prefix(Clause):
 class WholeFrame:
     """A frame that a side's symbols add up to, and the transition that completed it."""
 
-    frame: Frame
+    payload: bytes | None
+    """None where its check failed."""
     at: TracedTransition
 
 
@@ -120,10 +121,11 @@ class Framing:
             self.session, self.deframer = t.session, Deframer(self.size)
         if self.cut or t.role != "message" or not 0 <= t.message_symbol < self.size:
             return None
-        frame = self.deframer.push(t.message_symbol)
-        if frame is None:
+        refused = self.deframer.refused
+        payload = self.deframer.push(t.message_symbol)
+        if payload is None and self.deframer.refused == refused:
             return None
-        self.due = self.last = WholeFrame(frame, t)
+        self.due = self.last = WholeFrame(payload, t)
         return self.due
 
     def _goes_on(self, session: str) -> None:
@@ -151,9 +153,9 @@ class Framing:
             self.counter.fail(self.session, -1, -1, text)
         elif refused:
             self.counter.fail(due.at.session, due.at.j, due.at.k, "the plant refused a frame")
-        elif due.frame.payload != item.payload:
+        elif due.payload != item.payload:
             at = due.at
-            text = f"{what}, its symbols add up to {due.frame.payload!r}"
+            text = f"{what}, its symbols add up to {due.payload!r}"
             self.counter.fail(at.session, at.j, at.k, text)
 
 
@@ -180,9 +182,9 @@ class Frames(Clause):
                 whole = self._framing[name].feed(item)
                 if whole is not None:
                     at, text = whole.at, f"{name}'s trace: a frame fails its check"
-                    self.counter.count(whole.frame.intact, at.session, at.j, at.k, text)
-                    if name == "plant" and whole.frame.intact:
-                        self._received.append(whole.frame.payload)
+                    self.counter.count(whole.payload is not None, at.session, at.j, at.k, text)
+                    if name == "plant" and whole.payload is not None:
+                        self._received.append(whole.payload)
 
     def finish(self) -> None:
         e = self.evidence
@@ -301,15 +303,14 @@ class Messages(Clause):
             self._queue.feed(item)
         for item in part.plant:
             whole = self._framing.feed(item)
-            if whole is not None and whole.frame.intact:
-                self._recovered(whole)
+            if whole is not None and whole.payload is not None:
+                self._recovered(whole.at, whole.payload)
         for told in late:
             if told.payload not in self._arrived:
                 text = f"{told.payload!r} counts as delivered, the plant has not recovered it"
                 self.counter.fail("", -1, -1, text)
 
-    def _recovered(self, whole: WholeFrame) -> None:
-        at, payload = whole.at, whole.frame.payload
+    def _recovered(self, at: TracedTransition, payload: bytes) -> None:
         self._arrived.add(payload)
         allowed = set().union(*map(self._queue.following, self._places))
         if at.session != self._session:

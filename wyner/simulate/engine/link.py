@@ -182,5 +182,5 @@ def transfer(
 def whole_messages(symbols: Iterable[int], size: int) -> list[bytes]:
     """The messages in one run's message symbols over M = ``size``, -1 where there was none."""
     deframer = Deframer(size)
-    frames = [deframer.push(symbol) for symbol in symbols if symbol != NO_SYMBOL]
-    return [frame.payload for frame in frames if frame is not None and frame.intact]
+    payloads = [deframer.push(symbol) for symbol in symbols if symbol != NO_SYMBOL]
+    return [payload for payload in payloads if payload is not None]
