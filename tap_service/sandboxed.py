@@ -24,7 +24,7 @@ HEAVY_S: Final = 15.0
 """Seconds that a heavy one has for an answer."""
 
 LACKS: Final = "lacks"
-TOLD: Final = ("name", "heavy", "told_model", "hears_messages", "guesses")
+TOLD: Final = ("name", "heavy", "told_model", "hears_messages", "guesses", "reads_outputs")
 
 
 class SandboxedPlugin(Eavesdropper):
@@ -105,6 +105,7 @@ def guarded(name: str) -> type[Eavesdropper]:
         "told_model": bool(told["told_model"]),
         "hears_messages": bool(told["hears_messages"]),
         "guesses": bool(told["guesses"]),
+        "reads_outputs": bool(told["reads_outputs"]),
     }
     return type("SandboxedPlugin", (SandboxedPlugin,), attributes)
 

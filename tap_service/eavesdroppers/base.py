@@ -208,17 +208,28 @@ class Eavesdropper(ABC):
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge
         self.size = knowledge.candidates
-        if knowledge.C is not None and not self.reads_outputs:
-            raise KnowledgeError(
-                f"eavesdropper {self.name}: wants whole states, and this plant is read through "
-                "some outputs alone (plant.C)"
-            )
+        self.suits(knowledge)
         try:
             self.scheme = make_scheme(knowledge.scheme, knowledge.candidates)
         except UnknownError as error:
             raise KnowledgeError(f"knowledge.scheme: {error}") from None
         self.certain = knowledge.policy is not None and knowledge.policy.certain
         self.final_guesses: list[Guess] = []
+
+    @classmethod
+    def suits(cls, knowledge: Knowledge) -> None:
+        """Whether she can listen to such a plant at all.
+
+        Raises
+        ------
+        KnowledgeError
+            Where some outputs alone are read, and she wants whole states.
+        """
+        if knowledge.C is not None and not cls.reads_outputs:
+            raise KnowledgeError(
+                f"eavesdropper {cls.name}: wants whole states, and this plant is read through "
+                "some outputs alone (plant.C)"
+            )
 
     def hear(self, message: FieldMessage) -> None:  # noqa: B027
         """Take a message as it was heard, repeats and sealed ones included."""

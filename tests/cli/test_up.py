@@ -73,6 +73,18 @@ def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path
         listening(",")
 
 
+def test_who_wants_whole_states_is_refused_before_anything_starts(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(
+        "from tap_service.eavesdroppers.nearest_centre import NearestCentre\n"
+        "class Mine(NearestCentre):\n    name = 'mine'\n    reads_outputs = False\n"
+    )
+    encoder = scenario_of("encoder")
+    for name in ("text", f"{tmp_path}/mine.py:Mine"):
+        with pytest.raises(UsageError, match=r"--eavesdropper: .*plant\.C"):
+            up.eavesdroppers_of(RunOptions(eavesdropper=name), encoder)
+    assert up.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
+
+
 @pytest.mark.parametrize(("failed", "code"), [([], 0), (["mine"], 1)])
 def test_a_run_whose_eavesdropper_failed_ends_with_1(
     failed: list[str], code: int, monkeypatch: pytest.MonkeyPatch, capsys: Any

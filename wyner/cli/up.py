@@ -271,12 +271,17 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     asked = () if text is None else names_of([text])
     if text is not None and not asked:
         raise UsageError(f"--eavesdropper: got {text!r}, expected at least one name")
-    find_each(asked, guarded)
+    knowledge = scenario.knowledge()
+
+    def find(name: str) -> None:
+        guarded(name).suits(knowledge)
+
+    find_each(asked, find, "--eavesdropper: ")
     its = scenario.tap.eavesdroppers
-    find_each(its, guarded, f"{options.scenario}: tap.eavesdroppers: ")
+    find_each(its, find, f"{options.scenario}: tap.eavesdroppers: ")
     if not its:
         view = View.model_validate(scenario.tap.model_dump(exclude={"eavesdroppers"}))
-        its = default_names(scenario.knowledge(), clear=view.clear)
+        its = default_names(knowledge, clear=view.clear)
     try:
         return each_once((*its, *asked))
     except KnowledgeError as error:
