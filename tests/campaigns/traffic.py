@@ -18,11 +18,12 @@ from typing import Any, Final
 from protocol.secret.records import StoreError
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
+from runtime.recording import TraceError
 from runtime.run_folder import PLANT_KEYS
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.run import Run
+from wyner.runs.run import Run, RunError
 
 AT_LAST_S: Final = 120.0
 """Seconds that a loop has to deliver what is queued, once all is well."""
@@ -153,7 +154,7 @@ class Traffic:
             self.wrong += _watched(run_dir, counts)
             evidence = read_evidence(run_dir)
             results = check(evidence)
-        except (OSError, StoreError, ValueError) as error:
+        except (OSError, RunError, StoreError, TraceError, ValueError) as error:
             return [*self.wrong, f"the run cannot be read: {error}"]
         plant = evidence.plant
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
