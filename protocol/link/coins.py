@@ -50,7 +50,8 @@ class _Coins:
         self._served: list[str] = []
         self._newest = ""
         self._asked = False
-        self._again_at = -inf
+        self.again_at = -inf
+        """When it looks again for keys that it lacked, on the loop's clock, in seconds."""
 
     def _begin(self, session: str, keys: Iterable[Key], key: str, first: int, keep: str) -> None:
         """Begin a session, or go on with it: ``key`` is the newest that has served.
@@ -62,7 +63,7 @@ class _Coins:
         self._digits.clear()
         self._served.clear()
         self._newest = ""
-        self._again_at = -inf
+        self.again_at = -inf
         held = list(keys) if self.on else []
         names = [held_key.key_id for held_key in held]
         since = names.index(keep) if keep in names else len(names)
@@ -102,7 +103,8 @@ class OfferedCoins(_Coins):
         self._ahead: list[str] = []
         self._pending = False
         self._dry = False
-        self._wait_s = AGAIN_S
+        self.wait_s = AGAIN_S
+        """Seconds until it asks once more after a batch that is not marked."""
 
     def begin(
         self,
@@ -166,7 +168,7 @@ class OfferedCoins(_Coins):
         """What the keeper of keys must do now: set keys aside, erase those that have served."""
         if not self._session or self._asked or len(self._ahead) >= BATCH:
             return ()
-        if self._dry or (self._pending and now < self._again_at):
+        if self._dry or (self._pending and now < self.again_at):
             return ()
         # the last one may have to be tested once more, by the process that comes after this one
         served = tuple(self._served[:-1])
@@ -183,8 +185,8 @@ class OfferedCoins(_Coins):
             self._pending = done.pending
             self._dry = not done.pending and not done.keys
         waits = self._pending and not done.keys
-        self._again_at = now + self._wait_s
-        self._wait_s = min(2 * self._wait_s, LACKING_S) if waits else AGAIN_S
+        self.again_at = now + self.wait_s
+        self.wait_s = min(2 * self.wait_s, LACKING_S) if waits else AGAIN_S
 
 
 class AppliedCoins(_Coins):
@@ -226,7 +228,7 @@ class AppliedCoins(_Coins):
 
     def tasks(self, now: float) -> tuple[CoinTask, ...]:
         """What the keeper of keys must do now: read what was marked, erase what has served."""
-        if not self._session or not self._wanted or self._asked or now < self._again_at:
+        if not self._session or not self._wanted or self._asked or now < self.again_at:
             return ()
         served = tuple(self._served)
         self._served.clear()
@@ -237,4 +239,4 @@ class AppliedCoins(_Coins):
         self._take(done)
         if self._wanted in self._digits or self._wanted == self._newest:
             self._wanted = ""
-        self._again_at = -inf if done.keys else now + LACKING_S
+        self.again_at = -inf if done.keys else now + LACKING_S

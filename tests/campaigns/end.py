@@ -12,12 +12,16 @@ from typing import Final, Literal, NamedTuple
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.link.events import Event, FrameRefused, SessionBegan
+from protocol.agreement import NO_SYMBOL
+from protocol.link.coins import AGAIN_S
+from protocol.link.events import Alarm, Event, FrameRefused, SessionBegan
 from protocol.link.peer import Actions, Notice, Save, Write
+from protocol.link.records import Step
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult, ClosedBlock
 from protocol.secret.nonces import NONCE_BYTES
+from protocol.secret.records import Key
 from protocol.secret.tasks import Task
 from runtime import perform as shell
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -49,18 +53,20 @@ class Doing(NamedTuple):
     """What may happen to one end.
 
     ``what`` it is: it ``hears`` a message (by number, with the plant's coin), it ``wakes`` when it
-    is due, its key maker ``keeps`` the next task and it is told, it ``freezes`` longer than any
+    is due, its key maker ``keeps`` the next task and it is told, its key store ``agrees`` with the
+    partner's what may be given and is ``store`` from there on, it ``freezes`` longer than any
     silence, it ``dies``, or it ``forgets``: dies and comes back without its journal. ``pace`` is
     ``late`` when its partner has been silent for long, and ``soon`` when less than a tenth of a
     second has passed.
     ``death`` is the number of things that it still does before it dies over the event, or -1.
     """
 
-    what: Literal["hears", "wakes", "keeps", "freezes", "dies", "forgets"]
+    what: Literal["hears", "wakes", "keeps", "agrees", "freezes", "dies", "forgets"]
     message: int = -1
     coin: int = 0
     pace: Literal["", "soon", "late"] = ""
     death: int = -1
+    store: int = -1
 
     @property
     def faults(self) -> int:
@@ -114,6 +120,7 @@ class End:
         self._said: dict[str, Measurement | Offer] = {}
         self._first: dict[str, tuple[str, int]] = {}
         self._ciphers: tuple[tuple[str, int, int], ...] = ()
+        self._digits: dict[str, tuple[str, int]] = {}  # the step that each digit served
         self.journal: MemoryControllerJournal | MemoryPlantJournal
         if side == "controller":
             self.journal = MemoryControllerJournal(*PAYLOADS)
@@ -139,7 +146,7 @@ class End:
     def _begin_event(self) -> None:
         self.out: list[Mail] = []
         self.news: list[CountedTransition] = []
-        self.again = self.ended = self.confirmed = self.answered = False
+        self.again = self.ended = self.confirmed = self.answered = self.watched = False
         self.things = 0
         self._nonces: list[str] = []
         self._reports = Reports()
@@ -153,19 +160,25 @@ class End:
         self._drawn = (-1, 0)
         self.line = None
         self._starting = True
+        keys: tuple[Key, ...] = ()
+        if self.rules.keyed:
+            record = self.journal.load()
+            session = None if record is None else record.session
+            store, keys = self.stores.coin_keys(self.side, self.view.store, session)
+            self.view = self.view._replace(store=store)
         instance = f"{self.lives:08x}{'c' if self.side == 'controller' else 'f'}{0:07x}"
         if isinstance(self.journal, MemoryControllerJournal):
             self.endpoint = line_controller(
-                self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3
+                self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3, keys
             )
         else:
             step_s = STEP_S if self.timed else None
             common = self.new_session, instance, self.now, step_s, self.nonce, REPEATS
             if self.device is None:
-                self.endpoint, self.line = line_plant(self.rules, self.journal, *common)
+                self.endpoint, self.line = line_plant(self.rules, self.journal, *common, keys)
             else:
                 self.endpoint, self.line = acting_plant(
-                    self.rules, self.journal, self.device, *common
+                    self.rules, self.journal, self.device, *common, keys
                 )
         self._perform(self.endpoint.start(self.now))
         self._starting = False
@@ -207,6 +220,8 @@ class End:
         """Keep it; a message arrives once, and in its place."""
         self.things += 1
         self._reports.look(write)
+        if isinstance(write, Step) and self.rules.keyed and self.line is not None:
+            self._chosen(write)
         self.journal.write(write)
         if isinstance(write, Save) and write.received is not None:
             place = self.view.received
@@ -215,6 +230,20 @@ class End:
                 if PAYLOADS[place:][:1] != (write.received,):
                     raise Broken(f"{write.received!r} arrived, and was not sent")
                 self.view = self.view._replace(received=place + 1)
+
+    def _chosen(self, step: Step) -> None:
+        """A coin is chosen; no digit of a key chooses those of two steps."""
+        assert isinstance(self.endpoint, PlantCore)
+        offer, report, coins = step.offer, step.measurement, self.endpoint.coins
+        key, first = offer.coin_key, offer.coin_from
+        if report is None:  # it says later whether a key chose
+            keyed = (key, first) == (coins.key, coins.first) and coins.digit_of(offer) is not None
+        else:
+            keyed = bool(report.applied_key)
+        if keyed and first is not None:
+            at = offer.session, offer.k
+            if self._digits.setdefault(f"{key}, {offer.k - first}", at) != at:
+                raise Broken(f"digit {offer.k - first} of a key served two steps")
 
     def publish(self, message: Message) -> None:
         """Send it; a step's message says the same in each copy, and its copy 0 leaves once."""
@@ -264,6 +293,8 @@ class End:
         self.things += 1
         if self.device is not None:
             self.device.look(event, alive=not self._starting)
+        if isinstance(event, Alarm):
+            raise Broken(f"transition {event.j} made an alarm, and nobody attacks")
         if isinstance(event, FrameRefused):
             raise Broken("a frame was refused")
         if isinstance(event, BlockResult):
@@ -276,6 +307,7 @@ class End:
         if not isinstance(event, CountedTransition):
             return
         mine = event.shared
+        self.watched = event.expected != NO_SYMBOL
         self.news.append(mine)
         if mine in counted:
             return
@@ -344,6 +376,8 @@ class End:
             store, done = self.stores.work(self.side, self.view.store, self.tasks.pop(0))
             self.view = self.view._replace(store=store)
             self._perform(endpoint.key_task_done(done, self.now))
+        elif doing.what == "agrees":
+            self.view = self.view._replace(store=doing.store)
         elif doing.what == "freezes":
             self.now += LONG_S if self.line is None else SILENCE_S + 5 * STEP_S
         else:
@@ -358,11 +392,13 @@ class End:
         """The clock stands at 0 again; what is long past is past, and no more than that."""
         now, self.now, endpoint = self.now, 0.0, self.endpoint
         endpoint.now = 0.0
+        endpoint.coins.again_at = -inf  # whatever it waits for may come at once
         if isinstance(endpoint, ControllerCore):
             away = now - endpoint.plant_at >= endpoint.running_s
             endpoint.plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all
             endpoint.greeting_at = -inf
+            endpoint.coins.wait_s = AGAIN_S
             return
         pacing = endpoint.pacing
         endpoint.hello_at = max(0.0, round(endpoint.hello_at - now, 6))

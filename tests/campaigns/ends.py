@@ -21,7 +21,8 @@ class Outcome(NamedTuple):
     ``label`` is the number of what happened, ``after`` its state, ``said`` the messages that it
     sent, ``counted`` the transitions that it counted. ``again``: a message arrived that had
     arrived; ``ended``: a session ended in which something was counted; ``carried``: a message
-    symbol came through; ``confirmed``: a key block was; ``kept``: its key maker did something;
+    symbol came through; ``confirmed``: a key block was; ``watched``: a key told which candidate
+    must explain a transition; ``kept``: its key store may be another one than before;
     ``answered``: the plant heard its controller. ``broken`` says which property does not hold.
     """
 
@@ -33,6 +34,7 @@ class Outcome(NamedTuple):
     ended: bool = False
     carried: bool = False
     confirmed: bool = False
+    watched: bool = False
     kept: bool = False
     answered: bool = False
     faults: int = 0
@@ -132,7 +134,8 @@ class Ends:
                     end.ended,
                     carried,
                     end.confirmed,
-                    doing.what == "keeps",
+                    end.watched,
+                    doing.what in ("keeps", "agrees"),
                     end.answered,
                     doing.faults,
                 ),

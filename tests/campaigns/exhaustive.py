@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final
 
 from runtime.files import write_atomically
-from tests.campaigns.loop import SCHEMES
+from tests.campaigns.loop import SCHEMES, short_keys
 from tests.campaigns.space import SIDES, Space
 from wyner.sweeps.grid import code_version
 
@@ -27,7 +27,10 @@ SAVED_S: Final = 900.0
 
 
 BEFORE_A_MESSAGE: Final = slice(-11, -1)
-"""The last ten states before a message is whole: a key block is made on the way."""
+"""The last ten states before a message is whole: a key block is made on the way.
+
+Where keys choose the coin, the last ten before the third key's first step.
+"""
 
 
 class Exploration:
@@ -148,6 +151,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--lockstep", action="store_true", help="steps have no deadline")
     parser.add_argument("--acts", action="store_true", help="the plant is a device")
     parser.add_argument("--no-keys", action="store_true", help="no key blocks are made")
+    parser.add_argument("--coin", action="store_true", help="keys choose the plant's coin")
     parser.add_argument("--remembered", type=int, default=2, help="messages on their way")
     parser.add_argument("--from-hello", action="store_true", help="begin before both ends met")
     parser.add_argument("--deepest", type=int, default=100)
@@ -155,9 +159,12 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--results", type=Path, default=Path("campaign-exhaustive.json"))
     args = parser.parse_args(argv)
+    if args.coin and args.no_keys:
+        parser.error("--coin: keys choose it, and --no-keys makes none")
     name = f"{args.scheme}, {'lock-step' if args.lockstep else 'with a deadline'}, "
     name += "a device, " if args.acts else ""
-    name += f"keys {'off' if args.no_keys else 'on'}, {args.faults} faults"
+    name += f"keys {'off' if args.no_keys else 'on'}, {'coin keyed, ' if args.coin else ''}"
+    name += f"{args.faults} faults"
     name += ", from the first hello" if args.from_hello else ""
     name += f", {args.remembered} remembered" if args.remembered != 2 else ""
     kept = args.results.with_suffix(f".{name.replace(', ', '-').replace(' ', '')}.pickle")
@@ -174,9 +181,11 @@ def main(argv: list[str] | None = None) -> int:
             keys=not args.no_keys,
             remembered=args.remembered,
             acts=args.acts,
+            coin=args.coin,
         )
         starts = slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
-        found = Exploration(space, args.faults, starts)
+        with short_keys():
+            found = Exploration(space, args.faults, starts)
     e = found
     began, events = time.monotonic(), e.events
     until = began + args.seconds
@@ -216,8 +225,9 @@ def main(argv: list[str] | None = None) -> int:
         return now < until and len(e.seen) < int(args.states)
 
     going = True
-    while going and not e.over and e.depth < args.deepest:
-        going = e.deeper(goes_on)
+    with short_keys():
+        while going and not e.over and e.depth < args.deepest:
+            going = e.deeper(goes_on)
     print(f"{name}: {told()}", file=sys.stderr)
     save()
     if e.why:

@@ -1,9 +1,14 @@
 """The loop that is explored: a plant on a line, with key blocks as short as they can be."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 from typing import Final
+from unittest.mock import patch
 
+from protocol.defence import key_digits
+from protocol.link import coins
 from protocol.link.session import Rules
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
@@ -17,13 +22,30 @@ SCHEMES: Final = ("switched", "pipelined")
 BLOCK: Final = Schedule(Assumption(1.0, 0.5), first=2, largest=2)
 """Key blocks of two transitions, the smallest: four copies, two rows at least for a key."""
 
+DIGITS: Final = 2
+"""Of a key of the coin, so that keys change all the time."""
+
 
 @cache
-def rules_of(scheme: str, *, keys: bool) -> Rules:
-    """The rules of a scheme: with coin 0 a disturbance of 0.3 agrees, with coin 1 it does not."""
+def rules_of(scheme: str, *, keys: bool, coin: bool = False) -> Rules:
+    """The rules of a scheme: with coin 0 a disturbance of 0.3 agrees, with coin 1 it does not.
+
+    With ``coin`` distilled keys choose it, as long as there are some.
+    """
     made = Switched(2) if scheme == "switched" else Pipelined(2)
     rules = line_rules(alpha=3.0, largest_input=1e9, scheme=made)
-    return replace(rules, schedule=BLOCK) if keys else rules
+    return replace(rules, schedule=BLOCK, keyed=coin) if keys else rules
+
+
+@contextmanager
+def short_keys() -> Iterator[None]:
+    """Keys of the coin have :data:`DIGITS` digits within."""
+    with patch.object(coins, "digits", _short):
+        yield
+
+
+def _short(key: bytes, size: int) -> tuple[int, ...]:
+    return key_digits.digits(key, size)[:DIGITS]
 
 
 def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:

@@ -53,7 +53,7 @@ class _Packer(pickle.Pickler):
         if kind is MemoryControllerJournal or kind is MemoryPlantJournal:
             return _part, ("journal",)
         if kind is Rules:
-            return _rules, (obj.scheme.name, obj.schedule is not None)
+            return _rules, (obj.scheme.name, obj.schedule is not None, obj.keyed)
         if kind is Schedule:
             return _schedule, ()
         if isinstance(obj, Message):
@@ -65,8 +65,8 @@ def _part(name: str) -> Any:
     return _whole[name]
 
 
-def _rules(scheme: str, keys: bool) -> Rules:
-    return rules_of(scheme, keys=keys)
+def _rules(scheme: str, keys: bool, coin: bool) -> Rules:
+    return rules_of(scheme, keys=keys, coin=coin)
 
 
 def _schedule() -> Schedule:

@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from protocol.messages import ControllerHello, Message, Offer, PlantHello
 from tests.campaigns.end import Doing, Side
 from tests.campaigns.ends import Ends, Messages, Outcome
-from tests.campaigns.loop import rules_of
+from tests.campaigns.loop import DIGITS, rules_of
 from tests.campaigns.stores import Stores
 
 BITS: Final = 28
@@ -65,15 +65,24 @@ class Space:
         Last messages of each direction that the network may still deliver.
     acts : bool
         The plant is a device.
+    coin : bool
+        Keys choose the coin; :func:`tests.campaigns.loop.short_keys` while anything happens.
     """
 
     def __init__(
-        self, scheme: str, *, timed: bool, keys: bool, remembered: int = 2, acts: bool = False
+        self,
+        scheme: str,
+        *,
+        timed: bool,
+        keys: bool,
+        remembered: int = 2,
+        acts: bool = False,
+        coin: bool = False,
     ) -> None:
         self.remembered = remembered
         self.stores, self.messages = Stores(), Messages()
-        rules = rules_of(scheme, keys=keys)
-        self.keys = keys
+        rules = rules_of(scheme, keys=keys, coin=coin)
+        self.keys, self.coin = keys, coin
         self.ends = tuple(
             [
                 Ends(
@@ -134,6 +143,7 @@ class Space:
             for outcomes in (
                 end.alone(mine),
                 *[end.hears(mine, message) for kept in waiting[side] for message in kept],
+                self._agrees(side, plant, controller),
             ):
                 for outcome in outcomes:
                     if outcome.faults > faults:
@@ -150,6 +160,20 @@ class Space:
                         yield Moved(0, outcome, (((net << BITS) | after) << BITS) | theirs, broken)
                     else:
                         yield Moved(1, outcome, (((net << BITS) | theirs) << BITS) | after, broken)
+
+    def _agrees(self, side: int, plant: int, controller: int) -> tuple[Outcome, ...]:
+        """What comes of it when the ends ask each other what may be given; nothing: no change.
+
+        The plant marks what it is asked for, and some time later the controller hears of it.
+        """
+        if not self.coin:
+            return ()
+        stores = self.ends[0].views[plant].store, self.ends[1].views[controller].store
+        after = self.stores.agreed(*stores)
+        if after[side] == stores[side] or (side == 1 and after[0] != stores[0]):
+            return ()
+        doing = Doing("agrees", store=after[side])
+        return (self.ends[side].step((plant, controller)[side], doing),)
 
     def _differs(self, side: int, outcome: Outcome, theirs: int) -> str:
         """Where what one end has done does not go with the other; empty where it does."""
@@ -175,12 +199,16 @@ class Space:
         both = self.stores.keys["plant"][plant], self.stores.keys["controller"][controller]
         for mine, theirs in (both, both[::-1]):
             for name, (state, key) in mine.items():
-                if name in theirs and theirs[name][1] != key:
+                if name in theirs and self._differ(key, theirs[name][1]):
                     return "a key differs between the two ends"
                 if state == "confirmed" and name not in theirs:
                     return "a key was confirmed that the other end does not hold"
         shared = [[name for name in one if name in other] for one, other in (both, both[::-1])]
         return "" if shared[0] == shared[1] else "the two ends order their keys differently"
+
+    def _differ(self, mine: bytes | None, theirs: bytes | None) -> bool:
+        """Whether a key is not the same; one that has served may be erased at one end alone."""
+        return mine != theirs and not (self.coin and None in (mine, theirs))
 
     # --- when all is well -------------------------------------------------------------------------
 
@@ -188,12 +216,13 @@ class Space:
         """What does not come once nothing is lost and nobody dies; empty where all comes.
 
         What was under way is lost. From there on what happens is determined, so a state that comes
-        to one that is known to go on goes on, too. What must come is a message symbol and, where
-        keys are made, a block that both ends confirm.
+        to one that is known to go on goes on, too. What must come is a message symbol, where keys
+        are made a block that both ends confirm, and where they choose the coin a step that one
+        watches.
         """
         mask = (1 << BITS) - 1
         at = _Well((state >> BITS) & mask, state & mask)
-        goals = ("a message symbol", "a key block")[: 1 + self.keys]
+        goals = ("a message symbol", "a key block", "a watched step")[: 1 + self.keys + self.coin]
         path: list[_Well] = []
         met: set[_Well] = set()
         last = dict.fromkeys(goals, -1)
@@ -216,6 +245,8 @@ class Space:
             if outcome.confirmed and self.keys:
                 confirmed[side] = len(path)
                 last[goals[1]] = min(confirmed)
+            if outcome.watched:
+                last[goals[2]] = len(path)
             if min(last.values()) > 0:
                 break
         else:
@@ -240,6 +271,10 @@ class Space:
             doing = Doing("keeps")
         elif self.ends[1].busy[controller]:
             side, doing = 1, Doing("keeps")
+        elif marked := self._agrees(0, plant, controller):
+            doing = self.ends[0].doings[marked[0].label]
+        elif heard := self._agrees(1, plant, controller):
+            side, doing = 1, self.ends[1].doings[heard[0].label]
         else:
             idle = (idle + 1) % PATIENT
             doing = Doing("wakes", pace="" if idle else "late")
@@ -253,21 +288,30 @@ class Space:
         return _Well(plant, controller, to_plant, to_controller, coin, idle), side, outcome
 
     def begin(self) -> list["Start"]:
-        """The states of a run in which nothing goes wrong, from the first hello to a message."""
+        """The states of a run in which nothing goes wrong, from the first hello on.
+
+        To a message, or, where keys choose the coin, to the step that the third key watches first;
+        and no further than to what breaks, or than :data:`LONGEST` events.
+        """
         plant, controller = self.ends
         at = _Well(plant.first, controller.first, controller.greeting, plant.greeting)
         network = self._network((((), ()), ((), ())))
         for side, end in enumerate(self.ends):
             network = self._push(network, side, end.greeting)
+        watched = 0
         starts = [Start(self.state(network, at.plant, at.controller), None)]
-        while True:
+        while len(starts) <= LONGEST:
             at, side, outcome = self._well_step(at)
+            if outcome.broken:
+                break
             network = self._push(network, side, outcome.said)
             starts.append(
                 Start(self.state(network, at.plant, at.controller), (side, outcome.label))
             )
-            if self.ends[0].views[at.plant].received:
-                return starts
+            watched += outcome.watched
+            if watched > 2 * DIGITS or (not self.coin and self.ends[0].views[at.plant].received):
+                break
+        return starts
 
 
 class Start(NamedTuple):

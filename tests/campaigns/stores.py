@@ -2,11 +2,16 @@
 
 import hashlib
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from unittest.mock import patch
 
-from protocol.secret.records import Side
+from protocol.secret.records import Key, Side
 from protocol.secret.tasks import Done, Task
+from runtime.keys import coins
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.store import KeyStore
+from tests.support.giving import agree
 
 
 class Stores:
@@ -20,6 +25,8 @@ class Stores:
         }
         self._numbers: dict[bytes, int] = {}
         self._worked: dict[tuple[Side, int, Task], tuple[int, Done]] = {}
+        self._held: dict[tuple[Side, int, str | None], tuple[int, tuple[Key, ...]]] = {}
+        self._agreed: dict[tuple[int, int], tuple[int, int]] = {}
         for side in self._images:
             self.put(KeyStore(None, side))
 
@@ -27,6 +34,7 @@ class Stores:
         """The number of a store as it is now."""
         rows = [store.blocks(), *store.ids(), *store.compare().values()]
         told = repr([row._replace(t_ns=0) for row in store.blocks()]) + repr(rows[1:])
+        told += repr((store.uses(), store.rows("SELECT use, what, names, refused FROM asked")))
         digest = hashlib.blake2b(f"{store.side} {told}".encode(), digest_size=16).digest()
         if digest not in self._numbers:
             images = self._images[store.side]
@@ -46,8 +54,41 @@ class Stores:
         """What a key maker makes of a task: the number of its store afterwards, and its answer."""
         known = self._worked.get((side, number, task))
         if known is None:
-            with KeyStore(None, side) as store:
-                store.db.deserialize(zlib.decompress(self._images[side][number]))
+            with self._opened(side, number) as store, patch.object(coins, "new_use", _use):
                 done = work(KeyMaker(store), task)
                 known = self._worked[side, number, task] = self.put(store), done
         return known
+
+    def coin_keys(
+        self, side: Side, number: int, session: str | None
+    ) -> tuple[int, tuple[Key, ...]]:
+        """What a new process finds for the coin of its session, and its store afterwards."""
+        known = self._held.get((side, number, session))
+        if known is None:
+            with self._opened(side, number) as store:
+                keys = coins.held(store, session)
+                known = self._held[side, number, session] = self.put(store), keys
+        return known
+
+    def agreed(self, plant: int, controller: int) -> tuple[int, int]:
+        """Both stores once each end has asked the other what may be given."""
+        known = self._agreed.get((plant, controller))
+        if known is None:
+            with (
+                self._opened("plant", plant) as theirs,
+                self._opened("controller", controller) as mine,
+            ):
+                agree(mine, theirs)
+                known = self._agreed[plant, controller] = self.put(theirs), self.put(mine)
+        return known
+
+    @contextmanager
+    def _opened(self, side: Side, number: int) -> Iterator[KeyStore]:
+        with KeyStore(None, side) as store:
+            store.db.deserialize(zlib.decompress(self._images[side][number]))
+            yield store
+
+
+def _use(kind: str, name: str = "") -> str:
+    """The same name whenever the same is asked for, so that a step is a function."""
+    return f"{kind} {name} 0"

@@ -18,8 +18,9 @@ from runtime import perform
 from runtime.perform import Ports
 from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
-from tests.campaigns.loop import SCHEMES, rules_of
+from tests.campaigns.loop import SCHEMES, rules_of, short_keys
 from tests.campaigns.space import SIDES, Space
+from tests.secret.test_keyed_coin import WRONG as WRONG_COINS
 from tests.support.broken import FIRST_COPY, broken
 
 Patch = pytest.MonkeyPatch
@@ -32,6 +33,30 @@ def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
     found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 2, 2, slice(-6, -1))
     assert not found.why, (found.why, found.path)
     assert len(found.seen) > 500
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("scheme", "acts"), [("switched", False), ("switched", True), ("pipelined", False)]
+)
+def test_a_keyed_coin_serves_each_digit_once_and_alarms_no_honest_step(
+    scheme: str, acts: bool
+) -> None:
+    with short_keys():
+        space = Space(scheme, timed=True, keys=True, acts=acts, coin=True)
+        found = shortest(space, 2, 2, slice(-4, -1))
+    assert not found.why, (found.why, found.path)
+    assert len(found.seen) > 300
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("wrong", WRONG_COINS)
+def test_a_wrong_keyed_coin_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
+    wrong(monkeypatch)
+    with short_keys():
+        found = shortest(Space("switched", timed=True, keys=True, coin=True), 4, 1, slice(-8, -1))
+    assert found.why
+    assert 0 < len(found.path) <= 4
 
 
 @pytest.mark.slow

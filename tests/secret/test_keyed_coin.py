@@ -81,6 +81,17 @@ def test_coins_are_keyed_and_watched_through_deaths() -> None:
     world.close()
 
 
+def take_from_any_step(patch: pytest.MonkeyPatch) -> None:
+    """The plant binds no key to its first step."""
+    bound = AppliedCoins.digit
+
+    def digit(self: AppliedCoins, offer: Offer) -> int | None:
+        bound(self, offer)  # which asks for the keys that it lacks
+        return self.digit_of(offer)
+
+    patch.setattr(AppliedCoins, "digit", digit)
+
+
 def by_transitions(patch: pytest.MonkeyPatch) -> None:
     """A digit for each transition, and not for each step: a missed step's is used later."""
     named = OfferedCoins.named
@@ -92,7 +103,7 @@ def by_transitions(patch: pytest.MonkeyPatch) -> None:
         return key, first if not key else k - served % DIGITS, newest
 
     patch.setattr(OfferedCoins, "named", next_digit)
-    patch.setattr(AppliedCoins, "digit", lambda self, offer: self.digit_of(offer))
+    take_from_any_step(patch)
 
 
 def every_process_begins_with_the_first_key(patch: pytest.MonkeyPatch) -> None:
@@ -102,7 +113,7 @@ def every_process_begins_with_the_first_key(patch: pytest.MonkeyPatch) -> None:
         "begin",
         lambda self, session, keys=(), key="", first=-1, applied="": begin(self, session, keys),
     )
-    patch.setattr(AppliedCoins, "digit", lambda self, offer: self.digit_of(offer))
+    take_from_any_step(patch)
 
 
 def the_plant_says_that_every_coin_is_keyed(patch: pytest.MonkeyPatch) -> None:

@@ -1,6 +1,6 @@
 """The plant on a line as a device: actuated, read, and there when the process is not."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
 from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
@@ -8,6 +8,7 @@ from plant_service.plant import Coin, OperatedPlant
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.session import CountedTransition, Rules
 from protocol.secret.nonces import NonceSource, fresh_nonce
+from protocol.secret.records import Key
 from protocol.vectors import Vector
 from runtime.memory_journal import MemoryPlantJournal
 from runtime.perform import CrashPoint
@@ -106,9 +107,22 @@ def acting_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
+    coin_keys: Iterable[Key] = (),
 ) -> tuple[PlantCore, ActingLine]:
     """A plant's endpoint as its journal has it, and what it acts on."""
     x = device.start()
     plant = ActingLine(device)
-    core = line_core(rules, plant, journal, new_id, instance, now, step_s, nonces, repeats, x)
+    core = line_core(
+        rules,
+        plant,
+        journal,
+        new_id,
+        instance,
+        now,
+        step_s,
+        nonces,
+        repeats,
+        x,
+        coin_keys=coin_keys,
+    )
     return core, plant
