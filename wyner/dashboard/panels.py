@@ -90,7 +90,7 @@ class Panels:
         self.secrecy: SecrecyScore = secrecy(state, self.taps)
 
     def loop(self, width: int, extra: int) -> tuple[int, RenderableType]:
-        """Step, state with history, rate and time left, missed and late steps; how many rows."""
+        """Step, state with history, rate and time left, missed steps; how many rows."""
         plant, model = self.state.plant, self.state.model
         title = rule("Control loop", width, *self._trouble(), style=self._trouble_style())
         if plant is None:
@@ -114,7 +114,7 @@ class Panels:
     def _carried(self, width: int) -> Text:
         """What the link carries, and how many steps found no input in time."""
         rate = f" message {rate_in_words(self.state)}"
-        missed = self._missed_short()
+        missed = self._missed_short(width - len(rate))
         left = time_left_s(self.state)
         room = width - len(rate) - len(missed)
         wait = "" if left is None else f"  whole in {duration(left)}"
@@ -122,10 +122,11 @@ class Panels:
             line(rate + longest(room, wait)), (missed, self._missed_style()), no_wrap=True
         )
 
-    def _missed_short(self) -> str:
+    def _missed_short(self, room: int) -> str:
         plant = self.state.plant
         assert plant is not None
-        return f"  missed {count(plant.missed)}" if plant.missed else ""
+        short = f"  missed {count(plant.missed)}"
+        return longest(room, f"{short} steps", short) if plant.missed else ""
 
     def _missed_style(self) -> str:
         """Red from one step in twenty on: a few are what a busy machine makes."""
@@ -135,13 +136,14 @@ class Panels:
         return STYLES["bad"] if plant.missed * TOO_MANY > steps else ""
 
     def _trouble(self) -> tuple[str, ...]:
-        """Keys that the two ends do not share, and steps that came late, in words of any length."""
+        """Keys that the two ends do not share, and which session it is, in words of any length."""
         plant = self.state.plant
         if plant is None:
             return ()
         wrong = f"wrong keys {count(plant.symbol_errors)}"
-        late = f"{wrong}  late {count(plant.late)}"
-        return f"{late}  session {count(plant.sessions)}", late, wrong
+        if plant.sessions < 2:
+            return (wrong,)
+        return f"{wrong}  session {count(plant.sessions)}", wrong
 
     def _trouble_style(self) -> str:
         plant = self.state.plant
