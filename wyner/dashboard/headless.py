@@ -126,6 +126,7 @@ def run_headless(
             stream.flush()
 
     ending = Ending.FINISHED
+    lines: list[str] = []
     try:
         while True:
             finished = until()
@@ -142,7 +143,8 @@ def run_headless(
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
     if state.plant is not None:
-        say([progress(state), secrecy_line(state)])
+        last = progress(state)
+        say([*([] if lines[-1:] == [last] else [last]), secrecy_line(state)])
     for line in source.problems():
         print(line, file=sys.stderr)
     return ending

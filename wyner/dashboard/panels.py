@@ -126,7 +126,8 @@ class Panels:
         plant = self.state.plant
         assert plant is not None
         short = f"  missed {count(plant.missed)}"
-        return longest(room, f"{short} steps", short) if plant.missed else ""
+        steps = "step" if plant.missed == 1 else "steps"
+        return longest(room, f"{short} {steps}", short) if plant.missed else ""
 
     def _missed_style(self) -> str:
         """Red from one step in twenty on: a few are what a busy machine makes."""
@@ -213,7 +214,7 @@ class Panels:
         agreed = agreed[-(room // wide) :]
         truth = "".join(symbol_of(self.state.truths[k].symbol, size) for k in agreed)
         total = plant.agreements if plant else 0
-        rows: list[Row] = [(f"{count(total)} keys", line(truth))]
+        rows: list[Row] = [(f"{count(total)} {'key' if total == 1 else 'keys'}", line(truth))]
         if self.taps:
             tap = self.taps[0][0]
             guessed, marks = line(), line()
@@ -237,7 +238,10 @@ class Panels:
     def last_steps(self, width: int, rows: int) -> RenderableType:
         """What happened in the last transitions, the newest first, and what the tap made of it."""
         tap = self.taps[0][0] if self.taps else None
-        whose = "" if tap is None else f"and what {drawn(tap.status.name)} says, with her own odds"
+        whose: tuple[str, ...] = ()
+        if tap is not None:
+            says = "says, with her own odds"
+            whose = (f"and what {drawn(tap.status.name)} {says}", f"and what she {says}")
         grid = Table.grid(padding=(0, 2, 0, 0))
         for _ in range(4):
             grid.add_column(no_wrap=True)
@@ -253,7 +257,7 @@ class Panels:
                 hers.append(f"she says {guess.symbol}, {guess.probability:.2f}")
                 hers.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
             grid.add_row(line(f"{k:<7}"), line(f"input {truth.coin}"), line(f"{what:<7}"), hers)
-        return titled(rule("Last steps", width, whose), Padding(grid, (0, 0, 0, 1)))
+        return titled(rule("Last steps", width, *whose), Padding(grid, (0, 0, 0, 1)))
 
     def automata(self) -> Row:
         """What both ends are at, and whether they agree on it."""
@@ -315,7 +319,7 @@ class Panels:
         told = [f"{recovered} of {sent} characters"]
         if its is not None:
             told.append(f"{told[-1]}, {its.frame_symbols} of {its.frame_length} symbols")
-            told.append(f"{told[-1]}; {its.delivered} delivered, {its.queue} waiting")
+            told.append(f"{told[-1]}; {its.delivered} messages delivered, {its.queue} wait")
         words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
         grid = Table.grid(padding=(0, 2, 0, 0))
         grid.add_column(width=min(BAR, max(5, self.width - VALUE_AT - 2 - len(words))))
