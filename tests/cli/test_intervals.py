@@ -19,6 +19,7 @@ from tools.rehearsal import Rehearsal
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
 from wyner.dashboard.model import State, reduce_all
+from wyner.runs.score.attacked import AttackCounts
 from wyner.runs.score.leakage import LeakedKey, leakage_line
 
 
@@ -108,6 +109,13 @@ def test_of_a_live_run_and_of_what_looks_at_it(
         said(capsys, "report", run),
     ):
         assert list(bare_figures(told)) == []
+
+
+def test_of_an_attack_and_its_options() -> None:
+    """The demo told the ghost's share of the corner as if it had been measured."""
+    attack = {"kind": "ghost", "onset": 5, "options": {"share": 1.0}}
+    assert list(bare_figures(attack))
+    assert list(bare_figures(AttackCounts(attack=attack).as_json())) == []
 
 
 def test_of_an_exports_leakage() -> None:
