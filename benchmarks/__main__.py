@@ -36,7 +36,11 @@ WATCHES: Final = ("record", "compare")
 
 def build_parser() -> Parser:
     """The command line."""
-    parser = Parser(prog="wyner bench", description="Measure speed beside a reference, in one run.")
+    parser = Parser(
+        prog="wyner bench",
+        description="How fast wyner is on this machine, each time beside a reference in the same "
+        "run; for developers: whether a change made it slower (record before it, compare after).",
+    )
     lines = "; ".join(f"{name}: {bench.text}" for name, bench in BENCHMARKS.items())
     lines += "; all; record: the watched ratios into benchmarks/record.json; compare: with it"
     parser.add_argument("name", choices=(*BENCHMARKS, "all", *WATCHES), help=lines)

@@ -27,6 +27,7 @@ COUNTED: Final = "a count of this run, no estimate"
 POOLED: Final = "both directions together; each has its limits in audited"
 COMPUTED: Final = "computed from the scenario, not measured"
 PROVED: Final = "a proved bound, not measured"
+GIVEN: Final = "given to the run, not measured"
 STATED: Final = "a bound that is stated, with its confidence"
 """Why a figure has no interval, as ``no_interval`` says it in what is printed for machines.
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.bare_figures import bare_figures
 from wyner.cli.main import main
 
 
@@ -14,6 +15,7 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert main(["demo", "--json", "--run-dir", str(tmp_path / "demo")]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["as_it_must"]
+    assert list(bare_figures(told)) == []
     points = [line.split()[1] for line in told["verdict"]]
     assert points == ["Spoken:", "Sealed:", "Control:", "Attacked:"]
     spoken, sealed, control, caught, unseen = told["runs"].values()
@@ -35,3 +37,8 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert unseen["attack"]["away"] > 20
     assert unseen["keys"]["held_by_tap_bits"] > 0
     assert caught["attack"]["false_alarms"] == unseen["attack"]["false_alarms"] == 0
+    # its folder is one of runs: `score` takes it as `check` does
+    assert main(["score", str(tmp_path / "demo"), "--json"]) == 0
+    scored = json.loads(capsys.readouterr().out)
+    assert len(scored["control_cost"]) == len(told["runs"]) == 5
+    assert list(bare_figures(scored)) == []

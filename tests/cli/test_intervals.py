@@ -1,4 +1,9 @@
-"""Every rate and probability of every ``--json`` has its interval, or says why it has none."""
+"""Every rate and probability of every ``--json`` has its interval, or says why it has none.
+
+`fit`, `send` and `demo` are looked at where they are run: tests/fit/test_fit.py, test_send.py,
+test_demo.py. `export` has no ``--json``: it hands on what was recorded, and sums nothing up but the
+leakage, whose line says why it has no interval.
+"""
 
 import json
 import shutil
@@ -10,7 +15,12 @@ import pytest
 from runtime.run_folder import BELIEFS
 from tests.support.bare_figures import bare_figures
 from tests.support.small_run import SmallRun
+from tools.rehearsal import Rehearsal
 from wyner.cli.main import main
+from wyner.dashboard.headless import COUNTED, Reporter
+from wyner.dashboard.model import State, reduce_all
+from wyner.runs.score.attacked import AttackCounts
+from wyner.runs.score.leakage import LeakedKey, leakage_line
 
 
 @pytest.mark.parametrize(
@@ -99,6 +109,32 @@ def test_of_a_live_run_and_of_what_looks_at_it(
         said(capsys, "report", run),
     ):
         assert list(bare_figures(told)) == []
+
+
+def test_of_an_attack_and_its_options() -> None:
+    """The demo told the ghost's share of the corner as if it had been measured."""
+    attack = {"kind": "ghost", "onset": 5, "options": {"share": 1.0}}
+    assert list(bare_figures(attack))
+    assert list(bare_figures(AttackCounts(attack=attack).as_json())) == []
+
+
+def test_of_an_exports_leakage() -> None:
+    rows = [LeakedKey(k % 2, (float(k % 2), 0.01 * k)) for k in range(40)]
+    assert "%" not in leakage_line(rows)
+    assert "(no interval: " in leakage_line(rows)
+
+
+def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:
+    state, reporter = State(), Reporter()
+    told: list[str] = []
+    for step, batch in enumerate(Rehearsal().arrivals(400)):
+        state = reduce_all(state, batch)
+        lines, reporter = reporter.report(state, step * 1_000_000_000)
+        told += lines
+    figures = [line for line in told if "bit/s" in line and line != COUNTED]
+    assert len(figures) > 2
+    assert told.count(COUNTED) == 1
+    assert told.index(COUNTED) < told.index(figures[0])
 
 
 def test_of_the_summary_of_a_run_without_taps(

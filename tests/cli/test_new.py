@@ -10,6 +10,9 @@ import pytest
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
+from wyner.cli.new import HORIZONS
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_shipped_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -190,6 +193,20 @@ def test_a_number_is_a_matrix(tmp_path: Path) -> None:
     matrices = ["--A", "-0.9", "--B", "2", "--period", "0.5", "--output", str(path)]
     assert main(["new", "own", *matrices]) == 0
     assert (load_scenario(path).A, load_scenario(path).B) == (((-0.9,),), ((2.0,),))
+
+
+def test_the_limits_stand_where_a_plant_of_ones_own_begins(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Both ends of the table of sizes, in the help and on the first page."""
+    states, inputs = max(n for n, _ in HORIZONS), max(m for _, m in HORIZONS)
+    with pytest.raises(SystemExit):
+        main(["new", "--help"])
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"1 to {states} states and 1 or {inputs} inputs" in told
+    words = {2: "two", 4: "four"}
+    page = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert f"up to {words[states]} states, {words[inputs]} inputs" in page
 
 
 def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(

@@ -13,6 +13,7 @@ import pytest
 from protocol.messages import SealCommand, SealReply, SendReply
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
+from tests.support.bare_figures import bare_figures
 from wyner.cli import options
 from wyner.cli.main import main
 from wyner.cli.options import joined
@@ -124,3 +125,4 @@ def test_for_machines_it_is_one_object(
     print_reply(reply, size, as_json=True)
     told = json.loads(capsys.readouterr().out)
     assert told == {"id": "m", "bytes": size, **expected}
+    assert list(bare_figures(told)) == []  # counts of this message, and no rate

@@ -13,6 +13,7 @@ from plant_service.adapters import Operated
 from plant_service.adapters.registry import open_plant
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.adapters.plants import build_fmu
+from tests.support.bare_figures import bare_figures
 from wyner.api import design, run, vary
 from wyner.cli.main import main
 from wyner.fit.conformal import session_score, violation_bound
@@ -126,7 +127,8 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
     assert "identified A and B from 400 steps" in told.err
     assert main(["fit", str(folder / "cart.toml"), "-o", str(out), "--json", *plan]) == 0
     found = json.loads(capsys.readouterr().out)
-    assert sorted(found) == ["calibration", "half_widths", "output", "seed"]
+    assert sorted(found) == ["calibration", "half_widths", "no_interval", "output", "seed"]
+    assert list(bare_figures(found)) == []
     assert (found["output"], found["calibration"]["sessions"]) == (str(out), 20)
     assert main(["design", str(out)]) == 0
     assert (

@@ -178,6 +178,42 @@ SHELL = {
 """Threads, processes, sockets, files and clocks: what the protocol has none of."""
 
 
+SECRET_WORD = re.compile(r"(^|_)(tag|mac|proof)(_of)?$")
+
+
+def compared_in_haste(source: str) -> list[int]:
+    """Lines where a tag is compared by ``==``, which takes the longer the more of it fits."""
+
+    def word(node: ast.expr) -> str:
+        while isinstance(node, ast.Call | ast.Subscript | ast.Await):
+            node = node.func if isinstance(node, ast.Call) else node.value
+        return node.attr if isinstance(node, ast.Attribute) else getattr(node, "id", "")
+
+    return [
+        node.lineno
+        for node in ast.walk(ast.parse(source))
+        if isinstance(node, ast.Compare)
+        and any(isinstance(op, ast.Eq | ast.NotEq) for op in node.ops)
+        and any(SECRET_WORD.search(word(side)) for side in (node.left, *node.comparators))
+        and not any(isinstance(side, ast.Constant) for side in (node.left, *node.comparators))
+    ]
+
+
+def test_a_tag_is_compared_in_constant_time() -> None:
+    """But for whole arrays of the engine, and for who listens or reads a run: no forger asks."""
+    assert compared_in_haste("tag != self._tag(k)") == [1]
+    assert compared_in_haste("if int(mac[1], 16) != key._tag(said): ...") == [1]
+    assert compared_in_haste("wire.tag == b.tag") == [1]
+    assert compared_in_haste("compare_digest(tag, b.tag)\ntag == ''") == []
+    found = {
+        str(path.relative_to(ROOT))
+        for path in MODULES
+        if compared_in_haste(path.read_text(encoding="utf-8"))
+    }
+    asked = {name for name in found if not name.startswith(("wyner/runs/check/", "tap_service/"))}
+    assert asked == {"protocol/defence/mac.py"}
+
+
 def test_the_protocol_is_pure() -> None:
     """Time, randomness and what was heard are arguments; what is to be done is a value."""
     finders = {"protocol.registry"}  # reads a user's own scheme, FILE.py:Name

@@ -116,6 +116,7 @@ def _print(report: dict[str, object]) -> None:
     from protocol.text import printable
     from tap_service.eavesdroppers.base import KeysHeld
     from wyner.runs.score.report import held_line
+    from wyner.runs.score.score import ONE_RUN
     from wyner.runs.score.summary import in_short
 
     taps = report["taps"]
@@ -135,6 +136,8 @@ def _print(report: dict[str, object]) -> None:
             print(printable(f"  {held_line(KeysHeld.model_validate(tap['keys']))}"))
         if isinstance(scores, dict):
             print(f"  {describe(scores[name])}")
+    if isinstance(scores, dict):
+        print(ONE_RUN)
 
 
 def describe(score: dict[str, float | None]) -> str:

@@ -180,8 +180,8 @@ def _spoken(
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
     line = (
-        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s by the paper's rule; the plant has it "
-        f"at step {summary['delivered_k']}, the tap at {first}."
+        f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s by the paper's rule, counted; "
+        f"the plant has it at step {summary['delivered_k']}, the tap at {first}."
         if had
         else "1. Spoken:  the tap has not got the message, and should have."
     )

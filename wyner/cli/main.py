@@ -38,10 +38,10 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     "operate": {
         "router": "a Zenoh router, with access control",
         "certs": "for mutual TLS; --secret to sign key blocks with",
-        "kme": "hand keys to applications (ETSI GS QKD 014)",
-        "rotate": "hand keys to applications (ETSI GS QKD 014)",
+        "kme": "serve the keys made to applications (ETSI 014)",
+        "rotate": "a VPN gets a fresh master key every two minutes",
         "status": "what a run's services last said; --healthy",
-        "bench": "speed beside a reference, in one run",
+        "bench": "how fast wyner is here; did a change slow it?",
     },
 }
 """Subcommands by group, with their lines in the help; the module is ``wyner.cli.NAME``. Services

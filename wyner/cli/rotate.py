@@ -27,15 +27,21 @@ LOOK_S: Final = 0.2
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Fetch a key from this site's entity (ETSI GS QKD 014) and let the partner "
-        "fetch the same one at its own; when each has proved to the other that it has it, hand it "
-        "to a program. One end connects and asks for new keys (the master), the other listens."
+        "For a program that takes a new master key now and then, such as a VPN. Run it at both "
+        "sites. Each fetches the same key from the `wyner kme` of its own site; when each has "
+        "proved to the other that it has it, both hand it to their program. One end connects and "
+        "asks for new keys (the master), the other listens (the slave)."
     )
-    parser.add_argument("--kme", required=True, metavar="HOST:PORT", help="this site's entity")
+    parser.add_argument("--kme", required=True, metavar="HOST:PORT", help="this site's `wyner kme`")
     parser.add_argument(
         "--tls", required=True, type=Path, metavar="FOLDER", help="with ca.pem, cert.pem, key.pem"
     )
-    parser.add_argument("--partner-sae", required=True, metavar="NAME", help="who is, over there")
+    parser.add_argument(
+        "--partner-sae",
+        required=True,
+        metavar="NAME",
+        help="the other end's name in its certificate",
+    )
     ends = parser.add_mutually_exclusive_group(required=True)
     ends.add_argument("--connect", metavar="HOST:PORT", help="be the master; where the slave is")
     ends.add_argument("--listen", metavar="HOST:PORT", help="be the slave")

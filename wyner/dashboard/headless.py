@@ -26,6 +26,11 @@ from wyner.dashboard.text import component, duration, letters
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
 
+COUNTED: Final = (
+    "bit/s and % are counts of this run; [low,high] are 95 % limits, however often one looks"
+)
+"""Said once, before the first figure."""
+
 LINES_AT_ONCE: Final = 12
 """Lines printed for one look at the messages; what is beyond is counted in a line."""
 
@@ -121,6 +126,7 @@ def run_headless(
             stream.flush()
 
     ending = Ending.FINISHED
+    lines: list[str] = []
     try:
         while True:
             finished = until()
@@ -137,7 +143,8 @@ def run_headless(
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
     if state.plant is not None:
-        say([progress(state), secrecy_line(state)])
+        last = progress(state)
+        say([*([] if lines[-1:] == [last] else [last]), secrecy_line(state)])
     for line in source.problems():
         print(line, file=sys.stderr)
     return ending
@@ -184,6 +191,8 @@ def _session(before: State, plant: PlantStatus, model: PlantModel | None) -> Ite
     law = printable(model.law)
     what = f"{printable(model.scenario)}, alpha {model.alpha:g}, law {law}"
     yield f"session {plant.session}{'' if first else ' began'}: {what}"
+    if first:
+        yield COUNTED
     if model.seeded:
         yield "random choices are seeded: an experiment, nothing here is secret"
 

@@ -90,7 +90,7 @@ class Panels:
         self.secrecy: SecrecyScore = secrecy(state, self.taps)
 
     def loop(self, width: int, extra: int) -> tuple[int, RenderableType]:
-        """Step, state with history, rate and time left, missed and late steps; how many rows."""
+        """Step, state with history, rate and time left, missed steps; how many rows."""
         plant, model = self.state.plant, self.state.model
         title = rule("Control loop", width, *self._trouble(), style=self._trouble_style())
         if plant is None:
@@ -114,7 +114,7 @@ class Panels:
     def _carried(self, width: int) -> Text:
         """What the link carries, and how many steps found no input in time."""
         rate = f" message {rate_in_words(self.state)}"
-        missed = self._missed_short()
+        missed = self._missed_short(width - len(rate))
         left = time_left_s(self.state)
         room = width - len(rate) - len(missed)
         wait = "" if left is None else f"  whole in {duration(left)}"
@@ -122,10 +122,12 @@ class Panels:
             line(rate + longest(room, wait)), (missed, self._missed_style()), no_wrap=True
         )
 
-    def _missed_short(self) -> str:
+    def _missed_short(self, room: int) -> str:
         plant = self.state.plant
         assert plant is not None
-        return f"  missed {count(plant.missed)}" if plant.missed else ""
+        short = f"  missed {count(plant.missed)}"
+        steps = "step" if plant.missed == 1 else "steps"
+        return longest(room, f"{short} {steps}", short) if plant.missed else ""
 
     def _missed_style(self) -> str:
         """Red from one step in twenty on: a few are what a busy machine makes."""
@@ -135,13 +137,14 @@ class Panels:
         return STYLES["bad"] if plant.missed * TOO_MANY > steps else ""
 
     def _trouble(self) -> tuple[str, ...]:
-        """Keys that the two ends do not share, and steps that came late, in words of any length."""
+        """Keys that the two ends do not share, and which session it is, in words of any length."""
         plant = self.state.plant
         if plant is None:
             return ()
         wrong = f"wrong keys {count(plant.symbol_errors)}"
-        late = f"{wrong}  late {count(plant.late)}"
-        return f"{late}  session {count(plant.sessions)}", late, wrong
+        if plant.sessions < 2:
+            return (wrong,)
+        return f"{wrong}  session {count(plant.sessions)}", wrong
 
     def _trouble_style(self) -> str:
         plant = self.state.plant
@@ -211,7 +214,7 @@ class Panels:
         agreed = agreed[-(room // wide) :]
         truth = "".join(symbol_of(self.state.truths[k].symbol, size) for k in agreed)
         total = plant.agreements if plant else 0
-        rows: list[Row] = [(f"{count(total)} keys", line(truth))]
+        rows: list[Row] = [(f"{count(total)} {'key' if total == 1 else 'keys'}", line(truth))]
         if self.taps:
             tap = self.taps[0][0]
             guessed, marks = line(), line()
@@ -235,7 +238,10 @@ class Panels:
     def last_steps(self, width: int, rows: int) -> RenderableType:
         """What happened in the last transitions, the newest first, and what the tap made of it."""
         tap = self.taps[0][0] if self.taps else None
-        whose = "" if tap is None else f"and what {drawn(tap.status.name)} says, with her own odds"
+        whose: tuple[str, ...] = ()
+        if tap is not None:
+            says = "says, with her own odds"
+            whose = (f"and what {drawn(tap.status.name)} {says}", f"and what she {says}")
         grid = Table.grid(padding=(0, 2, 0, 0))
         for _ in range(4):
             grid.add_column(no_wrap=True)
@@ -251,7 +257,7 @@ class Panels:
                 hers.append(f"she says {guess.symbol}, {guess.probability:.2f}")
                 hers.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
             grid.add_row(line(f"{k:<7}"), line(f"input {truth.coin}"), line(f"{what:<7}"), hers)
-        return titled(rule("Last steps", width, whose), Padding(grid, (0, 0, 0, 1)))
+        return titled(rule("Last steps", width, *whose), Padding(grid, (0, 0, 0, 1)))
 
     def automata(self) -> Row:
         """What both ends are at, and whether they agree on it."""
@@ -313,7 +319,7 @@ class Panels:
         told = [f"{recovered} of {sent} characters"]
         if its is not None:
             told.append(f"{told[-1]}, {its.frame_symbols} of {its.frame_length} symbols")
-            told.append(f"{told[-1]}; {its.delivered} delivered, {its.queue} waiting")
+            told.append(f"{told[-1]}; {its.delivered} messages delivered, {its.queue} wait")
         words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
         grid = Table.grid(padding=(0, 2, 0, 0))
         grid.add_column(width=min(BAR, max(5, self.width - VALUE_AT - 2 - len(words))))

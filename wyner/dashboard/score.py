@@ -236,6 +236,8 @@ def time_left_s(state: State) -> float | None:
     plant, controller = state.plant, state.controller
     if plant is None or controller is None or not plant.recovered_symbols or not plant.rate_hz:
         return None
+    if plant.phase == "stopped":
+        return None
     if plant.transitions < SETTLED:  # the first second's pace is that of the start, not of the run
         return None
     missing = controller.frame_length - controller.frame_symbols

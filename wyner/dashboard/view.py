@@ -58,6 +58,8 @@ HELP: Final = (
     "the steps that she keeps. model error: of her A, B. whole at step: when she was",
     "sure of the text. bit/s is a count and her odds are her own: no interval. When",
     "keys were agreed may stay hidden: at most log2(2N + 1) bit in N steps.",
+    "missed: steps whose input did not come in time. wrong keys: the ends differ.",
+    "x1: the state as it is reported; t1: the true one, where they may differ.",
     "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",
     "message. `wyner report` draws any step of a run that is over.",
 )
@@ -193,10 +195,11 @@ class _Page(Panels):
             if model is not None:
                 parts += [
                     (5, drawn(model.scenario)),
-                    (4, drawn(model.pace)),
+                    (4, f"pace {drawn(model.pace)}"),
                     (7, f"alpha {number(model.alpha)}"),
                 ]
-            parts += [(8, f"session {plant.session[:8]}"), (2, plant.phase)]
+            phase = "plant stopped" if plant.phase == "stopped" else plant.phase
+            parts += [(8, f"session {plant.session[:8]}"), (2, phase)]
             if model is not None and model.seeded:
                 parts.append((3, "SEEDED: no secret"))
             if plant.frames_refused:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.link.events import AttackBegan
+from protocol.statistics import GIVEN
 from runtime.recording import TraceError
 from wyner.runs.run import Run
 
@@ -95,6 +96,7 @@ class AttackCounts:
             "away": self.off[max(self.off)] if self.off else None,
             "shown": self.shown,
             "away_most": max(self.off.values(), default=None),
+            "no_interval": {"options": GIVEN},
         }
 
 

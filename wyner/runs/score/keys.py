@@ -291,8 +291,8 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
         return [f"Keys       none: {refused}"]
     held = "an unknown number of" if keys["held_by_tap_bits"] is None else keys["held_by_tap_bits"]
     lines = [
-        f"Keys       {keys['made']} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s. "
-        f"Eve holds {held} bits of them.",
+        f"Keys       {keys['made']} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s, "
+        f"counted. Eve holds {held} bits of them.",
         f"           {keys['assumption']}",
     ]
     if keys["waiting"]:
