@@ -122,11 +122,12 @@ def guarded(
     UsageError
         When the store cannot be used.
     """
+    if at is None or not scenario.defence.guards:
+        return None
     from protocol.link.guarded import MARGIN, Guarded
 
     defence = scenario.defence.guard(scenario.readings, scenario.secrecy.candidates)
-    if at is None or defence is None:
-        return None
+    assert defence is not None, "its messages are guarded"
     session = None if record is None else record.session
     keys = None
     if record is not None and session is not None:

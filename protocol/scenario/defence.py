@@ -64,6 +64,11 @@ class DefenceTable(ScenarioTable):
         """
         return None if self.kind in TESTS else _class(self.kind)(states, candidates)
 
+    @property
+    def guards(self) -> bool:
+        """Whether messages on the field bus are guarded."""
+        return self.messages != CLEAR
+
     def guard(self, states: int, candidates: int) -> "Defence | None":
         """What guards the messages; None: nothing does.
 

@@ -1,5 +1,6 @@
 """Figures: the same bytes twice, from their data alone, with runs, seeds and intervals stated."""
 
+import os
 import re
 import shutil
 import subprocess
@@ -64,7 +65,8 @@ def test_a_figure_is_the_same_bytes_twice(name: str, tmp_path: Path) -> None:
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
     command = [sys.executable, "-m", "studies.figures", "distance", "--output", "there"]
-    subprocess.run(command, cwd=tmp_path, check=True, capture_output=True, timeout=60)
+    env = os.environ | {"PYTHONPATH": str(ROOT)}
+    subprocess.run(command, cwd=tmp_path, env=env, check=True, capture_output=True, timeout=60)
     svg, png = draw("distance", output=tmp_path / "here")
     assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
     assert png.read_bytes() == (tmp_path / "there" / png.name).read_bytes()

@@ -16,6 +16,9 @@ from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 
 SCENARIO = "f" * 64
 
+ALL = 10**6
+"""Messages of an inbox: more than any test receives."""
+
 T = TypeVar("T", ControllerJournal, PlantJournal)
 
 
@@ -116,5 +119,5 @@ class TwinPlantJournal(_Twin[PlantJournal], MemoryPlantJournal):
         """The record, and what came with it."""
         record = super().load()
         assert self.twin.chunks() == self.chunks()
-        assert self.twin.inbox(-1) == self.inbox(-1)
+        assert self.twin.inbox(ALL) == self.inbox(ALL)
         return record
