@@ -51,7 +51,7 @@ def test_a_run_that_makes_keys_passes_and_the_tap_holds_none(run: Path) -> None:
     assert failed(run) == set()
     audit = audit_keys(Run.load(run), evidence.scenario)
     assert audit is not None
-    assert audit.made >= 2
+    assert audit.made >= 1
     assert audit.held_bits == 0
     assert audit.same
     assert audit.warnings == ()
