@@ -211,7 +211,8 @@ def event_table() -> str:
     lines = ["| event | of | fields | what it says |", "|---|---|---|---|"]
     for side, kind in EVENTS:
         fields = ", ".join(f"`{name}`" for name in event_fields(kind) if name != "event")
-        said = " ".join((inspect.getdoc(kind) or "").split()).replace("``", "`")
+        about = (inspect.getdoc(kind) or "").split("\n\nParameters")[0]
+        said = " ".join(about.split()).replace("``", "`")
         names = ", ".join(f"`{name}`" for name in event_names(kind))
         lines.append(f"| {names} | {side} | {fields} | {said} |")
     return "\n".join([*lines, ""])

@@ -159,11 +159,12 @@ class Timing(NamedTuple):
 class Milestone(NamedTuple):
     """A message has come so far on its way.
 
+    ``sent``: it was handed to the controller. ``delivered``: the controller has counted every
+    symbol of its frame. ``recovered``: its frame passed the check at the plant.
+
     Parameters
     ----------
     at : {"sent", "delivered", "recovered"}
-        ``sent``: it was handed to the controller. ``delivered``: the controller has counted every
-        symbol of its frame. ``recovered``: its frame passed the check at the plant.
     payload : bytes
     identifier : str
         The operator's; the plant does not know it.
