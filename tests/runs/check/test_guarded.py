@@ -25,7 +25,7 @@ def tagged(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     scenario = folder / "tagged.toml"
     scenario.write_text(f"{scenario_file_of('keys').read_text(encoding='utf-8')}\n{MAC}")
-    options = ["--pace", "fast", "--steps", "6000", "--json", "--run-dir", str(folder / "run")]
+    options = ["--pace", "x10", "--steps", "2000", "--json", "--run-dir", str(folder / "run")]
     assert main(["up", "--scenario", str(scenario), *options]) == 0
     return folder / "run"
 
