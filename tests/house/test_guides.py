@@ -71,7 +71,8 @@ def test_the_attack_of_the_page_runs_live(
     attack = json.loads(capsys.readouterr().out)["attack"]
     assert (attack["kind"], attack["at"], attack["onset"]) == (f"{name}:Frozen", "sensor", 30)
     assert attack["failed"] == ""
-    assert attack["away"] == attack["away_most"] > 0.01
+    assert attack["away_most"] >= attack["away"] >= 0
+    assert attack["away_most"] > 0.01
     assert main(["check", str(run)]) == 0
     assert main(["report", str(run)]) == 0
     assert "x1 in truth" in (run / "report.html").read_text()
