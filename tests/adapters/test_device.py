@@ -639,14 +639,6 @@ def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None
     assert p.actuated_after_s == (ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last])
 
 
-def transition(gauges: tuple[float, ...]) -> Any:
-    class Counted:
-        verdict = AgreementResult(gauges, -1)
-        coin = 0
-
-    return Counted()
-
-
 def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     promise = Calibration(
         sessions=100,
@@ -660,7 +652,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     told = []
     for step in range(200):
         out = step % 20 == 0  # every second session of ten steps
-        told.append(watch.counted(transition((1.5, 2.0) if out else (0.5, 2.0))))
+        told.append(watch.counted(AgreementResult((1.5, 2.0) if out else (0.5, 2.0), -1), 0))
     lines = [line for line in told if line]
     assert (watch.outside, watch.unexplained, watch.sessions, watch.exceeded) == (10, 10, 20, 10)
     assert len(lines) == 1
@@ -668,7 +660,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     assert watch.doubt
     kept = ReachWatch(promise)
     for step in range(2000):
-        kept.counted(transition((1.5, 0.5) if step == 700 else (0.5, 2.0)))
+        kept.counted(AgreementResult((1.5, 0.5) if step == 700 else (0.5, 2.0), -1), 0)
     assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")
 
 
