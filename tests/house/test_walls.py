@@ -134,7 +134,7 @@ def test_a_run_is_read_by_its_one_reader() -> None:
 
 
 def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
-    """What a clause is to find wrong in the protocol, it may not ask the protocol."""
+    """What a check is to find wrong in the protocol, it may not ask the protocol."""
     path = ROOT / "wyner" / "runs" / "check" / "paper.py"
     assert not rooms_of(path)
     assert {name.split(".")[0] for name in imports_of(path)} == {"typing", "numpy"}

@@ -1,4 +1,4 @@
-"""The control loop's clauses: steps, reachable sets, admissible inputs."""
+"""The control loop's checks: steps, reachable sets, admissible inputs."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -11,7 +11,7 @@ from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
 from wyner.runs.check.attacked import lies, unlike_manifest, wrong_labels
-from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
+from wyner.runs.check.base import EDGE, Check, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import Break, MissedLine, TracedTransition, Walked
 
@@ -25,7 +25,7 @@ FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
 
 
-class Switching(Clause):
+class Switching(Check):
     """Equation (15): u = candidate b_r; every step begins where the last ended."""
 
     name = "switching"
@@ -121,7 +121,7 @@ class Switching(Clause):
             )
 
 
-class Reachable(Clause):
+class Reachable(Check):
     """Equations (6) and (14): the gauge of what happened is at most 1.
 
     Of an attacked plant that is its true state, which its labels name.
@@ -255,7 +255,7 @@ def _gauge(e: Evidence, x: Vector, u: Vector, x_next: Vector) -> float:
     return rule.gauge([a - b for a, b in zip(x_next, centre, strict=True)])
 
 
-class Admissible(Clause):
+class Admissible(Check):
     """(27): u in U, and A x + B u in T_(i-1) ~ D_c."""
 
     name = "admissible"
