@@ -106,7 +106,7 @@ def test_the_plant_loads_nothing_of_who_attacks_it() -> None:
     assert {n for p in naming for n in imports_of(p) if n.startswith("attacker_service.")} == {
         "attacker_service.asking",
         "attacker_service.asking.Attacker",
-        "attacker_service.asking.Heard",
+        "attacker_service.asking.BusMessage",
     }
     loaded = loaded_by(*(name_of(path) for path in inside("plant_service")))
     hers = {n for n in loaded if n.startswith(("attacker_service", "tap_service"))}

@@ -6,7 +6,7 @@ import numpy as np
 
 from protocol.agreement import Gauge, predict
 from protocol.arrays import Array
-from protocol.box_observer import Box, Seen
+from protocol.box_observer import Box, Estimate
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
@@ -49,7 +49,7 @@ class Switching(Check):
         plant = self.evidence.scenario.plant
         self._x: Vector = plant.initial_state if plant.noise is None else ()
         self._u: Vector = (0.0,) * self.evidence.rules.inputs
-        self._seen: Seen | None = None  # of the last transition, where outputs are read
+        self._estimate: Estimate | None = None  # of the last transition, where outputs are read
         self._applied = -1
 
     def feed(self, part: Part) -> None:
@@ -59,7 +59,7 @@ class Switching(Check):
                 self._begin_after_the_cut()
             if isinstance(item, Walked):
                 self._step(item.t, item.t.j)
-                self._seen, self._applied = item.verdict.seen, item.t.k
+                self._estimate, self._applied = item.verdict.estimate, item.t.k
             elif isinstance(item, MissedLine):
                 self._step(item, -1)
             elif isinstance(item, Break):
@@ -70,7 +70,7 @@ class Switching(Check):
         outputs = self.evidence.rules.outputs
         if outputs is None:
             return self._fallback.input(step.x, self._u)
-        return outputs.instead(self._seen, step.k - self._applied - 1, self._u)
+        return outputs.instead(self._estimate, step.k - self._applied - 1, self._u)
 
     def _begin_after_the_cut(self) -> None:
         assert self.evidence.plant is not None
@@ -87,7 +87,7 @@ class Switching(Check):
         if step.session != self._session and step.k < self._place and self._restarted:
             self._x, self._u, self._place = step.x, step.u, step.k  # its journal was an older copy
         if step.session != self._session:
-            self._seen, self._applied = None, -1
+            self._estimate, self._applied = None, -1
         self._session, self._restarted = step.session, False
         x = self._x or step.x
         where = (step.session, j, step.k)
