@@ -650,7 +650,7 @@ class ControllerCore:
     # --- sessions ---------------------------------------------------------------------------------
 
     def _heard_hello(self, hello: PlantHello) -> Actions:
-        """The plant spoke on ops: do as the table says."""
+        """The plant spoke on the management bus: do as the table says."""
         record = self.record
         what = heard(
             hello,

@@ -778,7 +778,7 @@ class PlantCore:
     # --- sessions ---------------------------------------------------------------------------------
 
     def _heard_hello(self, hello: ControllerHello) -> Actions:
-        """The controller spoke on ops: do as the table says."""
+        """The controller spoke on the management bus: do as the table says."""
         if self._finished:
             return NOTHING_TO_DO
         what = heard(

@@ -71,7 +71,7 @@ class Rules:
     states, inputs : int
         Numbers of a reading, n where the whole state is read, and m.
     fingerprint : str
-        Compared over ops before the first step.
+        Compared over the management bus before the first step.
     inputs_gauge : Gauge
         The gauge of U, the admissible inputs.
     schedule : Schedule, optional

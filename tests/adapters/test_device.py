@@ -519,11 +519,11 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
 def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path) -> None:
     scenario = vary(line(), {"plant.object": "tests.adapters.plants:Failing"})
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
-    ops = MemoryHub()
-    buses = MemoryBus(MemoryHub()), MemoryBus(ops)
+    management = MemoryHub()
+    buses = MemoryBus(MemoryHub()), MemoryBus(management)
     service = PlantService(config, *buses, threading.Event())
     assert service.endpoint.plant.acts
-    taken_up(service, ops)
+    taken_up(service, management)
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
     assert "the belt is torn" in (tmp_path / PLANT_SAFE).read_text()
@@ -531,7 +531,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
         PlantService(config, *buses, threading.Event())
 
 
-def taken_up(service: PlantService, ops: MemoryHub) -> None:
+def taken_up(service: PlantService, management: MemoryHub) -> None:
     """A controller takes the session up, as soon as the service runs; it offers nothing."""
     core = service.endpoint
     hello = ControllerHello(
@@ -540,7 +540,7 @@ def taken_up(service: PlantService, ops: MemoryHub) -> None:
         fingerprint=core.rules.fingerprint,
         verdict="greeting",
     )
-    put = MemoryBus(ops).publisher(key_of(ControllerHello, "loop")).put
+    put = MemoryBus(management).publisher(key_of(ControllerHello, "loop")).put
     put(hello.wire())
     answer = {"verdict": "accepted", "session": core.record.session, "answers": core.instance}
     put(hello.model_copy(update=answer).wire())
@@ -551,13 +551,13 @@ def device_service(
     run_dir: Path,
     monkeypatch: pytest.MonkeyPatch,
     stopping: threading.Event,
-    ops: MemoryHub | None = None,
+    management: MemoryHub | None = None,
 ) -> PlantService:
     """The service of a plant that is a device in this process."""
     opened = partial(open_plant, own=device)
     monkeypatch.setattr(opening, "open_plant", lambda scenario, *_: opened(scenario))
     config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
-    buses = MemoryBus(MemoryHub()), MemoryBus(ops or MemoryHub())
+    buses = MemoryBus(MemoryHub()), MemoryBus(management or MemoryHub())
     return PlantService(config, *buses, stopping)
 
 
@@ -569,9 +569,9 @@ def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
             super().close()
             raise OSError("the port is gone")
 
-    device, ops = Stuck(), MemoryHub()
-    service = device_service(device, tmp_path, monkeypatch, threading.Event(), ops)
-    taken_up(service, ops)
+    device, management = Stuck(), MemoryHub()
+    service = device_service(device, tmp_path, monkeypatch, threading.Event(), management)
+    taken_up(service, management)
     device.reading = lambda y: (float("nan"), 0.0)
     with log_of("plant") as lines, pytest.raises(PlantError, match="expected finite numbers"):
         service.run()

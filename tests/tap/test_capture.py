@@ -106,7 +106,7 @@ def test_a_line_break_inside_a_payload_stays_one_line() -> None:
 
 def test_a_malformed_message_is_kept_byte_for_byte(tmp_path: Path) -> None:
     log = RotatingLog(tmp_path / CAPTURE, {}, ROOMY, LOG)
-    log.write(malformed_line(5, "wyner/v1/loop/offer", b"\x00\xff{\n"))
+    log.write(malformed_line(5, "wyner/v2/loop/offer", b"\x00\xff{\n"))
     log.close()
     (event,) = read_trace(tmp_path / CAPTURE).of("malformed")
     assert event["base64"] == "AP97Cg=="
