@@ -29,7 +29,7 @@ from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
 from runtime.signals import stop_on_signals
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel
-from tap_service.capture.recording import RotatingLog, garbage_line, mirror_line
+from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tap_service.config import TapConfig, eighth
 from tap_service.heavy import HeavyProcess
@@ -189,7 +189,7 @@ class TapService:
     # --- the loop ---------------------------------------------------------------------------------
 
     def run(self, stopping: threading.Event) -> None:
-        """Mirror, guess and publish until ``stopping``; then settle what is left."""
+        """Mirror, guess and publish until ``stopping``; then guess what is left."""
         names = ", ".join(self._config.names) or "none"
         self.log.info("listening on loop %s, eavesdroppers: %s", self._config.loop, names)
         status = Throttle(STATUS_PERIOD_S)
@@ -233,7 +233,7 @@ class TapService:
         try:
             message = kind.model_validate_json(payload)
         except ValidationError as error:
-            self.capture.write(garbage_line(t_ns, key, payload))
+            self.capture.write(malformed_line(t_ns, key, payload))
             first = error.errors(include_url=False, include_context=False)[0]["msg"]
             self._complaints.add(f"{key}: undecodable: {first}")
             return

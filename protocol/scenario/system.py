@@ -289,7 +289,7 @@ class Scenario(Brief, ScenarioTable):
                 + ("" if assumed is None else ", widened by defender.noise")
             )
         may_leave = self.plant.disturbance.may_leave_defender_set
-        if noise is not None and not may_leave and (assumed is None or not noise.within(assumed)):
+        if noise is not None and not may_leave and (assumed is None or not assumed.contains(noise)):
             yield (
                 "plant.noise: expected a set inside defender.noise, N, or "
                 "plant.disturbance.may_leave_defender_set = true"

@@ -120,7 +120,7 @@ def test_a_narrow_table_drops_whole_columns(fleet: Fleet) -> None:
         assert "…" not in row
 
 
-def test_garbage_and_terminal_codes_do_no_harm(
+def test_malformed_bytes_and_terminal_codes_do_no_harm(
     fleet: Fleet, capsys: pytest.CaptureFixture[str]
 ) -> None:
     fleet.management.publisher(key_of(PlantStatus, "a")).put(b"{")

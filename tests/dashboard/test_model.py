@@ -409,7 +409,7 @@ def test_the_tap_that_reads_the_text_ranks_before_one_that_only_guesses_keys() -
 # --- the source --------------------------------------------------------------------------------
 
 
-def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
+def test_the_bus_source_takes_statuses_of_its_loop_and_counts_malformed() -> None:
     management, adversary = MemoryHub(), MemoryHub()
     services, taps = MemoryBus(management), MemoryBus(adversary)
     source = BusSource(MemoryBus(management), MemoryBus(adversary), "loop")

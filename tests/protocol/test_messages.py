@@ -167,7 +167,7 @@ def test_unknown_fields_are_refused(extra: str) -> None:
 @pytest.mark.parametrize(
     "payload", [b"", b"{}", b"[]", b"null", b"\xff\xfe", b'{"v":1', b"0" * 10**5]
 )
-def test_garbage_is_refused(payload: bytes) -> None:
+def test_a_malformed_message_is_refused(payload: bytes) -> None:
     for kind in ALL:
         with pytest.raises(ValidationError):
             kind.model_validate_json(payload)

@@ -269,7 +269,7 @@ def recovered(run_dir: Path) -> int:
     return sum(1 for _ in read_trace(run_dir / PLANT_TRACE).of("recovered"))
 
 
-def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: Path) -> None:
+def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path: Path) -> None:
     """The controller comes first and waits; messages are sent to it while malformed flies."""
     by_hand.start("controller")
     by_hand.start("tap")

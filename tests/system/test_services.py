@@ -171,7 +171,7 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pace", ["fast", "x20"])
-def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
+def test_malformed_bytes_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
     """With a deadline too, where most of it comes while the plant waits for the tick."""
     field, management = MemoryBus(system.field), MemoryBus(system.management)
     junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":4}', b'{"v":3,"session":"x"}', b"null" * 50]
@@ -374,7 +374,7 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
 
 
 @pytest.mark.parametrize("u", [1.7e308, 6.1])
-def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: float) -> None:
+def test_an_offer_outside_u_is_malformed_and_changes_nothing(system: System, u: float) -> None:
     forger = MemoryBus(system.field)
     put = forger.publisher(key_of(Offer, "loop")).put
     forged: list[int] = []

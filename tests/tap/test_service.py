@@ -136,7 +136,7 @@ def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: 
     assert all(len(s.tail_k) <= 32 for s in wire.statuses)
 
 
-def test_garbage_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> None:
+def test_a_malformed_message_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> None:
     rng = random.Random(2)
     wire = Wire(config(run, tmp_path))
     junk = [rng.randbytes(rng.randrange(60)) for _ in range(40)]

@@ -415,7 +415,7 @@ def test_a_failure_says_where(copied: Path) -> None:
     assert "controller's verdict" in place.text
 
 
-def test_garbage_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
+def test_a_malformed_message_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
     shout_on_the_field_bus(copied)
     place = findings(copied)["public-fields"].counter.first
     assert place is not None
