@@ -1,4 +1,4 @@
-"""`mac` and `coding` live, ten times as fast as real: who rewrites the bus is refused, or seen."""
+"""`mac` and `coding` live: who rewrites the bus is refused, or seen."""
 
 import json
 import shutil
@@ -79,7 +79,7 @@ class Filled:
         """What came of a copy under this attack."""
         shutil.copytree(self._folder, folder, dirs_exist_ok=True)
         attack = attack_of(text)
-        run(self.scenario, self._law, steps, folder, attack, pace="x10", seconds=seconds)
+        run(self.scenario, self._law, steps, folder, attack, pace="x3", seconds=seconds)
         return told(folder, attack)
 
 
@@ -126,7 +126,7 @@ def test_without_a_guard_covert_is_never_seen(law: CandidateLaw, tmp_path: Path)
 def test_a_mac_stops_covert_before_the_plant_has_moved(law: CandidateLaw, tmp_path: Path) -> None:
     """No rewritten offer is applied, and no session ends over it: every step is missed."""
     filled = Filled(tmp_path, law, {"messages": "mac"})
-    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 60, 8.0)
+    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 60, 15.0)
     assert found["forged"]["controller"] == []
     assert found["forged"]["plant"][0] == (filled.onset, "offer")
     assert {message for _, message in found["forged"]["plant"]} == {"offer"}
