@@ -369,7 +369,7 @@ class ControllerCore:
             return self._without_offer(measurement, following, judged, HALTED, "alarmed")
         try:
             missed = measurement.k - measurement.applied_k - 1
-            box = self.rules.box(following.seen, missed, measurement.x)
+            box = self.rules.box(following.estimate, missed, measurement.x)
             x = measurement.x if box is None else box.centre
             candidates = self._propose(x)
             predictions = self._predictions(x, candidates)
@@ -458,7 +458,7 @@ class ControllerCore:
             offer.candidates,
             offer.predictions,
             measurement.x_after,
-            self.rules.box(record.seen, record.k - record.applied_k - 1, record.x),
+            self.rules.box(record.estimate, record.k - record.applied_k - 1, record.x),
         )
         after, carry = self._arrows[verdict.symbol]
         message, offset = record.message, record.offset
@@ -466,8 +466,8 @@ class ControllerCore:
         if offset == len(self._frame_of(message)) and record.framed:
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
-        if verdict.seen is not None:
-            following = following._replace(seen=verdict.seen)
+        if verdict.estimate is not None:
+            following = following._replace(estimate=verdict.estimate)
         expected = self.coins.expected(offer, measurement.applied_key)
         failed = self.rules.fails(verdict, expected)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)

@@ -8,7 +8,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from protocol.box_observer import Box, Seen
+from protocol.box_observer import Box, Estimate
 from protocol.link.session import Rules
 from runtime.recording import (
     CONTINUED,
@@ -191,8 +191,8 @@ class SideReader:
         self._kept = 0  # the oldest part that was kept, as the newest header says
         self._session: str | None = None
         self._state: Any = None
-        self._seen: Seen | None = None  # of the last transition, where outputs are read
-        self._seen_known = not self._seeking
+        self._estimate: Estimate | None = None  # of the last transition, where outputs are read
+        self._estimate_known = not self._seeking
         self._resolver = Resolver()
         self._announce = side == "plant" and not self._seeking
         self._held: MissedLine | None = None
@@ -367,16 +367,16 @@ class SideReader:
             self._state = rules.scheme.initial
         self.transitions[t.session] = self.transitions.get(t.session, 0) + 1
         box = None if t.box is None else Box(*t.box)
-        if rules.outputs is not None and self._seen_known:
+        if rules.outputs is not None and self._estimate_known:
             assert box is not None
-            seen, missed = None, 0
+            estimate, missed = None, 0
             if last is not None and last.session == t.session:
-                seen, missed = self._seen, t.k - last.k - 1
-            if (expected := rules.outputs.box(seen, missed, t.x)) != box:
+                estimate, missed = self._estimate, t.k - last.k - 1
+            if (expected := rules.outputs.box(estimate, missed, t.x)) != box:
                 self.problem(number, f"box: got {t.box}, both ends have {tuple(expected)}")
                 box = expected
         verdict = rules.judge(t.x, t.candidates, t.predictions, t.x_next, box)
-        self._seen, self._seen_known = verdict.seen, True
+        self._estimate, self._estimate_known = verdict.estimate, True
         self._state, carry = rules.scheme.advance(self._state, verdict.symbol)
         yield Walked(t, verdict, carry, self._state[0])
 
