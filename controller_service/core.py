@@ -115,7 +115,7 @@ class ControllerCore:
     predict : callable, optional
         f_c, where it is not linear.
     message : bytes, optional
-        Queued under `INITIAL_ID` at the start, once in the queue's life.
+        Queued under `INITIAL_ID` at the start, once, however often the process is started.
     telemetry : ControllerTelemetry, optional
         What is told beside the record; without it no status is published.
     status_s : float
@@ -292,7 +292,7 @@ class ControllerCore:
         else:
             assert self._starting, "nothing waits to be finished"
             self._starting = False
-            # Saved first: no other process may greet as this life of the journal.
+            # Saved first: no other process may greet as this incarnation.
             actions = Actions(
                 write=Save(self.record),
                 publish=(self._greeting(),),
@@ -791,7 +791,7 @@ class ControllerCore:
     def _greeting(self) -> ControllerHello:
         """Ask the plant to say which session it is in.
 
-        The record must have been saved before: no other process may greet as this life.
+        The record must have been saved before: no other process may greet as this incarnation.
         """
         return self._hello("greeting")
 

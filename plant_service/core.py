@@ -219,7 +219,7 @@ class PlantCore:
             begun=None,
         )
         self.controller: str | None = None
-        """The controller process that was asked last in this process's life, if any."""
+        """The controller process that this process asked last, if any."""
         self.state: State = first_state(record)
         self._met = record.transitions > 0 or record.sessions > 1
         self._taken_up = ("", "")
@@ -245,7 +245,7 @@ class PlantCore:
 
     @property
     def accepted(self) -> bool:
-        """Whether the controller asked has accepted this session in this process's life."""
+        """Whether the controller asked has accepted this session since this process began."""
         return self.state in WORKING
 
     @property
