@@ -115,7 +115,7 @@ class ControllerCore:
     predict : callable, optional
         f_c, where it is not linear.
     message : bytes, optional
-        Queued under `INITIAL_ID` at the start, once in the queue's life.
+        Queued under `INITIAL_ID` at the start, once, however often the process is started.
     telemetry : ControllerTelemetry, optional
         What is told beside the record; without it no status is published.
     status_s : float
@@ -292,7 +292,7 @@ class ControllerCore:
         else:
             assert self._starting, "nothing waits to be finished"
             self._starting = False
-            # Saved first: no other process may greet as this life of the journal.
+            # Saved first: no other process may greet as this incarnation.
             actions = Actions(
                 write=Save(self.record),
                 publish=(self._greeting(),),
@@ -319,6 +319,10 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "alarmed"
         return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
+
+    def end_session(self, why: str) -> Actions:
+        """Keys that its messages are under are gone: nothing that the plant says can be read."""
+        return self._end_session("keys gone", f"{why}; session ended")
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
@@ -739,7 +743,9 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ", "keys gone"], why: str
+    ) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()
@@ -791,7 +797,7 @@ class ControllerCore:
     def _greeting(self) -> ControllerHello:
         """Ask the plant to say which session it is in.
 
-        The record must have been saved before: no other process may greet as this life.
+        The record must have been saved before: no other process may greet as this incarnation.
         """
         return self._hello("greeting")
 

@@ -219,7 +219,7 @@ class PlantCore:
             begun=None,
         )
         self.controller: str | None = None
-        """The controller process that was asked last in this process's life, if any."""
+        """The controller process that this process asked last, if any."""
         self.state: State = first_state(record)
         self._met = record.transitions > 0 or record.sessions > 1
         self._taken_up = ("", "")
@@ -245,7 +245,7 @@ class PlantCore:
 
     @property
     def accepted(self) -> bool:
-        """Whether the controller asked has accepted this session in this process's life."""
+        """Whether the controller asked has accepted this session since this process began."""
         return self.state in WORKING
 
     @property
@@ -372,6 +372,14 @@ class PlantCore:
             self.coins.done(done, now)
             return NOTHING_TO_DO
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
+
+    def end_session(self, why: str) -> Actions:
+        """Keys that its messages are under are gone: no offer can be read."""
+        if self._finished:
+            return NOTHING_TO_DO
+        self.state = TABLE[self.state, "keys gone"].next
+        self._begin_session()
+        return self._anew(why, Notice(f"{why}; new session {self.record.session}", "error"))
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""

@@ -129,9 +129,9 @@ class Whole(Check):
         for name, reader in e.readers():
             journal = e.plant_journal if name == "plant" else e.controller_journal
             path = e.run_dir / (PLANT_JOURNAL if name == "plant" else CONTROLLER_JOURNAL)
-            if reader.last_life and path.is_file() and _holds_nothing(journal):
-                text = f"{name}'s journal holds nothing, its trace's last life {reader.last_life}"
-                counter.count(False, "", -1, -1, f"{text} transitions")
+            if reader.of_last and path.is_file() and _holds_nothing(journal):
+                text = f"{name}'s journal holds nothing, its trace's last process"
+                counter.count(False, "", -1, -1, f"{text} {reader.of_last} transitions")
             elif isinstance(journal, JournalState):
                 text = _behind(reader, journal)
                 counter.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
@@ -139,7 +139,7 @@ class Whole(Check):
         _as_the_tap_says(e, counter)
         for name, wrong in broken(e.run_dir, e.manifest):
             counter.count(not wrong, "", -1, -1, f"{name}: {wrong}")
-        counter.note = f"{killed} lives without an end mark: killed, or still running"
+        counter.note = f"{killed} processes without an end mark: killed, or still running"
         if again := sorted(went_on_in(e.run_dir, e.manifest)):
             counter.note += f"; started again since the seal: {', '.join(again)}"
 

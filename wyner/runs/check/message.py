@@ -215,7 +215,8 @@ class Frames(Check):
 class _Queue:
     """The controller's messages, as its trace tells them.
 
-    One that is a life's last word may be in no journal: ``doubtful``, until it is queued again.
+    One that is a process's last line may be in no journal: ``doubtful``, until it is queued
+    again.
     """
 
     counter: Counter

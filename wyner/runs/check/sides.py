@@ -57,7 +57,7 @@ class Segments:
         self.ended = False
         self.next: Any = None
         self.newline = True
-        self.lives = 0
+        self.incarnations = 0
         self.unended = 0
         self.torn = 0
         self._name = name
@@ -81,7 +81,7 @@ class Segments:
         self._digest.update(b"\n")
 
     def malformed(self, number: int) -> None:
-        """A line that holds no JSON object: torn by a kill, if it is its life's last."""
+        """A line that holds no JSON object: torn by a kill, if it is its writer's last."""
         self._not_torn()
         self._malformed = number
 
@@ -109,11 +109,11 @@ class Segments:
             return
         if kind != HEADER:
             self._headless(number)
-        elif self.lives:
+        elif self.incarnations:
             self.problem(number, "a second header")
-        if self.lives:
+        if self.incarnations:
             self._close()
-        self.lives += 1
+        self.incarnations += 1
         self._begin()
         self.ended, self.next = False, None
         self.line(number, raw)
@@ -123,9 +123,9 @@ class Segments:
         self.unended += not self.ended
 
     def _headless(self, number: int) -> None:
-        if not self.lives:
+        if not self.incarnations:
             self.problem(number, f"expected a header of format {TRACE_FORMAT!r}")
-            self.lives = 1
+            self.incarnations = 1
 
     def finish(self) -> None:
         """The file is over; ``newline`` says whether its last line was finished."""
@@ -159,8 +159,8 @@ class SideReader:
     ----------
     gone : int
         Parts that are gone, the oldest.
-    last_life : int
-        Transitions that its last life has traced.
+    of_last : int
+        Transitions that its last incarnation has traced.
     attack : AttackLine, optional
         The attack on the plant, as its trace has named it.
     cut : TracedTransition, optional
@@ -197,7 +197,7 @@ class SideReader:
         self._announce = side == "plant" and not self._seeking
         self._held: MissedLine | None = None
         self.behind = 0
-        self.last_life = 0
+        self.of_last = 0
 
     @property
     def marks(self) -> Segments:
@@ -253,7 +253,7 @@ class SideReader:
             elif kind == CONTINUED:
                 yield Break(ended)
                 self._resolver.restart()
-                self._announce, self.last_life = self.side == "plant", 0
+                self._announce, self.of_last = self.side == "plant", 0
             return
         self.marks.line(number, raw)
         if kind == "transition":
@@ -360,7 +360,7 @@ class SideReader:
             return
         yield from self._flush(t.session, t.k, restarted=restarted)
         self.from_journal = not number
-        self.last_life += bool(number)
+        self.of_last += bool(number)
         self.last = t
         rules = self._rules
         if t.session not in self.transitions:

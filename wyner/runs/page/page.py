@@ -175,7 +175,7 @@ def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
 
 
 class _Recorded:
-    """What the page shows of the traces: the plant's steps of its last life, and the messages.
+    """What the page shows of the traces: the steps of the plant's last process, and the messages.
 
     Of each line it keeps what is drawn, so that a page of a million steps is made like any other.
     """
