@@ -59,8 +59,8 @@ def scalar_run(scenario: Scenario, law: CandidateLaw, steps: int) -> int:
         x = plant.end(k)
         told = Told(k + 1, np.array(shown), np.array(offered), np.array(digit))
         reported = tuple(ghost.sensor(told).tolist())
-        centres = tuple(predict(scenario.A, scenario.B, shown, u) for u in offered)
-        verdict = judge(shown, offered, centres, reported)
+        predictions = tuple(predict(scenario.A, scenario.B, shown, u) for u in offered)
+        verdict = judge(shown, offered, predictions, reported)
         alarms += verdict.unexplained or fails(verdict.gauges, digit)
         shown = reported
     return alarms

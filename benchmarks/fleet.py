@@ -50,24 +50,24 @@ def write_fleet(folder: Path, loops: int, scenario: str) -> Path:
 @contextmanager
 def hosts(fleet: Path, pace: str, *, router: bool = False) -> Iterator[dict[str, ServiceProcess]]:
     """The three hosts of a fleet's file, beside it, and a router where one is asked for."""
-    plant, controller, plant_ops, controller_ops, intel, relay = free_endpoints(6)
+    plant, controller, plant_management, controller_management, adversary, relay = free_endpoints(6)
     common = [f"--fleet={fleet}", f"--run-dir={fleet.parent}"]
     clients = [f"--connect=field={relay}", "--client=field"]
     commands = {
         "controller": [
             *(clients if router else (f"--listen=field={controller}", f"--connect=field={plant}")),
-            f"--listen=ops={controller_ops}",
-            f"--connect=ops={plant_ops}",
+            f"--listen=management={controller_management}",
+            f"--connect=management={plant_management}",
         ],
         "tap": [
             f"--eavesdropper={EAVESDROPPERS}",
             *(clients if router else (f"--connect=field={plant}", f"--connect=field={controller}")),
-            f"--listen=intel={intel}",
+            f"--listen=adversary={adversary}",
         ],
         "plant": [
             f"--pace={pace}",
             *(clients if router else (f"--listen=field={plant}",)),
-            f"--listen=ops={plant_ops}",
+            f"--listen=management={plant_management}",
         ],
     }
     services: dict[str, ServiceProcess] = {}

@@ -60,7 +60,7 @@ class LoopRound:
 
 
 def _commands(scenario: Path, folder: Path, steps: int, pace: str) -> dict[str, list[str]]:
-    plant, controller, plant_ops, controller_ops, intel = free_endpoints(5)
+    plant, controller, plant_management, controller_management, adversary = free_endpoints(5)
     common = [f"--scenario={scenario}", f"--run-dir={folder}"]
     return {
         "controller": [
@@ -68,22 +68,22 @@ def _commands(scenario: Path, folder: Path, steps: int, pace: str) -> dict[str, 
             f"--message={MESSAGE}",
             f"--listen=field={controller}",
             f"--connect=field={plant}",
-            f"--listen=ops={controller_ops}",
-            f"--connect=ops={plant_ops}",
+            f"--listen=management={controller_management}",
+            f"--connect=management={plant_management}",
         ],
         "tap": [
             *common,
             f"--eavesdropper={EAVESDROPPERS}",
             f"--connect=field={plant}",
             f"--connect=field={controller}",
-            f"--listen=intel={intel}",
+            f"--listen=adversary={adversary}",
         ],
         "plant": [
             *common,
             f"--steps={steps}",
             f"--pace={pace}",
             f"--listen=field={plant}",
-            f"--listen=ops={plant_ops}",
+            f"--listen=management={plant_management}",
         ],
     }
 

@@ -221,7 +221,7 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
     levels = [log.level for log in logs]
     for log in logs:
         log.setLevel(logging.WARNING)
-    field, ops = MemoryHub(), MemoryHub()
+    field, management = MemoryHub(), MemoryHub()
     stopping = threading.Event()
     law = make_law(scenario, cached_design(scenario))
     times: dict[str, float] = {}
@@ -235,14 +235,16 @@ def _statuses(scenario: "Scenario", folder: Path, steps: int = 200) -> dict[str,
     def run_plant() -> None:
         try:
             config = PlantConfig(scenario, folder, "loop", Pace("fast"), steps=steps)
-            plant = PlantService(config, MemoryBus(field), MemoryBus(ops), threading.Event())
+            plant = PlantService(config, MemoryBus(field), MemoryBus(management), threading.Event())
             plant.run()
             time_status("plant", lambda: plant.endpoint.status(time.monotonic()))
         finally:
             stopping.set()
 
     controller_config = ControllerConfig(scenario, folder, "loop", law, message=MESSAGE)
-    controller = ControllerService(controller_config, MemoryBus(field), MemoryBus(ops), stopping)
+    controller = ControllerService(
+        controller_config, MemoryBus(field), MemoryBus(management), stopping
+    )
     time_status("controller", controller.endpoint.status)
     thread = threading.Thread(target=run_plant)
     thread.start()

@@ -82,9 +82,9 @@ def plain_run(scenario: Scenario, design: Design, *, seed: int, run: int, steps:
         b = h * (1 - 1e-9) - H @ A @ x
         candidates = [solve(P, F @ x, H @ B, b, low, high) for P, F in forms]
         x_next = A @ x + B @ candidates[int(coins[k, 0] * 2)] + d[k]
-        centres = [A @ x + B @ u for u in candidates]
-        defender = [reach_contains(c, Hc, hc, x_next) for c in centres]
-        eavesdropper = [reach_contains(c, He, he, x_next) for c in centres]
+        predictions = [A @ x + B @ u for u in candidates]
+        defender = [reach_contains(c, Hc, hc, x_next) for c in predictions]
+        eavesdropper = [reach_contains(c, He, he, x_next) for c in predictions]
         in_diff = all(eavesdropper) and sum(defender) == 1
         symbols.append(defender.index(True) if in_diff else NO_SYMBOL)
         x = x_next

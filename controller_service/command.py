@@ -90,8 +90,10 @@ def run_controller(options: ControllerOptions) -> int:
     fleet = fleet_of(options, message)
     if fleet is not None and not options.check:
         folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
-        with buses_of(options, "controller") as (stopping, field, ops):
-            return run_controllers(fleet, folder, _law_of, bounds, pace, field, ops, stopping)
+        with buses_of(options, "controller") as (stopping, field, management):
+            return run_controllers(
+                fleet, folder, _law_of, bounds, pace, field, management, stopping
+            )
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     if options.check:
         return DONE
@@ -110,9 +112,9 @@ def run_controller(options: ControllerOptions) -> int:
         if options.model_folder is None
         else Path(options.model_folder),
     )
-    with buses_of(options, "controller") as (stopping, field, ops):
+    with buses_of(options, "controller") as (stopping, field, management):
         keep_scenario(config.run_dir, options.scenario)
-        return ControllerService(config, field, ops, stopping).run()
+        return ControllerService(config, field, management, stopping).run()
 
 
 def _law_of(scenario: "Scenario") -> "OnlineLaw":

@@ -368,7 +368,9 @@ class ControllerCore:
                 return NOTHING_TO_DO
             return self._without_offer(measurement, following, judged, HALTED, "alarmed")
         try:
-            x = self.rules.state(following, measurement)
+            missed = measurement.k - measurement.applied_k - 1
+            box = self.rules.box(following.seen, missed, measurement.x)
+            x = measurement.x if box is None else box.centre
             candidates = self._propose(x)
             predictions = self._predictions(x, candidates)
         except LookupError as error:
@@ -456,7 +458,7 @@ class ControllerCore:
             offer.candidates,
             offer.predictions,
             measurement.x_after,
-            self.rules.box(record),
+            self.rules.box(record.seen, record.k - record.applied_k - 1, record.x),
         )
         after, carry = self._arrows[verdict.symbol]
         message, offset = record.message, record.offset
@@ -648,7 +650,7 @@ class ControllerCore:
     # --- sessions ---------------------------------------------------------------------------------
 
     def _heard_hello(self, hello: PlantHello) -> Actions:
-        """The plant spoke on ops: do as the table says."""
+        """The plant spoke on the management bus: do as the table says."""
         record = self.record
         what = heard(
             hello,

@@ -148,7 +148,7 @@ class ControllerService(EndService[ControllerCore]):
         self,
         config: ControllerConfig,
         field: Bus,
-        ops: Bus,
+        management: Bus,
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -164,7 +164,7 @@ class ControllerService(EndService[ControllerCore]):
             sealing,
             log,
             field,
-            ops,
+            management,
             stopping,
             clock,
         )
@@ -185,7 +185,7 @@ def run_controllers(
     bounds: Bounds,
     pace: Pace,
     field: Bus,
-    ops: Bus,
+    management: Bus,
     stopping: threading.Event,
 ) -> int:
     """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
@@ -204,4 +204,4 @@ def run_controllers(
         core, files = open_controller(config, status_s=FLEET_STATUS_S)
         return behind(_channel(config), files.guarded or core, Measurement), files
 
-    return run_fleet(fleet, open_end, field, ops, stopping, logger("controller"))
+    return run_fleet(fleet, open_end, field, management, stopping, logger("controller"))

@@ -3,9 +3,9 @@
 from runtime.health import look_at_status
 from runtime.services import (
     CONTROLLER_FIELD,
-    CONTROLLER_OPS,
+    CONTROLLER_MANAGEMENT,
     PLANT_FIELD,
-    PLANT_OPS,
+    PLANT_MANAGEMENT,
     Ends,
     Service,
     register,
@@ -19,18 +19,18 @@ register(
         command="controller_service.command",
         ends={
             "field": Ends((CONTROLLER_FIELD,), (PLANT_FIELD,)),
-            "ops": Ends((CONTROLLER_OPS,), (PLANT_OPS,)),
+            "management": Ends((CONTROLLER_MANAGEMENT,), (PLANT_MANAGEMENT,)),
         },
         publishes={
             "field": ("offer", "sealed"),
-            "ops": (
-                "ops/controller/hello",
-                "ops/controller/status",
-                "ops/reply/send",
-                "ops/reply/seal",
-                "ops/keys/word",
-                "ops/keys/request",
-                "ops/keys/answer",
+            "management": (
+                "management/controller/hello",
+                "management/controller/status",
+                "management/reply/send",
+                "management/reply/seal",
+                "management/keys/word",
+                "management/keys/request",
+                "management/keys/answer",
             ),
         },
         health=look_at_status,

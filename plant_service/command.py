@@ -81,8 +81,8 @@ def run_plant(options: PlantOptions) -> int:
         folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
         if options.steps is not None:
             raise UsageError("--steps: a fleet runs until it is stopped")
-        with buses_of(options, "plant") as (stopping, field, ops):
-            return run_plants(fleet, folder, pace, bounds, field, ops, stopping)
+        with buses_of(options, "plant") as (stopping, field, management):
+            return run_plants(fleet, folder, pace, bounds, field, management, stopping)
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     attack = attack_option(options.attack, scenario.attack, options.steps)
     if options.check:
@@ -103,6 +103,6 @@ def run_plant(options: PlantOptions) -> int:
     )
     if options.clear_safe:
         (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)
-    with buses_of(options, "plant") as (stopping, field, ops):
+    with buses_of(options, "plant") as (stopping, field, management):
         keep_scenario(config.run_dir, options.scenario)
-        return PlantService(config, field, ops, stopping).run()
+        return PlantService(config, field, management, stopping).run()

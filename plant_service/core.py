@@ -362,7 +362,7 @@ class PlantCore:
         if step.measurement is not None:
             actions = self._count(step, step.measurement)
             return actions if self._back is None else self._came_back(actions)
-        self._apply(step)
+        self._apply(step.u)
         return NOTHING_TO_DO if self.pacing.waiting else self._end()
 
     def key_task_done(self, done: Done, now: float) -> Actions:
@@ -463,11 +463,11 @@ class PlantCore:
         self._moved = True
         if self.plant.acts:
             return Actions(write=step, finish_step=True)
-        self._apply(step)
+        self._apply(step.u)
         return self._end()
 
-    def _apply(self, step: Step) -> None:
-        self.plant.begin(self.record.k, self.record.x, step.u)
+    def _apply(self, u: Vector) -> None:
+        self.plant.begin(self.record.k, self.record.x, u)
         if self._telemetry is not None and self.pacing.timed:
             self._telemetry.punctuality.acted(self.pacing.since_tick_s(self.now))
         self.pacing.applied()
@@ -558,9 +558,8 @@ class PlantCore:
         """
         offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
         scheme = self.rules.scheme
-        verdict = self.rules.judge(
-            record.x, offer.candidates, offer.predictions, x_next, self.rules.box(record)
-        )
+        box = self.rules.box(record.seen, record.k - record.applied_k - 1, record.x)
+        verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next, box)
         after, carry = scheme.follow(record.state, verdict.symbol)
         agreed, pad = carry
         symbol = decrypt(offer.cipher, pad, scheme.alphabet)
@@ -779,7 +778,7 @@ class PlantCore:
     # --- sessions ---------------------------------------------------------------------------------
 
     def _heard_hello(self, hello: ControllerHello) -> Actions:
-        """The controller spoke on ops: do as the table says."""
+        """The controller spoke on the management bus: do as the table says."""
         if self._finished:
             return NOTHING_TO_DO
         what = heard(

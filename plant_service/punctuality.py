@@ -4,9 +4,8 @@ from bisect import bisect_left, insort
 from collections import deque
 from typing import Final
 
-from protocol.agreement import INSIDE
+from protocol.agreement import INSIDE, AgreementResult
 from protocol.link.events import Timing
-from protocol.link.session import CountedTransition
 from protocol.scenario import Calibration
 from protocol.statistics import better_than
 from protocol.vectors import Vector
@@ -92,16 +91,15 @@ class ReachWatch:
         self.sessions = self.exceeded = 0
         self.outside = self.unexplained = 0
 
-    def counted(self, t: CountedTransition) -> str | None:
-        """Count one; a line the first time that the promise is contradicted.
+    def counted(self, verdict: AgreementResult, coin: int) -> str | None:
+        """Count a transition; a line the first time that the promise is contradicted.
 
         ``outside`` is exact, as the plant knows its coin; ``unexplained`` are those that no
         candidate explains, which the controller sees too.
         """
-        gauges = t.verdict.gauges
-        out = gauges[t.coin] > INSIDE
+        out = verdict.gauges[coin] > INSIDE
         self.outside += out
-        self.unexplained += t.verdict.unexplained
+        self.unexplained += verdict.unexplained
         c = self._calibration
         if c is None:
             return None

@@ -157,7 +157,7 @@ class PlantService(EndService[PlantCore]):
         self,
         config: PlantConfig,
         field: Bus,
-        ops: Bus,
+        management: Bus,
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -173,7 +173,7 @@ class PlantService(EndService[PlantCore]):
         try:
             channel = _channel(config)
             super().__init__(
-                config, opened, channel, Offer, OpeningEnd, log, field, ops, stopping, clock
+                config, opened, channel, Offer, OpeningEnd, log, field, management, stopping, clock
             )
         except BaseException:
             let_go(opened[0])
@@ -216,7 +216,7 @@ def run_plants(
     pace: Pace,
     bounds: Bounds,
     field: Bus,
-    ops: Bus,
+    management: Bus,
     stopping: threading.Event,
 ) -> int:
     """Run the plants of a fleet on open buses; returns the exit code."""
@@ -234,4 +234,4 @@ def run_plants(
         core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
         return behind(_channel(config), files.guarded or core, Offer), files
 
-    return run_fleet(fleet, open_end, field, ops, stopping, logger("plant"))
+    return run_fleet(fleet, open_end, field, management, stopping, logger("plant"))

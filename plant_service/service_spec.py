@@ -1,7 +1,7 @@
 """The plant among the services."""
 
 from runtime.health import look_at_status
-from runtime.services import PLANT_FIELD, PLANT_OPS, Ends, Service, register
+from runtime.services import PLANT_FIELD, PLANT_MANAGEMENT, Ends, Service, register
 
 register(
     Service(
@@ -9,17 +9,17 @@ register(
         summary="run the plant service with its simulation",
         package="plant_service",
         command="plant_service.command",
-        ends={"field": Ends((PLANT_FIELD,)), "ops": Ends((PLANT_OPS,))},
+        ends={"field": Ends((PLANT_FIELD,)), "management": Ends((PLANT_MANAGEMENT,))},
         publishes={
             "field": ("measurement",),
-            "ops": (
-                "ops/plant/hello",
-                "ops/plant/model",
-                "ops/plant/status",
-                "ops/plant/receipt",
-                "ops/keys/word",
-                "ops/keys/request",
-                "ops/keys/answer",
+            "management": (
+                "management/plant/hello",
+                "management/plant/model",
+                "management/plant/status",
+                "management/plant/receipt",
+                "management/keys/word",
+                "management/keys/request",
+                "management/keys/answer",
             ),
         },
         health=look_at_status,

@@ -91,7 +91,7 @@ class PlantTelemetry:
         """Take in a transition; a line the first time that the promise of D_c is contradicted."""
         self._tail.append(t)
         self._new += 1
-        return self.watch.counted(t)
+        return self.watch.counted(t.verdict, t.coin)
 
     def model_is_due(self) -> bool:
         """Whether the status to be published now is a whole one, with the model before it."""

@@ -1,6 +1,6 @@
 """Key expressions: the only place with their literals.
 
-A key is ``BASE/v1/LOOP/TOPIC``. The version is a plain chunk (a wildcard does not match a verbatim
+A key is ``BASE/v2/LOOP/TOPIC``. The version is a plain chunk (a wildcard does not match a verbatim
 ``@`` chunk), the loop id lets many loops share one network, and the topic stands with its message
 in :mod:`protocol.messages`.
 """
@@ -10,7 +10,7 @@ import re
 from protocol.messages import Message
 
 BASE = "wyner"
-VERSION = "v1"
+VERSION = "v2"
 DEFAULT_LOOP = "loop"
 
 _LOOP = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")

@@ -12,7 +12,7 @@ from protocol.topics import DEFAULT_LOOP, check_loop
 from runtime.collection import freeze_startup
 from runtime.errors import UsageError
 from runtime.options import add_bounds_arguments, add_check_argument, add_fleet_arguments
-from runtime.services import SERVICES
+from runtime.services import SERVICES, bus_names
 from runtime.signals import stop_on_signals
 
 if TYPE_CHECKING:
@@ -103,9 +103,8 @@ def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[t
     for value in values:
         bus, _, rest = value.partition("=")
         if bus not in allowed or not rest:
-            raise UsageError(
-                f"{option}: got {value!r}, expected BUS=VALUE with BUS one of {', '.join(allowed)}"
-            )
+            names = bus_names(bus, allowed)
+            raise UsageError(f"{option}: got {value!r}, expected BUS=VALUE with BUS one of {names}")
         pairs.append((bus, rest))
     return pairs
 
@@ -141,7 +140,8 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
                 raise UsageError(f"{option} {name}: {error}") from None
     for name in options.client:
         if name not in defaults:
-            raise UsageError(f"--client: got {name!r}, expected one of {', '.join(defaults)}")
+            expected = bus_names(name, defaults)
+            raise UsageError(f"--client: got {name!r}, expected one of {expected}")
     listen, connect = defaults[bus]
     if any(name == bus for name, _ in (*listens, *connects)):
         listen = tuple(endpoint for name, endpoint in listens if name == bus)
@@ -176,7 +176,7 @@ def noted(metrics: str | None, bus: "Bus") -> "Iterator[Bus]":
 
 @contextmanager
 def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
-    """The event that signals set, and the open buses field and ops of a service.
+    """The event that signals set, and the open buses field and management of a service.
 
     Raises
     ------
@@ -190,11 +190,11 @@ def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading
         with (
             stop_on_signals() as stopping,
             open_bus(endpoints_of(options, service, "field")) as field,
-            open_bus(endpoints_of(options, service, "ops")) as ops,
+            open_bus(endpoints_of(options, service, "management")) as management,
         ):
             freeze_startup()
-            with noted(options.metrics, ops) as ops_or_noted:
-                yield stopping, field, ops_or_noted
+            with noted(options.metrics, management) as management_or_noted:
+                yield stopping, field, management_or_noted
     except TransportError as error:
         raise UsageError(str(error)) from None
 

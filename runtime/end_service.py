@@ -59,7 +59,7 @@ class EndService(Generic[E]):
     sealed : callable
         Makes its end of sealed messages, from the book of its key store.
     log : logging.Logger
-    field, ops : Bus
+    field, management : Bus
         Already open; closed by whoever opened them.
     stopping : threading.Event
         Ends :meth:`run`.
@@ -76,20 +76,20 @@ class EndService(Generic[E]):
         sealed: Callable[[SealedBook], End],
         log: logging.Logger,
         field: Bus,
-        ops: Bus,
+        management: Bus,
         stopping: threading.Event,
         clock: Callable[[], float],
     ) -> None:
         self.endpoint, files = opened
         self.trace = files.trace
-        self._host = Host(field, ops, stopping, clock)
+        self._host = Host(field, management, stopping, clock)
         end = behind(channel, files.guarded or self.endpoint, kind)
         self._host.add(config.loop, end, files, log)
         self._beside: AbstractContextManager[object] = nullcontext()
         if files.key_maker is not None:
             store = KeyStore(files.key_maker.path, files.key_maker.side)
             self._beside = SealedThread(
-                sealed(SealedBook(store)), store, config.loop, field, ops, log
+                sealed(SealedBook(store)), store, config.loop, field, management, log
             )
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)

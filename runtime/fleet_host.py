@@ -101,7 +101,7 @@ def run_fleet(
     fleet: Fleet,
     open_end: Open,
     field: Bus,
-    ops: Bus,
+    management: Bus,
     stopping: threading.Event,
     log: logging.Logger,
 ) -> int:
@@ -141,7 +141,7 @@ def run_fleet(
                 known[name] = loop
                 opener.ask(loop, len(known))
 
-    host = Host(field, ops, stopping, fleet=True, chore=follow)
+    host = Host(field, management, stopping, fleet=True, chore=follow)
     for loop in fleet.loops.values():
         known[loop.id] = loop
         add(_try(open_end, loop, len(known)))

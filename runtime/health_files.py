@@ -171,7 +171,7 @@ class HealthFiles:
     def write(self, status: Status, now_s: float) -> None:
         """Replace both, as of a monotonic time.
 
-        The status holds no text, key or coin: whoever may read it need not be on ops.
+        The status holds no text, key or coin: its readers need not be on the management bus.
 
         Raises
         ------

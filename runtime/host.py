@@ -1,8 +1,8 @@
 """The shell: any number of endpoints on two buses, in one process.
 
 Two threads take turns. The *field thread* blocks on the field bus and makes the steps. The *main
-thread* wakes whoever is due, and hears ops and signals. A service is a host with one endpoint; a
-fleet's has many, on subscriptions that fit every loop.
+thread* wakes whoever is due, and hears the management bus and signals. A service is a host with one
+endpoint; a fleet's has many, on subscriptions that fit every loop.
 """
 
 import heapq
@@ -54,7 +54,7 @@ more do, the newest of each loop takes its first's place: an answer to an older 
 late, and so would every answer after it."""
 
 FIELD: Final = frozenset(FIELD_MESSAGES)
-"""What travels on the field bus; all else is on ops."""
+"""What travels on the field bus; all else is on the management bus."""
 
 
 class _KeyTaskDone(NamedTuple):
@@ -126,7 +126,7 @@ class Host:
 
     Parameters
     ----------
-    field_bus, ops : Bus
+    field_bus, management : Bus
         Already open; closed by whoever opened them.
     stopping : threading.Event
         Ends :meth:`run`.
@@ -142,14 +142,14 @@ class Host:
     def __init__(
         self,
         field_bus: Bus,
-        ops: Bus,
+        management: Bus,
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
         *,
         fleet: bool = False,
         chore: Callable[[], None] | None = None,
     ) -> None:
-        self._field, self._ops = field_bus, ops
+        self._field, self._management = field_bus, management
         self._stopping = stopping
         self._clock = clock
         self._fleet = fleet
@@ -160,7 +160,7 @@ class Host:
         self._wakes: list[tuple[float, str]] = []
         self._inbox: Inbox[tuple[str, bytes] | _KeyTaskDone | _Unwritten | None] = Inbox()
         self.channels: dict[str, Channel] = {}
-        self._heard_on_ops: set[str] = set()
+        self._heard_on_management: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._worker: KeyWorker | None = None
         self._health = HealthWriter(
@@ -223,14 +223,14 @@ class Host:
             self._threads.append(thread)
             if self._started:
                 thread.start()
-        elif key_expr not in self._heard_on_ops:
-            self._heard_on_ops.add(key_expr)
-            self._ops.subscribe(
+        elif key_expr not in self._heard_on_management:
+            self._heard_on_management.add(key_expr)
+            self._management.subscribe(
                 key_expr, lambda key, body, _t: self._inbox.put((key, body), len(body))
             )
 
     def _bus(self, kind: type[Message]) -> Bus:
-        return self._field if kind in FIELD else self._ops
+        return self._field if kind in FIELD else self._management
 
     # --- the two threads --------------------------------------------------------------------------
 
@@ -317,7 +317,7 @@ class Host:
                 self._sleeps_until = min(until, now + LOOK_S)
 
     def _take(self) -> None:
-        """Wait for a message on ops, or for the next wake."""
+        """Wait for a message on the management bus, or for the next wake."""
         try:
             item = self._inbox.get(timeout=max(self._sleeps_until - self._clock(), 0.0))
         except queue.Empty:
@@ -405,7 +405,7 @@ class Host:
                 self._worker.leave(loop.ports.files.key_maker)
             loop.ports.close()
             self._field.left(name)
-            self._ops.left(name)
+            self._management.left(name)
         if not self._loops:
             self._inbox.put(None, None)
 

@@ -32,18 +32,18 @@ class SealedThread:
     store : KeyStore
         Its own opening of the file; closed at the end.
     loop : str
-    field, ops : Bus
+    field, management : Bus
         Open until after the end.
     log : logging.Logger
     """
 
     def __init__(
-        self, end: End, store: KeyStore, loop: str, field: Bus, ops: Bus, log: logging.Logger
+        self, end: End, store: KeyStore, loop: str, field: Bus, management: Bus, log: logging.Logger
     ) -> None:
         self._end, self._store = end, store
         self._inbox: Inbox[tuple[type[Message], bytes] | None] = Inbox()
         self._stopping = threading.Event()
-        buses = {kind: field if kind in FIELD else ops for kind in (*end.says, *end.hears)}
+        buses = {kind: field if kind in FIELD else management for kind in (*end.says, *end.hears)}
         self._ports = _Ports({k: buses[k].publisher(key_of(k, loop)) for k in end.says}, log)
         for kind in end.hears:
             buses[kind].subscribe(key_of(kind, loop), partial(self._arrived, kind))

@@ -4,20 +4,23 @@ A row loads nothing: what runs a service is named by its module. The package of 
 its ``__init__`` which module registers its row (:func:`protocol.registry.provide`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
 from protocol.registry import Registry
 
-BUSES: Final = ("field", "ops", "intel")
+BUSES: Final = ("field", "management", "adversary")
+
+FORMER: Final = {"ops": "management", "intel": "adversary"}
+"""What buses were called up to key expressions of version 1."""
 
 PLANT_FIELD: Final = "tcp/127.0.0.1:7461"
 CONTROLLER_FIELD: Final = "tcp/127.0.0.1:7462"
-PLANT_OPS: Final = "tcp/127.0.0.1:7463"
-CONTROLLER_OPS: Final = "tcp/127.0.0.1:7464"
-TAP_INTEL: Final = "tcp/127.0.0.1:7465"
+PLANT_MANAGEMENT: Final = "tcp/127.0.0.1:7463"
+CONTROLLER_MANAGEMENT: Final = "tcp/127.0.0.1:7464"
+TAP_ADVERSARY: Final = "tcp/127.0.0.1:7465"
 
 
 class Ends(NamedTuple):
@@ -85,6 +88,18 @@ SERVICES: Registry[Service] = Registry("service")
 def register(service: Service) -> None:
     """Add a row."""
     SERVICES.register(service.name, service)
+
+
+def bus_names(got: str, allowed: Iterable[str]) -> str:
+    """The names that are expected, and what a former name was changed to.
+
+    Examples
+    --------
+    >>> bus_names("ops", ["field", "management"])
+    'field, management; ops is called management now'
+    """
+    expected = ", ".join(allowed)
+    return f"{expected}; {got} is called {FORMER[got]} now" if got in FORMER else expected
 
 
 def on_bus(bus: str) -> list[Service]:

@@ -266,7 +266,10 @@ def run_told(
     )
     if options.finish is not None and not 0 <= options.finish <= 3600:
         raise UsageError(f"--finish: got {options.finish}, expected 0 to 3600 seconds")
-    field, intel = endpoints_of(options, "tap", "field"), endpoints_of(options, "tap", "intel")
+    field, adversary = (
+        endpoints_of(options, "tap", "field"),
+        endpoints_of(options, "tap", "adversary"),
+    )
     fleet = fleet_of(options)
     with_metrics = partial(noted, options.metrics)
 
@@ -279,7 +282,7 @@ def run_told(
             run_dir=folder,
             knowledge=told.knowledge.without_secrets(),
             field=field,
-            intel=intel,
+            adversary=adversary,
             oracle_knowledge=told.oracle,
             names=names or default_names(told.knowledge, clear=view.clear),
             view=view,
@@ -307,7 +310,7 @@ def run_told(
                 return DONE
             with alone_in(run_dir_of(options.run_dir) / "tap"):
                 return run_taps(
-                    fleet, config_in_fleet, field, intel, partial(noted, options.metrics)
+                    fleet, config_in_fleet, field, adversary, partial(noted, options.metrics)
                 )
         config = config_of(told, loop_of(options), Path(options.run_dir))
         if options.check:

@@ -34,7 +34,7 @@ class TapConfig:
     view : View
         What the tap sees, and how well.
     loop : str
-    field, intel : Endpoints
+    field, adversary : Endpoints
     limits : Limits
         Of the capture; the logs of guesses get an eighth of it each.
     finish_s : float
@@ -44,7 +44,7 @@ class TapConfig:
     run_dir: Path
     knowledge: Knowledge
     field: Addresses
-    intel: Addresses
+    adversary: Addresses
     oracle_knowledge: Knowledge | None = None
     names: tuple[str, ...] = DEFAULT
     view: View = default(default_factory=View)

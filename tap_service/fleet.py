@@ -54,12 +54,12 @@ class TapFleet:
         self._known: dict[str, FleetLoop] = {}
         self.taps: dict[str, TapService] = {}
         self._by_key: dict[str, TapService] = {}
-        self._intel: Bus | None = None
+        self._adversary: Bus | None = None
         self._next = 0
 
-    def attach(self, field: "Bus", intel: "Bus") -> None:
+    def attach(self, field: "Bus", adversary: "Bus") -> None:
         """Listen to every loop at once, and take the fleet's in."""
-        self._intel = intel
+        self._adversary = adversary
         for loop in self._fleet.loops.values():
             self._open(loop)
         for kind in FIELD:
@@ -72,14 +72,14 @@ class TapFleet:
             tap.deliver(key, payload, t_ns)
 
     def _open(self, loop: FleetLoop) -> None:
-        assert self._intel is not None
+        assert self._adversary is not None
         self._known[loop.id] = loop
         try:
             tap = TapService(self._config_of(loop))
         except (UsageError, Failure, KnowledgeError, OSError) as error:
             self._log.error("loop %s: not listened to: %s", loop.id, error)
             return
-        tap.publish_on(self._intel, many=True)
+        tap.publish_on(self._adversary, many=True)
         self.taps[loop.id] = tap
         self._by_key |= dict.fromkeys(tap.keys, tap)
         self._share()
@@ -159,7 +159,7 @@ def run_taps(
     fleet: Fleet,
     config_of: Callable[[FleetLoop], TapConfig],
     field: "Addresses",
-    intel: "Addresses",
+    adversary: "Addresses",
     note: Note,
 ) -> int:
     """Run the taps of a fleet until SIGTERM or SIGINT; returns the exit code.
@@ -174,9 +174,9 @@ def run_taps(
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())
         field_bus = stack.enter_context(open_bus(field))
-        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(intel))))
+        adversary_bus = stack.enter_context(note(stack.enter_context(open_bus(adversary))))
         taps = TapFleet(fleet, config_of)
-        taps.attach(field_bus, intel_bus)
+        taps.attach(field_bus, adversary_bus)
         os.nice(NICENESS)
         freeze_startup()
         taps.run(stopping)

@@ -29,7 +29,7 @@ from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
 from runtime.signals import stop_on_signals
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel
-from tap_service.capture.recording import RotatingLog, garbage_line, mirror_line
+from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tap_service.config import TapConfig, eighth
 from tap_service.heavy import HeavyProcess
@@ -92,10 +92,10 @@ def run_tap(config: TapConfig, note: Note) -> int:
         # tap goes on, and what is said then must be heard.
         made = Made.of(config)
         field_bus = stack.enter_context(open_bus(config.field))
-        intel_bus = stack.enter_context(note(stack.enter_context(open_bus(config.intel))))
+        adversary_bus = stack.enter_context(note(stack.enter_context(open_bus(config.adversary))))
         service = TapService(config, made)
         stack.callback(service.close)
-        service.attach(field_bus, intel_bus)
+        service.attach(field_bus, adversary_bus)
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
         os.nice(NICENESS)
@@ -162,20 +162,20 @@ class TapService:
 
     # --- the wire ---------------------------------------------------------------------------------
 
-    def attach(self, field_bus: "Bus", intel_bus: "Bus") -> None:
-        """Subscribe to the field messages, and publish on the intel bus."""
+    def attach(self, field_bus: "Bus", adversary_bus: "Bus") -> None:
+        """Subscribe to the field messages, and publish on the adversary bus."""
         for key in self.keys:
             field_bus.subscribe(key, self.deliver, patient=True)
-        self.publish_on(intel_bus)
+        self.publish_on(adversary_bus)
 
     @property
     def keys(self) -> tuple[str, ...]:
         """The keys that are listened to."""
         return tuple(self._types)
 
-    def publish_on(self, intel_bus: "Bus", *, many: bool = False) -> None:
+    def publish_on(self, adversary_bus: "Bus", *, many: bool = False) -> None:
         """Publish statuses there; of a fleet one of ``many``."""
-        self._put = intel_bus.publisher(key_of(TapStatus, self._config.loop), many=many).put
+        self._put = adversary_bus.publisher(key_of(TapStatus, self._config.loop), many=many).put
 
     def share(self, taps: int) -> None:
         """So many taps are in this process: each may keep a share of what one may keep waiting."""
@@ -189,7 +189,7 @@ class TapService:
     # --- the loop ---------------------------------------------------------------------------------
 
     def run(self, stopping: threading.Event) -> None:
-        """Mirror, guess and publish until ``stopping``; then settle what is left."""
+        """Mirror, guess and publish until ``stopping``; then guess what is left."""
         names = ", ".join(self._config.names) or "none"
         self.log.info("listening on loop %s, eavesdroppers: %s", self._config.loop, names)
         status = Throttle(STATUS_PERIOD_S)
@@ -233,7 +233,7 @@ class TapService:
         try:
             message = kind.model_validate_json(payload)
         except ValidationError as error:
-            self.capture.write(garbage_line(t_ns, key, payload))
+            self.capture.write(malformed_line(t_ns, key, payload))
             first = error.errors(include_url=False, include_context=False)[0]["msg"]
             self._complaints.add(f"{key}: undecodable: {first}")
             return

@@ -6,7 +6,7 @@ from runtime.errors import Failure
 from runtime.services import (
     CONTROLLER_FIELD,
     PLANT_FIELD,
-    TAP_INTEL,
+    TAP_ADVERSARY,
     Ends,
     Look,
     Service,
@@ -44,9 +44,9 @@ register(
         command="tap_service.command",
         ends={
             "field": Ends((), (PLANT_FIELD, CONTROLLER_FIELD)),
-            "intel": Ends((TAP_INTEL,)),
+            "adversary": Ends((TAP_ADVERSARY,)),
         },
-        publishes={"intel": ("intel/tap/status",)},
+        publishes={"adversary": ("adversary/tap/status",)},
         health=look_at_capture,
         stop_s=25.0,  # heavy eavesdroppers think to the end of what they heard
     )

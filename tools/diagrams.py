@@ -30,7 +30,7 @@ from protocol.link.events import (
 )
 from protocol.link.key_events import Appearances, BlockStored
 from protocol.link.session import CountedTransition
-from protocol.messages import FIELD, INTEL, OPS, Message
+from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.secret.blocks import BlockResult
@@ -247,8 +247,8 @@ PARTS: Final[dict[str, Callable[[], str]]] = {
     "rooms": rooms,
     **{name: _drawing(name) for name in SCHEMES.shipped},
     "field": lambda: wire_table(FIELD),
-    "ops": lambda: wire_table(OPS),
-    "intel": lambda: wire_table(INTEL),
+    "management": lambda: wire_table(MANAGEMENT),
+    "adversary": lambda: wire_table(ADVERSARY),
 }
 """Of docs/architecture.md."""
 

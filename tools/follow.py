@@ -275,11 +275,16 @@ class Run:
 
     def __init__(self, folder: Path, scenario: str) -> None:
         self.folder, self.scenario = folder, scenario
-        field_at, ops_at, commands_at = free_endpoints(3)
-        self._plant = ["--listen", f"field={field_at}", "--listen", f"ops={ops_at}"]
-        self._controller = ["--connect", f"field={field_at}", "--connect", f"ops={ops_at}"]
-        self._controller += ["--listen", f"ops={commands_at}"]
-        self._operator = ["--connect", f"ops={commands_at}"]
+        field_at, management_at, commands_at = free_endpoints(3)
+        self._plant = ["--listen", f"field={field_at}", "--listen", f"management={management_at}"]
+        self._controller = [
+            "--connect",
+            f"field={field_at}",
+            "--connect",
+            f"management={management_at}",
+        ]
+        self._controller += ["--listen", f"management={commands_at}"]
+        self._operator = ["--connect", f"management={commands_at}"]
 
     def make(self) -> None:
         """Run until the plant has the message.

@@ -17,7 +17,7 @@ from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStat
 from runtime.recording import read_lines
 from wyner.dashboard.model import Arrival, State, reduce_all
 from wyner.dashboard.screenshot import to_svg
-from wyner.dashboard.source import INTEL_WATCHED, OPS_WATCHED, BusSource
+from wyner.dashboard.source import ADVERSARY_WATCHED, MANAGEMENT_WATCHED, BusSource
 from wyner.dashboard.view import ViewState, screen
 
 DOCS: Final = Path(__file__).resolve().parent.parent / "docs"
@@ -28,7 +28,7 @@ SIZE: Final = (110, 36)
 STEPS_RECORDED: Final = 1000
 """Steps before the pictured moment that a recording holds."""
 
-_TYPES: Final = {kind.topic: kind for kind in (*OPS_WATCHED, *INTEL_WATCHED)}
+_TYPES: Final = {kind.topic: kind for kind in (*MANAGEMENT_WATCHED, *ADVERSARY_WATCHED)}
 
 
 def read(path: Path) -> list[Arrival]:
@@ -105,9 +105,9 @@ def record(until_k: int) -> list[Arrival]:
 
     (loop,) = running_loops()
     arrivals: list[Arrival] = []
-    ends = [loop.plant_ops, loop.controller_ops]
-    with ZenohBus(connect=ends) as ops, ZenohBus(connect=[loop.intel]) as intel:
-        source = BusSource(ops, intel, loop.loop)
+    ends = [loop.plant_management, loop.controller_management]
+    with ZenohBus(connect=ends) as management, ZenohBus(connect=[loop.adversary]) as adversary:
+        source = BusSource(management, adversary, loop.loop)
         while not any(
             isinstance(a.message, PlantStatus) and a.message.k > until_k for a in arrivals
         ):

@@ -1,22 +1,29 @@
 """Those who are no services of the loop: who watches, who sends, and who hands out its keys."""
 
 from runtime.health import look_at_line
-from runtime.services import CONTROLLER_OPS, PLANT_OPS, TAP_INTEL, Ends, Service, register
+from runtime.services import (
+    CONTROLLER_MANAGEMENT,
+    PLANT_MANAGEMENT,
+    TAP_ADVERSARY,
+    Ends,
+    Service,
+    register,
+)
 
 register(
     Service(
         name="dashboard",
         ends={
-            "ops": Ends((), (PLANT_OPS, CONTROLLER_OPS)),
-            "intel": Ends((), (TAP_INTEL,)),
+            "management": Ends((), (PLANT_MANAGEMENT, CONTROLLER_MANAGEMENT)),
+            "adversary": Ends((), (TAP_ADVERSARY,)),
         },
     )
 )
 register(
     Service(
         name="operator",
-        ends={"ops": Ends((), (CONTROLLER_OPS,))},
-        publishes={"ops": ("ops/command/send", "ops/command/seal")},
+        ends={"management": Ends((), (CONTROLLER_MANAGEMENT,))},
+        publishes={"management": ("management/command/send", "management/command/seal")},
     )
 )
 for _side in ("controller", "plant"):

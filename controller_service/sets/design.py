@@ -210,7 +210,7 @@ def _check_invariant(V: Array, T0: Polytope, K: Array, r: Recursion) -> None:
     needed = support(V @ (r.A + r.B @ K).T, T0.H) + support(r.DV, T0.H)
     worst = float((needed / T0.h).max())
     # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
-    if not worst <= 1 - r.settle(T0)[2]:
+    if not worst <= 1 - r.erode(T0)[2]:
         raise TooSlowError(
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
             f"of itself): K is too slow; {faster(r.A + r.B @ K)}"

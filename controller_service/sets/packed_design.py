@@ -161,7 +161,7 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
     rows = Polytope.from_rows(*states.rows())
     try:
         for step in range(STEPS):
-            T, S, deflation = wide.settle(rows)
+            T, S, deflation = wide.erode(rows)
             if step and _kept(exact, T):
                 radius = float(np.abs(corners(T.H, T.h)).max())
                 return T, Terminal("invariant", step, 0.0, radius)
@@ -176,6 +176,6 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
 
 def _kept(r: Recursion, T: Polytope) -> bool:
     """Whether every state of T has an input into the target, tightened as the programs are."""
-    T, S, deflation = r.settle(T)
+    T, S, deflation = r.erode(T)
     before = r.backward(S.scaled(1 - 2 * deflation), 0.0)
     return bool((support(corners(T.H, T.h), before.H) <= before.h).all())

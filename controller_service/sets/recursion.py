@@ -1,6 +1,6 @@
 """The recursion T_i = { x : there is u in U with A x + B u in T_(i-1) ~ D_c }, by dimension.
 
-Each step is :meth:`Recursion.settle`, which makes T_i irredundant and erodes it, and
+Each step is :meth:`Recursion.erode`, which makes T_i irredundant and erodes it, and
 :meth:`Recursion.backward`, which leads from T_(i-1) ~ D_c to the rows of T_i.
 """
 
@@ -96,7 +96,7 @@ class Recursion(ABC):
             try:
                 if not rows.h.max() < LARGEST_OFFSET:
                     raise SetError(f"it is larger than {LARGEST_OFFSET:g}")
-                T, S, deflation = self.settle(rows)
+                T, S, deflation = self.erode(rows)
                 if previous is not None and _same(previous, T):
                     return
                 yield i, T, S, deflation
@@ -106,7 +106,7 @@ class Recursion(ABC):
                 raise SynthesisError(_ended(i, error)) from None
 
     @abstractmethod
-    def settle(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
+    def erode(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
         """T and T ~ D_c, irredundant, and the fraction by which the next set is to be shrunk."""
 
     @abstractmethod
@@ -152,8 +152,8 @@ class IntervalRecursion(Recursion):
         M, c = self._cancelling()
         self.times, self.plus = float(M[0, 0]), float(c[0])
 
-    def settle(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
-        """See :meth:`Recursion.settle`."""
+    def erode(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
+        """See :meth:`Recursion.erode`."""
         T = interval_reduce(T)
         S = interval_reduce(Polytope(T.H, T.h - support(self.DV, T.H)))
         parts = self.times + self.plus / float(S.h.min())
@@ -190,8 +190,8 @@ class PlanarRecursion(Recursion):
         out: Array = normals / np.sqrt((normals * normals).sum(axis=1))[:, None]
         return out
 
-    def settle(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
-        """See :meth:`Recursion.settle`. Both sets have the same normals: one pass judges both."""
+    def erode(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
+        """See :meth:`Recursion.erode`. Both sets have the same normals: one pass judges both."""
         rows = planar_rows(T.H, T.h)
         both = np.concatenate([rows, (rows[2] - support(self.DV, rows[:2].T))[None]])
         ring = Ring.of(both)
@@ -245,8 +245,8 @@ class SpatialRecursion(Recursion):
         elif inputs.half_widths is not None:
             self.intervals = [(-w, w) for w in inputs.half_widths]
 
-    def settle(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
-        """See :meth:`Recursion.settle`."""
+    def erode(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
+        """See :meth:`Recursion.erode`."""
         T = spatial_reduce(T)[0]
         S, faces = spatial_faces(Polytope(T.H, T.h - support(self.DV, T.H)))
         self._faces = (S, faces)
@@ -257,8 +257,8 @@ class SpatialRecursion(Recursion):
         if self.intervals is None:
             p = spatial_add_polygon(S, self.BU)
         else:
-            # Qhull's work is the time: what it said of S in `settle` serves again, and the sum's
-            # redundant rows go when the next `settle` meets them.
+            # Qhull's work is the time: what it said of S in `erode` serves again, and the sum's
+            # redundant rows go when the next `erode` meets them.
             known, faces = self._faces
             if known is not S:
                 S, faces = spatial_faces(S)

@@ -79,14 +79,14 @@ class OutputRule:
         """
         observer = self.observer
         found = observer.step(box, candidates, y_next)
-        centres, reach = self.predictions(box, candidates), observer.reach(box)
+        predictions, reach = self.predictions(box, candidates), observer.reach(box)
         gauges = []
-        for i, centre in enumerate(centres):
+        for i, centre in enumerate(predictions):
             away = zip(y_next, observer.read(centre), reach, strict=True)
             gauge = max(abs(y - c) / r for y, c, r in away)
             gauges.append(min(gauge, 1.0) if i in found.possible else max(gauge, OUTSIDE))
         inside = len(found.possible)
-        together = 1.0 + spread(self.apart, centres) <= self.alpha
+        together = 1.0 + spread(self.apart, predictions) <= self.alpha
         symbol = found.possible[0] if inside == 1 and together else NO_SYMBOL
         inputs = tuple([candidates[i] for i in found.possible]) or candidates
         return AgreementResult(tuple(gauges), symbol, inside, box=box, seen=Seen(found.box, inputs))

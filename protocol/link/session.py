@@ -39,13 +39,13 @@ from protocol.agreement import (
     Gauge,
     predict,
 )
-from protocol.box_observer import Box
+from protocol.box_observer import Box, Seen
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.defence.key_digits import fails
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.messages import Measurement, Offer
+from protocol.messages import Offer
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
@@ -71,7 +71,7 @@ class Rules:
     states, inputs : int
         Numbers of a reading, n where the whole state is read, and m.
     fingerprint : str
-        Compared over ops before the first step.
+        Compared over the management bus before the first step.
     inputs_gauge : Gauge
         The gauge of U, the admissible inputs.
     schedule : Schedule, optional
@@ -145,21 +145,20 @@ class Rules:
             return True
         return self.test is not None and self.test.fails(verdict.gauges)
 
-    def box(self, record: SenderRecord | ReceiverRecord) -> Box | None:
-        """Where the state of a record lies; None where it is read as it is."""
-        if self.outputs is None:
-            return None
-        return self.outputs.box(record.seen, record.k - record.applied_k - 1, record.x)
+    def box(self, seen: Seen | None, missed: int, reading: Vector) -> Box | None:
+        """Where the state lies; None where it is read as it is.
 
-    def state(self, record: SenderRecord, measurement: Measurement) -> Vector:
-        """The state for which candidates are to be found: as it is read, or its box's centre.
-
-        The record is the one before the offer, with the transition that ``measurement`` reports.
+        Parameters
+        ----------
+        seen : Seen, optional
+            What the last transition left of its box.
+        missed : int
+            Steps since that transition.
+        reading : tuple of float, shape (p,)
         """
         if self.outputs is None:
-            return measurement.x
-        missed = measurement.k - measurement.applied_k - 1
-        return self.outputs.box(record.seen, missed, measurement.x).centre
+            return None
+        return self.outputs.box(seen, missed, reading)
 
     def prediction(self, x: Vector, offer: Offer, candidate: int, box: Box | None = None) -> Vector:
         """f_c(x, u_i) of one candidate of an offer, as it would be read."""

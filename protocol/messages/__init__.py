@@ -1,18 +1,19 @@
 """The messages on the wire: flat, frozen, versioned. Nothing on the field bus is secret.
 
 Each of the three buses has a file of this package. The tap reads *field* messages. They hold no
-key, no plaintext and no automaton state, and have the same form in both states. *Ops* messages pass
-between controller, plant, dashboard and operator. *Intel* messages carry the tap's guesses.
+key, no plaintext and no automaton state, and have the same form in both states. *Management*
+messages pass between controller, plant, dashboard and operator. *Adversary* messages carry the
+tap's guesses.
 
 No model is nested in another, so a recorder's schema of each needs no reference.
 """
 
+from protocol.messages.adversary import ADVERSARY, TapStatus
 from protocol.messages.base import LARGEST_COUNT, SCHEMA, Message
 from protocol.messages.field import FIELD, FieldMessage, Measurement, Offer, Sealed
-from protocol.messages.intel import INTEL, TapStatus
-from protocol.messages.ops import (
+from protocol.messages.management import (
     LATENCY_BOUNDS_S,
-    OPS,
+    MANAGEMENT,
     BlockAnnouncement,
     ControllerHello,
     ControllerStatus,
@@ -30,11 +31,11 @@ from protocol.messages.ops import (
 )
 
 __all__ = [
+    "ADVERSARY",
     "FIELD",
-    "INTEL",
     "LARGEST_COUNT",
     "LATENCY_BOUNDS_S",
-    "OPS",
+    "MANAGEMENT",
     "SCHEMA",
     "BlockAnnouncement",
     "ControllerHello",

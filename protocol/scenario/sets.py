@@ -1,25 +1,26 @@
 """Compact convex sets as a scenario file states them."""
 
-from typing import Self
+from collections.abc import Sequence
+from functools import cache
+from typing import Final, Self
 
 from pydantic import model_validator
 
+from protocol.knowledge import NotNegative
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix
 from protocol.vectors import FiniteMatrix, FiniteVector
 
+BOX_ROUNDING: Final = 1e-12
+"""Relative error that the reach of a box may have."""
 
-class ConvexSet(ScenarioTable):
-    """A compact convex set with the origin inside: a box or the polytope { v : H v <= h }.
+CORNER_ROUNDING: Final = 1e-9
+"""Relative error that computed corners may have."""
 
-    Parameters
-    ----------
-    half_widths : tuple of float, shape (n,), optional
-        The box of vectors with ``abs(v_i) <= half_widths_i``.
-    H, h : tuple, shapes (rows, n) and (rows,), optional
-        The polytope; every entry of ``h`` positive, so that the origin is inside.
-    """
 
-    half_widths: tuple[Positive, ...] | None = None
+class SetTable(ScenarioTable):
+    """A compact convex set with the origin in it: a box, or the polytope { v : H v <= h }."""
+
+    half_widths: tuple[NotNegative, ...] | None = None
     """The box of vectors with abs(v_i) at most this; or H and h."""
     H: FiniteMatrix | None = None
     """Rows of { v : H v <= h }."""
@@ -60,23 +61,42 @@ class ConvexSet(ScenarioTable):
         rows = [row for e in unit for row in (e, tuple(-v for v in e))]
         return tuple(rows), tuple(w for w in self.half_widths for _ in range(2))
 
-    def contains(self, other: "ConvexSet") -> bool:
-        """Whether ``other`` lies within this set, to rounding."""
-        if other.half_widths is not None:
-            for row, bound in zip(*self.rows(), strict=True):
-                reach = sum(abs(a) * w for a, w in zip(row, other.half_widths, strict=True))
-                if reach > bound * (1 + 1e-12):
-                    return False
-            return True
-        from protocol.convex import corners
+    def corners(self) -> tuple[FiniteVector, ...]:
+        """The polytope's corners, in a fixed order."""
+        assert self.H is not None
+        assert self.h is not None
+        return _corners(self.H, self.h)
 
-        H, h = self.rows()
-        points = corners(*other.rows()).tolist()
-        return all(
-            sum(a * v for a, v in zip(row, point, strict=True)) <= bound * (1 + 1e-9)
-            for row, bound in zip(H, h, strict=True)
-            for point in points
+    def reach(self, row: Sequence[float]) -> float:
+        """How far the set reaches along ``row``: the largest row v."""
+        if self.half_widths is not None:
+            return sum(abs(a) * w for a, w in zip(row, self.half_widths, strict=True))
+        return max(
+            sum(a * v for a, v in zip(row, corner, strict=True)) for corner in self.corners()
         )
+
+    def contains(self, other: "SetTable") -> bool:
+        """Whether ``other`` lies within this set, to rounding."""
+        rounding = CORNER_ROUNDING if other.half_widths is None else BOX_ROUNDING
+        return all(
+            other.reach(row) <= bound * (1 + rounding)
+            for row, bound in zip(*self.rows(), strict=True)
+        )
+
+
+class ConvexSet(SetTable):
+    """A compact convex set with the origin inside: a box or the polytope { v : H v <= h }.
+
+    Parameters
+    ----------
+    half_widths : tuple of float, shape (n,), optional
+        The box of vectors with ``abs(v_i) <= half_widths_i``.
+    H, h : tuple, shapes (rows, n) and (rows,), optional
+        The polytope; every entry of ``h`` positive, so that the origin is inside.
+    """
+
+    half_widths: tuple[Positive, ...] | None = None
+    """The box of vectors with abs(v_i) at most this; or H and h."""
 
     def scaled(self, factor: float) -> "ConvexSet":
         """The set ``factor`` times as large."""
@@ -84,3 +104,10 @@ class ConvexSet(ScenarioTable):
             return ConvexSet(half_widths=tuple(factor * w for w in self.half_widths))
         assert self.h is not None
         return ConvexSet(H=self.H, h=tuple(factor * b for b in self.h))
+
+
+@cache
+def _corners(H: FiniteMatrix, h: FiniteVector) -> tuple[FiniteVector, ...]:
+    from protocol.convex import corners
+
+    return tuple(sorted(tuple(v) for v in corners(H, h).tolist()))

@@ -289,7 +289,7 @@ class Scenario(Brief, ScenarioTable):
                 + ("" if assumed is None else ", widened by defender.noise")
             )
         may_leave = self.plant.disturbance.may_leave_defender_set
-        if noise is not None and not may_leave and (assumed is None or not noise.within(assumed)):
+        if noise is not None and not may_leave and (assumed is None or not assumed.contains(noise)):
             yield (
                 "plant.noise: expected a set inside defender.noise, N, or "
                 "plant.disturbance.may_leave_defender_set = true"
@@ -336,7 +336,8 @@ class Scenario(Brief, ScenarioTable):
         """SHA-256 (hex) over what both ends must share for their verdicts to be the same.
 
         A scheme in a file of the user's enters with the SHA-256 of the file, too.
-        Compared over ops only: on the field bus it would let an eavesdropper test her guesses.
+        Compared over the management bus only: on the field bus it would let an eavesdropper test
+        her guesses.
         """
         scheme, source = SCHEMES[self.secrecy.scheme], SCHEMES.source(self.secrecy.scheme)
         own = (source,) if source else ()

@@ -271,7 +271,7 @@ class Blocks:
         self.tag = tag or NO_TAG
         self._open = OpenBlock(schedule.assumption)
         self._stored: dict[int, Stored] = {}
-        self._settled: set[int] = set()
+        self._judged: set[int] = set()
         self._confirmed = block
         self._unequal = False
         self._closed: list[ClosedBlock] = []
@@ -315,13 +315,13 @@ class Blocks:
         if block.session != self.session:
             return ()
         if not block.tag:
-            self._settled.add(block.number)
+            self._judged.add(block.number)
             self._kept.discard(block.number)
             return ()
         self._stored[block.number] = block
         if block.confirmed:
             self._confirmed = max(self._confirmed, block.number)
-            self._settled.add(block.number)
+            self._judged.add(block.number)
         elif block.number <= self._confirmed:
             return (BlockResult(self.session, block.number, "confirmed"),)
         return ()
@@ -358,7 +358,7 @@ class Blocks:
         A block that waits for one further transition is not among them.
         """
         closed = {block.number for block in self._closed if block.makes_keys}
-        kept = {n for n in self._kept if n not in self._settled}
+        kept = {n for n in self._kept if n not in self._judged}
         return sum(
             n > self._confirmed and self._newest >= self.schedule.begins(n + 1)
             for n in closed | kept
@@ -367,15 +367,15 @@ class Blocks:
     def judged(self, session: str, number: int) -> None:
         """Note that a result of :meth:`heard` is on disk."""
         if session == self.session:
-            self._settled.add(number)
+            self._judged.add(number)
 
     def obsolete_rows(self) -> tuple[range, ...]:
         """Transitions whose rows can be erased, returned once.
 
         Rows are kept until their block is confirmed on disk and this end has announced it.
         """
-        over = {n for n in self._settled if n <= self.block or n not in self._stored}
-        self._settled -= over
+        over = {n for n in self._judged if n <= self.block or n not in self._stored}
+        self._judged -= over
         for number in over:
             self._stored.pop(number, None)
             self._kept.discard(number)

@@ -201,7 +201,7 @@ def mirror_line(t_ns: int, topic: str, payload: bytes) -> bytes:
     )
 
 
-def garbage_line(t_ns: int, key: str, payload: bytes) -> bytes:
+def malformed_line(t_ns: int, key: str, payload: bytes) -> bytes:
     """The capture line of something on a field key that is no message."""
     return to_json(
         {

@@ -113,22 +113,22 @@ class Transcript:
 
     @property
     def held(self) -> int:
-        """What is kept of steps that are not settled yet: numbers and messages."""
+        """What is kept of steps that are not finished yet: numbers and messages."""
         return len(self._x) + len(self._offers) + len(self._after) + len(self._missed)
 
     def hear(self, message: FieldMessage) -> list[Transition]:
-        """Take one message; the transitions that are settled by it, in order.
+        """Take one message; the transitions that are finished by it, in order.
 
-        A sealed message passes beside the loop: it settles none.
+        A sealed message passes beside the loop: it finishes none.
         """
-        settled: list[Transition] = []
+        finished: list[Transition] = []
         if isinstance(message, Sealed):
-            return settled
+            return finished
         if message.session != self._session:
             if message.session in self._ended:
                 self.late += 1
-                return settled
-            settled = self.flush()
+                return finished
+            finished = self.flush()
             if self._session:
                 self._ended.append(self._session)
             self._begin(message.session)
@@ -152,9 +152,9 @@ class Transcript:
         if k > self._newest:
             self._newest = k
             if k - self._next > LONGEST_BRIDGE:
-                settled += self._jump()
-        self._settle(settled)
-        return settled
+                finished += self._jump()
+        self._finish(finished)
+        return finished
 
     def _note(self, message: Measurement) -> None:
         k, applied = message.k, message.applied_k
@@ -166,7 +166,7 @@ class Transcript:
         for j in range(max(applied + 1, self._next), min(k, self._next + LONGEST_BRIDGE)):
             self._missed.add(j)
 
-    def _settle(self, settled: list[Transition], *, force: bool = False) -> None:
+    def _finish(self, finished: list[Transition], *, force: bool = False) -> None:
         while self._next <= self._newest:
             k = self._next
             if k in self._missed:
@@ -180,7 +180,7 @@ class Transcript:
                 self._forget(k)
                 continue
             self.holes += not whole
-            settled.append(
+            finished.append(
                 Transition(
                     self._session,
                     k,
@@ -213,11 +213,11 @@ class Transcript:
 
     def _jump(self) -> list[Transition]:
         """Give up on a gap too long to bridge: settle what there is and go on behind it."""
-        settled: list[Transition] = []
+        finished: list[Transition] = []
         known = sorted(k for k in {*self._offers, *self._after} if k < self._newest - PATIENCE)
         if known and known[-1] - self._next <= LONGEST_BRIDGE:
             newest, self._newest = self._newest, known[-1]
-            self._settle(settled, force=True)
+            self._finish(finished, force=True)
             self._newest = newest
         target = self._newest - PATIENCE
         for store in (self._x, self._offers, self._after):
@@ -227,7 +227,7 @@ class Transcript:
         self.jumped += target - self._next
         self._next = target
         self._start, self._gap = False, True
-        return settled
+        return finished
 
     def flush(self) -> list[Transition]:
         """Settle what is left, at the end of a transcript or of a session.
@@ -235,11 +235,11 @@ class Transcript:
         An offer at the very end that no measurement confirms is no transition; where no measurement
         was ever heard, the next offer stands for it.
         """
-        settled: list[Transition] = []
+        finished: list[Transition] = []
         confirmed = max(self._after, default=-1)
         if not self._speaks[Measurement]:
             confirmed = max(self._offers, default=0) - 1
         if confirmed >= 0:
             self._newest = min(self._newest, confirmed)
-            self._settle(settled, force=True)
-        return settled
+            self._finish(finished, force=True)
+        return finished

@@ -177,7 +177,7 @@ class Eavesdropper(ABC):
     microseconds: she then works from the capture in a process of her own, on a bounded share of
     a core, and the mirror never waits for her. One with ``told_model = False`` is told neither
     f_c nor D_e, unless the model she is told is wrong on purpose. One with ``hears_messages`` is
-    handed every message besides, right before the transitions that it settles. One with
+    handed every message besides, right before the transitions that it finishes. One with
     ``guesses = False`` goes for something else than the loop's own symbols: what she answers for a
     transition is no guess, and she is not scored by it. One with ``reads_outputs = False`` wants
     whole states, and cannot listen where a plant is read through some outputs alone.
@@ -321,7 +321,7 @@ class Model:
 
         Where sensors are noisy W has another shape than D_c, and what the other rows say is noise.
         """
-        centres = predictions or [predict(self.A, self.B, x, u) for u in candidates]
+        predictions = predictions or [predict(self.A, self.B, x, u) for u in candidates]
         widths = self.gauge.half_widths
         H, h = self.gauge.H, self.gauge.h
         if widths is not None:
@@ -329,7 +329,7 @@ class Model:
             H = tuple(tuple(1.0 if j == i else 0.0 for j in range(n)) for i in range(n))
             h = widths
         places = [
-            [sum(a * v for a, v in zip(row, c, strict=True)) / b for c in centres]
+            [sum(a * v for a, v in zip(row, c, strict=True)) / b for c in predictions]
             for row, b in zip(H, h, strict=True)
         ]
         r = max(range(len(places)), key=lambda i: max(places[i]) - min(places[i]))

@@ -103,7 +103,7 @@ class ListDecoding:
 
     def restart(self) -> None:
         """A new session: scheme and frame from the start; what is known of t_c, t_e is kept."""
-        self._settle()
+        self._commit()
         self.paths.forget_trunk()
         everyone = slice(0, self.beam.n)
         self.beam.state[everyone] = 0
@@ -285,7 +285,7 @@ class ListDecoding:
             del self.whole_at[:-KEPT_MESSAGES]
             self.whole_count += 1
         h.keep(np.flatnonzero(passed == passed[best]))
-        self._settle()
+        self._commit()
         self.paths.end_frame()
 
     def _last_frame(self, node: int) -> bytes | None:
@@ -317,7 +317,7 @@ class ListDecoding:
                 self._halve()
                 self._compact()
             if h.n == 1:
-                self._settle()
+                self._commit()
 
     def _compact(self) -> None:
         h = self.beam
@@ -329,10 +329,10 @@ class ListDecoding:
         self.dropped += h.n - len(order)
         h.keep(np.sort(order))
 
-    def _settle(self) -> None:
+    def _commit(self) -> None:
         """Take the best hypothesis's symbols for granted and forget all paths."""
         h = self.beam
-        self.paths.settle(int(h.node[h.best]))
+        self.paths.commit(int(h.node[h.best]))
         h.node[: h.n] = -1
         h.score[: h.n] -= h.score[: h.n].max()
 

@@ -7,7 +7,7 @@ probability at most (:mod:`protocol.statistics`).
 
 What she misses says nothing while she is not there. So copies are left out from the beginning until
 she has heard one, and again once she has missed :data:`AWAY` in a row until she hears one. Whether
-a copy is left out is settled before it is sent, so those that are left in are as the claim says.
+a copy is left out is decided before it is sent, so those that are left in are as the claim says.
 """
 
 from collections.abc import Iterable, Mapping, Sequence

@@ -55,7 +55,7 @@ class SymbolPaths:
         path.reverse()
         return path
 
-    def settle(self, node: int) -> None:
+    def commit(self, node: int) -> None:
         """Let a path join the trunk, and forget all others; of the trunk the newest are kept."""
         for k, symbol in self.path(node):
             self._trunk_k.append(k)

@@ -519,11 +519,11 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
 def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path) -> None:
     scenario = vary(line(), {"plant.object": "tests.adapters.plants:Failing"})
     config = PlantConfig(scenario, tmp_path, "loop", Pace("realtime"), seed=1)
-    ops = MemoryHub()
-    buses = MemoryBus(MemoryHub()), MemoryBus(ops)
+    management = MemoryHub()
+    buses = MemoryBus(MemoryHub()), MemoryBus(management)
     service = PlantService(config, *buses, threading.Event())
     assert service.endpoint.plant.acts
-    taken_up(service, ops)
+    taken_up(service, management)
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
     assert "the belt is torn" in (tmp_path / PLANT_SAFE).read_text()
@@ -531,7 +531,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
         PlantService(config, *buses, threading.Event())
 
 
-def taken_up(service: PlantService, ops: MemoryHub) -> None:
+def taken_up(service: PlantService, management: MemoryHub) -> None:
     """A controller takes the session up, as soon as the service runs; it offers nothing."""
     core = service.endpoint
     hello = ControllerHello(
@@ -540,7 +540,7 @@ def taken_up(service: PlantService, ops: MemoryHub) -> None:
         fingerprint=core.rules.fingerprint,
         verdict="greeting",
     )
-    put = MemoryBus(ops).publisher(key_of(ControllerHello, "loop")).put
+    put = MemoryBus(management).publisher(key_of(ControllerHello, "loop")).put
     put(hello.wire())
     answer = {"verdict": "accepted", "session": core.record.session, "answers": core.instance}
     put(hello.model_copy(update=answer).wire())
@@ -551,13 +551,13 @@ def device_service(
     run_dir: Path,
     monkeypatch: pytest.MonkeyPatch,
     stopping: threading.Event,
-    ops: MemoryHub | None = None,
+    management: MemoryHub | None = None,
 ) -> PlantService:
     """The service of a plant that is a device in this process."""
     opened = partial(open_plant, own=device)
     monkeypatch.setattr(opening, "open_plant", lambda scenario, *_: opened(scenario))
     config = PlantConfig(line(), run_dir, "loop", Pace("realtime"), seed=1)
-    buses = MemoryBus(MemoryHub()), MemoryBus(ops or MemoryHub())
+    buses = MemoryBus(MemoryHub()), MemoryBus(management or MemoryHub())
     return PlantService(config, *buses, stopping)
 
 
@@ -569,9 +569,9 @@ def test_a_device_that_cannot_be_let_go_of_hides_no_failure(
             super().close()
             raise OSError("the port is gone")
 
-    device, ops = Stuck(), MemoryHub()
-    service = device_service(device, tmp_path, monkeypatch, threading.Event(), ops)
-    taken_up(service, ops)
+    device, management = Stuck(), MemoryHub()
+    service = device_service(device, tmp_path, monkeypatch, threading.Event(), management)
+    taken_up(service, management)
     device.reading = lambda y: (float("nan"), 0.0)
     with log_of("plant") as lines, pytest.raises(PlantError, match="expected finite numbers"):
         service.run()
@@ -639,14 +639,6 @@ def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None
     assert p.actuated_after_s == (ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last])
 
 
-def transition(gauges: tuple[float, ...]) -> Any:
-    class Counted:
-        verdict = AgreementResult(gauges, -1)
-        coin = 0
-
-    return Counted()
-
-
 def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     promise = Calibration(
         sessions=100,
@@ -660,7 +652,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     told = []
     for step in range(200):
         out = step % 20 == 0  # every second session of ten steps
-        told.append(watch.counted(transition((1.5, 2.0) if out else (0.5, 2.0))))
+        told.append(watch.counted(AgreementResult((1.5, 2.0) if out else (0.5, 2.0), -1), 0))
     lines = [line for line in told if line]
     assert (watch.outside, watch.unexplained, watch.sessions, watch.exceeded) == (10, 10, 20, 10)
     assert len(lines) == 1
@@ -668,7 +660,7 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     assert watch.doubt
     kept = ReachWatch(promise)
     for step in range(2000):
-        kept.counted(transition((1.5, 0.5) if step == 700 else (0.5, 2.0)))
+        kept.counted(AgreementResult((1.5, 0.5) if step == 700 else (0.5, 2.0), -1), 0)
     assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")
 
 

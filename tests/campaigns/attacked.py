@@ -84,7 +84,7 @@ def run(
 
     An attack on the bus stands between the two field buses, on a thread.
     """
-    hubs, ops, over = [MemoryHub()], MemoryHub(), threading.Event()
+    hubs, management, over = [MemoryHub()], MemoryHub(), threading.Event()
     with ExitStack() as stack:
         if attack is not None and named(attack.kind).at == "bus":
             hubs.append(MemoryHub())
@@ -93,7 +93,7 @@ def run(
             relay = Relay(attacker, MemoryBus(hubs[0]), MemoryBus(hubs[1]), "loop")
             stack.enter_context(_beside(lambda: relay.run(over), over))
         config = ControllerConfig(scenario, folder, "loop", law)
-        controller = ControllerService(config, MemoryBus(hubs[-1]), MemoryBus(ops), over)
+        controller = ControllerService(config, MemoryBus(hubs[-1]), MemoryBus(management), over)
         stack.enter_context(_beside(controller.run, over))
         stopping = threading.Event()
         if seconds < float("inf"):
@@ -101,7 +101,7 @@ def run(
             stack.callback(timer.cancel)
             timer.start()
         plant = PlantConfig(scenario, folder, "loop", Pace(pace), steps=steps, attack=attack)
-        PlantService(plant, MemoryBus(hubs[0]), MemoryBus(ops), stopping).run()
+        PlantService(plant, MemoryBus(hubs[0]), MemoryBus(management), stopping).run()
 
 
 @contextmanager

@@ -101,7 +101,14 @@ def _knowledge(run: Path) -> None:
 
 
 def _tls(run: Path) -> int:
-    ends = ["--connect", "ops=tls/127.0.0.1:9", "--tls", f"ops={run}/certs", "--timeout", "0.01"]
+    ends = [
+        "--connect",
+        "management=tls/127.0.0.1:9",
+        "--tls",
+        f"management={run}/certs",
+        "--timeout",
+        "0.01",
+    ]
     return wyner(["send", "hi", *ends])
 
 

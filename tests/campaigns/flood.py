@@ -41,10 +41,10 @@ from tests.campaigns.fuzz import LARGEST, payloads
 from tools.rehearsal import Rehearsal
 from wyner.sweeps.grid import code_version
 
-BUSES = ("field", "ops", "intel")
+BUSES = ("field", "management", "adversary")
 CARRIES: dict[str, tuple[type[Message], ...]] = {
     "field": (Measurement, Offer, Sealed),
-    "ops": (
+    "management": (
         PlantHello,
         ControllerHello,
         PlantModel,
@@ -54,13 +54,13 @@ CARRIES: dict[str, tuple[type[Message], ...]] = {
         SealCommand,
         SealedReceipt,
     ),
-    "intel": (TapStatus,),
+    "adversary": (TapStatus,),
 }
 ON: dict[str, tuple[str, ...]] = {
-    "controller": ("field", "ops"),
-    "plant": ("field", "ops"),
-    "tap": ("field", "intel"),
-    "dashboard": ("ops", "intel"),
+    "controller": ("field", "management"),
+    "plant": ("field", "management"),
+    "tap": ("field", "adversary"),
+    "dashboard": ("management", "adversary"),
 }
 PATIENCE_S = 60.0
 
@@ -163,7 +163,7 @@ def heard_on(services: Services) -> dict[str, list[bytes]]:
         if line["event"] == "field"
     ]
     statuses = [a.message for batch in Rehearsal().arrivals(100) for a in batch]
-    ops = [s.wire() for s in statuses if not isinstance(s, TapStatus)]
+    management = [s.wire() for s in statuses if not isinstance(s, TapStatus)]
     fingerprint, session = "0" * 64, "1" * 16
     hello = PlantHello(
         instance=session,
@@ -175,8 +175,8 @@ def heard_on(services: Services) -> dict[str, list[bytes]]:
     )
     return {
         "field": field,
-        "ops": [*ops, hello.wire(), SealedReceipt(id="a").wire()],
-        "intel": [s.wire() for s in statuses if isinstance(s, TapStatus)],
+        "management": [*management, hello.wire(), SealedReceipt(id="a").wire()],
+        "adversary": [s.wire() for s in statuses if isinstance(s, TapStatus)],
     }
 
 

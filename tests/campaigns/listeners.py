@@ -110,7 +110,7 @@ class Tap:
 
 
 class Dashboard:
-    """The screen and the lines without one, from statuses on ops and intel."""
+    """The screen and the lines without one, from statuses on the buses."""
 
     kinds: tuple[type[Message], ...] = (PlantModel, PlantStatus, ControllerStatus, TapStatus)
 

@@ -270,25 +270,38 @@ class LiveLoop:
         self.processes[name] = Process(name, [name, *arguments], self.folder / f"{name}.log")
 
     def _peers(self, relay: tuple[float, float, float] | None) -> dict[str, list[str]]:
-        plant, controller, tap, plant_ops, controller_ops, intel = free_endpoints(6)
-        self.ops = ["--connect", f"ops={controller_ops}"]
+        plant, controller, tap, plant_management, controller_management, adversary = free_endpoints(
+            6
+        )
+        self.management = ["--connect", f"management={controller_management}"]
         field_of = ["--connect", f"field={tap}"]
-        joins = ["--connect", f"ops={plant_ops}"]
+        joins = ["--connect", f"management={plant_management}"]
         if relay is None:
             joins += ["--connect", f"field={plant}"]
         else:
             between = [plant, controller, *map(str, relay), "1"]
             log = self.folder / "relay.log"
             self.processes["relay"] = Process("relay", between, log, pass_on)
-        hears = ["--listen", f"field={controller}", "--listen", f"ops={controller_ops}"]
+        hears = [
+            "--listen",
+            f"field={controller}",
+            "--listen",
+            f"management={controller_management}",
+        ]
         return {
-            "tap": ["--listen", f"field={tap}", "--listen", f"intel={intel}"],
-            "plant": ["--listen", f"field={plant}", "--listen", f"ops={plant_ops}", *field_of],
+            "tap": ["--listen", f"field={tap}", "--listen", f"adversary={adversary}"],
+            "plant": [
+                "--listen",
+                f"field={plant}",
+                "--listen",
+                f"management={plant_management}",
+                *field_of,
+            ],
             "controller": [*hears, *joins, *field_of],
         }
 
     def _routed(self, *, tls: bool) -> dict[str, list[str]]:
-        buses = dict(zip(("field", "ops", "intel"), free_endpoints(3), strict=True))
+        buses = dict(zip(("field", "management", "adversary"), free_endpoints(3), strict=True))
         if tls:
             buses = {bus: at.replace("tcp/", "tls/") for bus, at in buses.items()}
             names = ("router", "tap", "plant", "controller", "operator")
@@ -307,11 +320,11 @@ class LiveLoop:
             ends = [f"--connect={bus}={buses[bus]}" for bus in names]
             return [*clients, *ends, *shown(name, *names)]
 
-        self.ops = client("operator", "ops")
+        self.management = client("operator", "management")
         return {
-            "tap": client("tap", "field", "intel"),
-            "plant": client("plant", "field", "ops"),
-            "controller": client("controller", "field", "ops"),
+            "tap": client("tap", "field", "adversary"),
+            "plant": client("plant", "field", "management"),
+            "controller": client("controller", "field", "management"),
         }
 
     def start(self) -> None:
@@ -323,7 +336,7 @@ class LiveLoop:
     def send(self, name: str, text: str, *, sealed: bool = False) -> Process:
         """An operator who asks until a message has been queued, or a sealed one has arrived."""
         how = ["--sealed"] if sealed else []
-        argv = ["send", text, "--id", name, "--timeout=600", *how, *self.ops]
+        argv = ["send", text, "--id", name, "--timeout=600", *how, *self.management]
         operator = Process(name, argv, self.folder / "send.log")
         operator.start()
         return operator

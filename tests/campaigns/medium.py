@@ -137,7 +137,7 @@ def _loop(case: Case, air: Medium, folder: Path) -> None:
             "1",
             *field((), tap),
             "--listen",
-            "intel=tcp/127.0.0.1:7465",
+            "adversary=tcp/127.0.0.1:7465",
         ]
     commands["plant"] = [
         *plant.prefix,
@@ -150,7 +150,7 @@ def _loop(case: Case, air: Medium, folder: Path) -> None:
         str(case.steps),
         *field(taps, plant),
         "--listen",
-        f"ops={at(plant, 7463)}",
+        f"management={at(plant, 7463)}",
     ]
     commands["controller"] = [
         *controller.prefix,
@@ -161,9 +161,9 @@ def _loop(case: Case, air: Medium, folder: Path) -> None:
         "hello",
         *field((plant, *taps), controller),
         "--listen",
-        f"ops={at(controller, 7464)}",
+        f"management={at(controller, 7464)}",
         "--connect",
-        f"ops={at(plant, 7463)}",
+        f"management={at(plant, 7463)}",
     ]
     processes: dict[str, subprocess.Popen[bytes]] = {}
     log = folder / "log"

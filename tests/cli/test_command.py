@@ -122,10 +122,13 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["plant", "--loop", "a/b"], "--loop: got 'a/b'"),
         (["plant", "--pace", "fast", "--listen", "field"], "--listen: got 'field', expected BUS="),
         (["plant", "--listen", "field=foo"], "--listen field: endpoint: got 'foo', expected tcp/"),
-        (["plant", "--listen", "intel=tcp/127.0.0.1:1"], "with BUS one of field, ops"),
+        (["plant", "--listen", "adversary=tcp/127.0.0.1:1"], "with BUS one of field, management"),
         (["plant", "--listen", "field=nowhere"], "got 'nowhere', expected tcp/HOST:PORT"),
-        (["controller", "--connect", "ops=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),
-        (["controller", "--client", "intel"], "--client: got 'intel'"),
+        (["controller", "--connect", "management=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),
+        (["controller", "--client", "adversary"], "--client: got 'adversary'"),
+        (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
+        (["dashboard", "--connect", "intel=tcp/127.0.0.1:1"], "intel is called adversary now"),
+        (["router", "--listen", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
         (["send"], "expected TEXT or --file F"),
         (["send", "text", "--file", "f"], "and one of them only"),
         (["send", "text", "--timeout", "0"], "--timeout: got 0.0"),
@@ -160,7 +163,7 @@ def test_a_run_folder_that_cannot_be_made_is_wrong_use(
 def test_an_endpoint_in_use_is_wrong_use_and_starts_nothing(
     service: str, capfd: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    bus = "intel" if service == "tap" else "ops"
+    bus = "adversary" if service == "tap" else "management"
     (field,) = free_endpoints(1)
     with socket.create_server(("127.0.0.1", 0)) as taken:
         endpoint = f"tcp/127.0.0.1:{taken.getsockname()[1]}"
@@ -177,8 +180,15 @@ def test_a_run_of_another_scenario_is_left_alone(
 ) -> None:
     """Their fingerprints are the same; a check would take one scenario's run for the other's."""
     keep_scenario(tmp_path, "paper")
-    field, ops = free_endpoints(2)
-    args = ["--listen", f"field={field}", "--listen", f"ops={ops}", "--run-dir", str(tmp_path)]
+    field, management = free_endpoints(2)
+    args = [
+        "--listen",
+        f"field={field}",
+        "--listen",
+        f"management={management}",
+        "--run-dir",
+        str(tmp_path),
+    ]
     (line,) = usage_error(capsys, service, "--scenario", "sustained", *args)
     assert line == (
         f"wyner: --run-dir: {tmp_path}: holds a run of another scenario (paper), "
@@ -537,4 +547,4 @@ def test_defaults_listen_once_and_connect_to_what_is_listened_at() -> None:
         assert set(row.ends) <= set(BUSES)
         for ends in row.ends.values():
             assert set(ends.connect) <= set(listened), row.name
-    assert "ops" not in SERVICES["tap"].ends
+    assert "management" not in SERVICES["tap"].ends

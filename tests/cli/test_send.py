@@ -28,7 +28,7 @@ NOBODY = "tcp/127.0.0.1:9"
 def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    monkeypatch.setattr(options, "CONTROLLER_OPS", NOBODY)
+    monkeypatch.setattr(options, "CONTROLLER_MANAGEMENT", NOBODY)
 
 
 class CrowdedBus:

@@ -241,7 +241,7 @@ def test_export_to_mcap_is_read_by_the_public_reader(
     assert len(got) == len(run.messages)
     for (name, topic, t_ns, data), (i, message) in zip(got, enumerate(run.messages), strict=True):
         assert name == type(message).__name__
-        assert topic == f"wyner/v1/loop/{message.topic}"
+        assert topic == f"wyner/v2/loop/{message.topic}"
         assert t_ns == 1000 + i
         assert type(message).model_validate(data) == message
 
@@ -271,7 +271,7 @@ def test_sealed_messages_are_exported_with_their_ciphertext(
     assert call(capsys, "export", tmp_path, "--to", "mcap", "--output", tmp_path / "m")[0] == 0
     with (tmp_path / "m").open("rb") as file:
         ((_, channel, message),) = reader_module.make_reader(file).iter_messages()
-    assert channel.topic == "wyner/v1/loop/sealed"
+    assert channel.topic == "wyner/v2/loop/sealed"
     assert Sealed.model_validate_json(message.data) == sealed
 
 

@@ -63,7 +63,7 @@ def test_no_service_has_rights_it_does_not_need(direct: Composition, service: st
 def test_nothing_is_published_to_the_machine(direct: Composition) -> None:
     for service in SERVICES:
         assert not direct.inspect(service)["HostConfig"]["PortBindings"]
-    for bus in ("field", "ops", "intel"):
+    for bus in ("field", "management", "adversary"):
         network = json.loads(docker("network", "inspect", f"{direct.project}_{bus}"))[0]
         assert network["Internal"] is True
 
@@ -110,13 +110,13 @@ def address(system: Composition, service: str, bus: str) -> str:
     return str(networks[f"{system.project}_{bus}"]["IPAddress"])
 
 
-def test_the_tap_has_no_route_to_ops(direct: Composition) -> None:
+def test_the_tap_has_no_route_to_management(direct: Composition) -> None:
     all_healthy(direct, SERVICES)
-    plant, controller = (address(direct, s, "ops") for s in ("plant", "controller"))
+    plant, controller = (address(direct, s, "management") for s in ("plant", "controller"))
     plant_field, controller_field = (address(direct, s, "field") for s in ("plant", "controller"))
     tried = outcomes(
         direct.python(
-            "tap", CONNECT, "plant.ops:7463", "controller.ops:7464",
+            "tap", CONNECT, "plant.management:7463", "controller.management:7464",
             f"{plant}:7463", f"{controller}:7464",
             # The same containers, by the address that the tap can reach: nobody listens there.
             f"{plant_field}:7463", f"{controller_field}:7464",
@@ -129,7 +129,7 @@ def test_the_tap_has_no_route_to_ops(direct: Composition) -> None:
         f"{controller_field}:7462",
     ]
     assert len(tried) == 8
-    # The addresses were right: the controller reaches the plant's ops by the same one.
+    # The addresses were right: the controller reaches the plant's management bus by the same one.
     assert outcomes(direct.python("controller", CONNECT, f"{plant}:7463")) == {
         f"{plant}:7463": True
     }
@@ -152,12 +152,12 @@ def test_a_listener_to_everything_hears_only_field_messages(direct: Composition)
     all_healthy(direct, SERVICES)
     field = json.dumps(["tcp/plant.field:7461", "tcp/controller.field:7462"])
     heard = json.loads(direct.python("tap", LISTEN % field).stdout)
-    assert set(heard) == {"wyner/v1/loop/measurement", "wyner/v1/loop/offer"}
+    assert set(heard) == {"wyner/v2/loop/measurement", "wyner/v2/loop/offer"}
     assert min(heard.values()) > 10
-    # The control: the same listener on ops does hear the statuses.
-    ops = json.dumps(["tcp/plant.ops:7463", "tcp/controller.ops:7464"])
-    heard = json.loads(direct.python("controller", LISTEN % ops).stdout)
-    assert "wyner/v1/loop/ops/plant/status" in heard
+    # The control: the same listener on the management bus does hear the statuses.
+    management = json.dumps(["tcp/plant.management:7463", "tcp/controller.management:7464"])
+    heard = json.loads(direct.python("controller", LISTEN % management).stdout)
+    assert "wyner/v2/loop/management/plant/status" in heard
 
 
 def test_the_tap_hears_the_first_message_whole(direct: Composition) -> None:
@@ -203,7 +203,7 @@ def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
     """What the profile `secure` prevents. Here it is counted as malformed, and harms nothing."""
     all_healthy(direct, SERVICES)
     text = "she forges meanwhile, all the time"
-    forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v1/loop/offer")
+    forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v2/loop/offer")
     wait_for(lambda: direct.status("plant", "plant")["malformed"] >= 10, "malformed counted")
     forged_under_way(direct, forger, text, "controller")
     arrives(direct, "plant", text)
@@ -218,8 +218,8 @@ def test_the_dashboard_fills_a_terminal_and_q_leaves_it(direct: Composition) -> 
     with Terminal(command, direct.environment) as terminal:
         terminal.read_until(
             "\x1b[?1049h",  # the alternate screen
-            "sustained",  # the plant has been heard, over ops
-            "nearest-centre",  # and the tap, over intel
+            "sustained",  # the plant has been heard, over the management bus
+            "nearest-centre",  # and the tap, over the adversary bus
         )
         terminal.press("q")
         assert terminal.wait(PATIENCE_S) == 0

@@ -64,10 +64,10 @@ def test_the_plant_cut_off_its_networks_comes_back(direct: Composition) -> None:
     under_way(direct, text)
     plant = direct.container("plant")
     missed = direct.status("plant", "plant")["missed"]
-    for bus in ("field", "ops"):
+    for bus in ("field", "management"):
         docker("network", "disconnect", f"{direct.project}_{bus}", plant)
     time.sleep(4)
-    for bus in ("field", "ops"):
+    for bus in ("field", "management"):
         network = f"{direct.project}_{bus}"
         docker("network", "connect", "--alias", f"plant.{bus}", network, plant)
     arrives(direct, "plant", text)

@@ -81,7 +81,7 @@ def test_each_container_holds_one_identity_and_no_authority(secure: Composition)
 def test_the_router_passes_on_what_names_allow_and_drops_the_rest(secure: Composition) -> None:
     """All three publish everything, on a loop of this test's own; a witness listens."""
     all_healthy(secure, SERVICES)
-    offer, measurement = "wyner/v1/witness/offer", "wyner/v1/witness/measurement"
+    offer, measurement = "wyner/v2/witness/offer", "wyner/v2/witness/measurement"
     task = json.dumps([certificates("plant"), offer, measurement])
     witness = Beside(secure, "secure-plant", WITNESS, task)
     for name in ("tap", "controller", "plant"):
@@ -93,7 +93,7 @@ def test_forged_publications_from_the_tap_change_nothing(secure: Composition) ->
     """On the live loop, while a message is under way. (test_direct.py shows them arriving.)"""
     text = "she forges meanwhile"
     all_healthy(secure, SERVICES)
-    keys = ("wyner/v1/loop/offer", "wyner/v1/loop/measurement")
+    keys = ("wyner/v2/loop/offer", "wyner/v2/loop/measurement")
     forger = Beside(secure, "secure-tap", FORGE, ROUTER, certificates("tap"), *keys)
     forged_under_way(secure, forger, text, "secure-controller")
     arrives(secure, "secure-plant", text)

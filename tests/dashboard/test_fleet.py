@@ -28,10 +28,10 @@ class Fleet:
     """Three loops on hubs in memory, and the table that watches them."""
 
     def __init__(self, scenario: Scenario, law: CandidateLaw, folder: Path) -> None:
-        ops, intel = MemoryHub(), MemoryHub()
+        management, adversary = MemoryHub(), MemoryHub()
         self.table = FleetTable()
-        self.table.attach(MemoryBus(ops), MemoryBus(intel))
-        self.ops, self._intel = MemoryBus(ops), MemoryBus(intel)
+        self.table.attach(MemoryBus(management), MemoryBus(adversary))
+        self.management, self._adversary = MemoryBus(management), MemoryBus(adversary)
         plant, files = open_plant(PlantConfig(scenario, folder, "a", Pace("realtime")), 0.0)
         files.close()
         self.plant = plant.status(0.0).model_copy(update={"phase": "running"})
@@ -41,7 +41,7 @@ class Fleet:
         self.controller = controller.status()
 
     def say(self, loop: str, status: Message, **changes: object) -> None:
-        bus = self._intel if isinstance(status, TapStatus) else self.ops
+        bus = self._adversary if isinstance(status, TapStatus) else self.management
         told = status.model_copy(update=changes)
         bus.publisher(key_of(type(status), loop)).put(told.wire())
 
@@ -120,11 +120,11 @@ def test_a_narrow_table_drops_whole_columns(fleet: Fleet) -> None:
         assert "…" not in row
 
 
-def test_garbage_and_terminal_codes_do_no_harm(
+def test_malformed_bytes_and_terminal_codes_do_no_harm(
     fleet: Fleet, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    fleet.ops.publisher(key_of(PlantStatus, "a")).put(b"{")
-    fleet.ops.publisher(key_of(ControllerStatus, "a")).put(b"\xff")
+    fleet.management.publisher(key_of(PlantStatus, "a")).put(b"{")
+    fleet.management.publisher(key_of(ControllerStatus, "a")).put(b"\xff")
     fleet.say("a", fleet.plant, k=5)
     fleet.say("a", TAP, name="\x1b[31mred")
     looks = iter([False, True])
@@ -156,7 +156,7 @@ def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPa
     assert f"tap-{TAPS_KEPT - 1} is {TAPS_KEPT - 1} % sure" in claims[0]
     beyond = WAITING_AT_MOST // 2**18 + 4
     for _ in range(beyond):
-        fleet.ops.publisher(key_of(PlantStatus, "loop-0")).put(bytes(2**18))
+        fleet.management.publisher(key_of(PlantStatus, "loop-0")).put(bytes(2**18))
     fleet.table.take(0.0)
     assert lines(fleet, 0.0)[0].endswith("; 5 came faster than they were read")
     assert fleet.table.malformed == beyond - 5

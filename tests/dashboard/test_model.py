@@ -409,10 +409,10 @@ def test_the_tap_that_reads_the_text_ranks_before_one_that_only_guesses_keys() -
 # --- the source --------------------------------------------------------------------------------
 
 
-def test_the_bus_source_takes_statuses_of_its_loop_and_counts_garbage() -> None:
-    ops, intel = MemoryHub(), MemoryHub()
-    services, taps = MemoryBus(ops), MemoryBus(intel)
-    source = BusSource(MemoryBus(ops), MemoryBus(intel), "loop")
+def test_the_bus_source_takes_statuses_of_its_loop_and_counts_malformed() -> None:
+    management, adversary = MemoryHub(), MemoryHub()
+    services, taps = MemoryBus(management), MemoryBus(adversary)
+    source = BusSource(MemoryBus(management), MemoryBus(adversary), "loop")
     for batch in batches(100):
         for arrival in batch:
             message = arrival.message
@@ -449,12 +449,12 @@ def test_watching_publishes_nothing_so_no_truth_reaches_a_tap() -> None:
         heard.append(key)
         return [payload]
 
-    ops, intel = MemoryHub(), MemoryHub(fault=spy)
-    source = BusSource(MemoryBus(ops), MemoryBus(intel), "loop")
+    management, adversary = MemoryHub(), MemoryHub(fault=spy)
+    source = BusSource(MemoryBus(management), MemoryBus(adversary), "loop")
     for batch in batches(50):
         for arrival in batch:
             if not isinstance(arrival.message, TapStatus):
                 key = key_of(type(arrival.message), "loop")
-                MemoryBus(ops).publisher(key).put(arrival.message.wire())
+                MemoryBus(management).publisher(key).put(arrival.message.wire())
         reduce_all(State(), source.drain())
     assert heard == []

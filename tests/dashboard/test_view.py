@@ -505,7 +505,7 @@ def test_a_large_gauge_is_short() -> None:
         (40, "  5 malformed"),
     ],
 )
-def test_garbage_is_told_at_every_width(width: int, tail: str) -> None:
+def test_a_malformed_message_is_told_at_every_width(width: int, tail: str) -> None:
     text = shown(replace(state_after(700), unreadable=5), width, 24)
     assert text.splitlines()[-1].endswith(tail)
     many = replace(state_after(700), unreadable=12_345, received=9_876_543)

@@ -8,7 +8,7 @@ import pytest
 from runtime.logs import RateLimitedLog
 from wyner.deployment.denials import SESSIONS, Denials, denials_told
 
-KEY = "wyner/v1/loop/measurement"
+KEY = "wyner/v2/loop/measurement"
 KINDS = ("Query", "Reply", "Put", "Delete", "Declare/Undeclare Subscriber", "Liveliness Query")
 TAP, PLANT = "46ac7b82", "60a53478"
 
@@ -62,9 +62,9 @@ def test_a_message_that_is_judged_now_is_told(verb: str) -> None:
     assert told(*map(line, [*in_advance(TAP, "tap"), now])) == [
         f"denied: tap may not {verb.lower()} on {KEY}"
     ], "and also on the thread that has just judged the same key in advance"
-    other = judged(TAP, "tap", f"{verb} (ingress)", key="wyner/v1/loop/offer")
+    other = judged(TAP, "tap", f"{verb} (ingress)", key="wyner/v2/loop/offer")
     assert told(*map(line, [*in_advance(TAP, "tap")[:2], other, now])) == [
-        f"denied: tap may not {verb.lower()} on wyner/v1/loop/offer",
+        f"denied: tap may not {verb.lower()} on wyner/v2/loop/offer",
         f"denied: tap may not {verb.lower()} on {KEY}",
     ], "a line for another key ends what is judged in advance"
 

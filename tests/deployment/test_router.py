@@ -13,9 +13,9 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import (
+    ADVERSARY,
     FIELD,
-    INTEL,
-    OPS,
+    MANAGEMENT,
     BlockAnnouncement,
     KeyAnswer,
     KeyRequest,
@@ -37,7 +37,7 @@ from wyner.deployment.certificates import ensure_certificates
 # --- the rules ------------------------------------------------------------------------------------
 
 
-TYPES = {"field": FIELD, "ops": OPS, "intel": INTEL}
+TYPES = {"field": FIELD, "management": MANAGEMENT, "adversary": ADVERSARY}
 
 BOTH = {kind.topic for kind in (BlockAnnouncement, KeyRequest, KeyAnswer)}
 """What the two ends say to each other alike."""
@@ -83,9 +83,9 @@ def test_only_the_publisher_of_a_type_may_put_it(bus: str) -> None:
     }
 
 
-def test_the_tap_has_no_place_on_ops() -> None:
-    assert "tap" not in [row.name for row in on_bus("ops")]
-    assert SERVICES["tap"].publishes == {"intel": (TapStatus.topic,)}
+def test_the_tap_has_no_place_on_management() -> None:
+    assert "tap" not in [row.name for row in on_bus("management")]
+    assert SERVICES["tap"].publishes == {"adversary": (TapStatus.topic,)}
 
 
 # --- a real router --------------------------------------------------------------------------------
@@ -186,8 +186,8 @@ def test_a_guarded_router_tells_what_it_denied_and_nothing_else(certs: Path) -> 
 
 @pytest.mark.slow
 def test_buses_of_one_router_process_do_not_mix() -> None:
-    field, ops = free_endpoints(2)
-    command = wyner("router", "--listen", f"field={field}", "--listen", f"ops={ops}")
+    field, management = free_endpoints(2)
+    command = wyner("router", "--listen", f"field={field}", "--listen", f"management={management}")
     router = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
     try:
         assert router.stderr is not None
@@ -197,10 +197,10 @@ def test_buses_of_one_router_process_do_not_mix() -> None:
         with (
             ZenohBus(connect=[field], client=True) as on_field,
             ZenohBus(connect=[field], client=True) as also_on_field,
-            ZenohBus(connect=[ops], client=True) as on_ops,
+            ZenohBus(connect=[management], client=True) as on_management,
         ):
             also_on_field.subscribe("a/key", lambda *_: heard.put("field"))
-            on_ops.subscribe("a/key", lambda *_: heard.put("ops"))
+            on_management.subscribe("a/key", lambda *_: heard.put("management"))
             publisher = on_field.publisher("a/key")
             until = time.monotonic() + 10
             while not publisher.matched and time.monotonic() < until:
@@ -241,15 +241,19 @@ def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
     for bus in BUSES:
         router += ["--listen", f"{bus}={at[bus]}", "--tls", f"{bus}={certs / 'router'}"]
         router += ["--guard", bus]
-    plant = ["--pace", "fast", *through_router("plant", "field", "ops")]
+    plant = ["--pace", "fast", *through_router("plant", "field", "management")]
     commands = {
         "router": router,
         "plant": ["--run-dir", str(tmp_path), *plant],
-        "controller": ["--run-dir", str(tmp_path), *through_router("controller", "field", "ops")],
+        "controller": [
+            "--run-dir",
+            str(tmp_path),
+            *through_router("controller", "field", "management"),
+        ],
     }
 
     def send(text: str, name: str, timeout_s: str) -> int:
-        command = wyner("send", text, "--timeout", timeout_s, *through_router(name, "ops"))
+        command = wyner("send", text, "--timeout", timeout_s, *through_router(name, "management"))
         return subprocess.run(command, capture_output=True, timeout=60, check=False).returncode
 
     running = [subprocess.Popen(wyner(name, *rest)) for name, rest in commands.items()]
@@ -283,7 +287,10 @@ def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
             ["--listen", "x=tcp/127.0.0.1:1"],
             "--listen: got 'x=tcp/127.0.0.1:1', expected BUS=VALUE",
         ),
-        (["--listen", "field=tcp/127.0.0.1:1", "--guard", "ops"], "--guard ops: expected --listen"),
+        (
+            ["--listen", "field=tcp/127.0.0.1:1", "--guard", "management"],
+            "--guard management: expected --listen",
+        ),
         (
             ["--listen", "field=tcp/127.0.0.1:1", "--guard", "field"],
             "--guard field: expected --tls field=FOLDER as well",

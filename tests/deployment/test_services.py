@@ -78,8 +78,8 @@ def counting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
         summary="count to no purpose",
         package=PACKAGE,
         command=f"{PACKAGE}.command",
-        ends={"field": Ends((), (PLANT_FIELD,)), "ops": Ends()},
-        publishes={"ops": ("ops/counting/status",)},
+        ends={"field": Ends((), (PLANT_FIELD,)), "management": Ends()},
+        publishes={"management": ("management/counting/status",)},
         health=look,
         stop_s=3.0,
     )
@@ -98,17 +98,17 @@ def test_the_command_lists_it_and_has_its_options(
     assert "count to no purpose" in capsys.readouterr().out
     with pytest.raises(SystemExit):
         main(["counting", "--help"])
-    assert "BUS is one of: field, ops" in capsys.readouterr().out
+    assert "BUS is one of: field, management" in capsys.readouterr().out
     assert main(["counting"]) == 2
     assert capsys.readouterr().err.startswith("wyner: the following arguments are required")
 
 
 def test_the_router_lets_it_publish_its_own_and_nothing_else(counting: Service) -> None:
-    table = access_control("ops")
+    table = access_control("management")
     rules = {rule["id"]: rule for rule in table["rules"]}
     (policy,) = (p for p in table["policies"] if p["subjects"] == ["counting"])
     assert policy["rules"] == ["subscribe", "deliver", "publish-counting"]
-    assert rules["publish-counting"]["key_exprs"] == ["wyner/v1/*/ops/counting/status"]
+    assert rules["publish-counting"]["key_exprs"] == ["wyner/v2/*/management/counting/status"]
     others = [
         r for name, r in rules.items() if name.startswith("publish-") and "counting" not in name
     ]

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import FIELD, INTEL, OPS
+from protocol.messages import ADVERSARY, FIELD, MANAGEMENT
 from protocol.schemes.registry import SCHEMES, make_scheme
 from runtime.errors import UsageError
 from tools.diagrams import DOCUMENTS as GENERATED
@@ -74,7 +74,7 @@ def test_the_diagrams_show_every_arrow() -> None:
 
 def test_the_tables_name_every_message() -> None:
     text = "".join(part() for part in PARTS.values())
-    for kind in (*FIELD, *OPS, *INTEL):
+    for kind in (*FIELD, *MANAGEMENT, *ADVERSARY):
         assert f"`{kind.__name__}`" in text
 
 

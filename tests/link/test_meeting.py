@@ -382,7 +382,7 @@ def test_a_candidate_on_the_edge_of_u_is_taken(u: float) -> None:
 
 
 @pytest.mark.parametrize("u", [5.001, -1e9, 1.7e308])
-def test_a_candidate_outside_u_is_garbage(u: float) -> None:
+def test_a_candidate_outside_u_is_malformed(u: float) -> None:
     receiver = plant(P)
     for candidates in (((u,), (0.0,)), ((0.0,), (u,))):
         with pytest.raises(ValueError, match="inputs in U"):
@@ -390,7 +390,7 @@ def test_a_candidate_outside_u_is_garbage(u: float) -> None:
 
 
 @pytest.mark.parametrize("number", [1.1e150, -1.7e308])
-def test_a_measurement_too_large_to_reckon_with_is_garbage(number: float) -> None:
+def test_a_measurement_too_large_to_reckon_with_is_malformed(number: float) -> None:
     sender, receiver = met()
     offer = answer(sender, receiver.measurement())
     before = sender.record

@@ -89,7 +89,7 @@ def receiver(scenario: Scenario) -> PlantInHand:
         (True, ((0.0,),) * 4, "offer.predictions: expected 4 predictions of 2 states"),
     ],
 )
-def test_predictions_of_another_kind_are_garbage(
+def test_predictions_of_another_kind_are_malformed(
     model: bool, predictions: Any, says: str, linear: System, nonlinear: System
 ) -> None:
     end = receiver((nonlinear if model else linear).scenario)

@@ -216,7 +216,7 @@ def test_who_never_took_it_up_keeps_its_journal_when_it_steps_back() -> None:
         ({"x_after": (-1.1e150,)}, "measurement: got a state beyond 1e+150"),
     ],
 )
-def test_a_measurement_that_is_garbage_is_named(fields: dict[str, object], why: str) -> None:
+def test_a_measurement_that_is_malformed_is_named(fields: dict[str, object], why: str) -> None:
     sender = at_work()
     with pytest.raises(ValueError) as refused:
         sender.measured(measurement(**fields))
@@ -357,7 +357,7 @@ def plant(rules: Rules = RULES) -> PlantInHand:
         ({"predictions": ((0.0,),) * 2}, "offer.predictions: expected none, as f_c is linear"),
     ],
 )
-def test_an_offer_that_is_garbage_is_named(fields: dict[str, object], why: str) -> None:
+def test_an_offer_that_is_malformed_is_named(fields: dict[str, object], why: str) -> None:
     with pytest.raises(ValueError) as refused:
         plant().check(OFFER.model_copy(update=fields))
     assert str(refused.value) == why
@@ -370,7 +370,7 @@ def test_an_input_outside_u_by_rounding_alone_is_admissible() -> None:
 
 
 @pytest.mark.parametrize("predictions", [(), ((0.0,),), ((0.0,),) * 3, ((0.0,), (0.0, 0.0))])
-def test_predictions_of_another_shape_are_garbage(predictions: tuple[Vector, ...]) -> None:
+def test_predictions_of_another_shape_are_malformed(predictions: tuple[Vector, ...]) -> None:
     receiver = plant(replace(RULES, predicted=True))
     with pytest.raises(ValueError) as refused:
         receiver.check(OFFER.model_copy(update={"predictions": predictions}))

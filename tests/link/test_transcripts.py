@@ -173,7 +173,7 @@ class Link:
         self.carry_out(effects)
 
     def carry_out(self, effects: Done) -> None:
-        settled = self.sender.finish_step() if effects.append else effects
+        finished = self.sender.finish_step() if effects.append else effects
         if effects.offer is not None:
             record = self.sender.record
             inside = "random" if record.s == 1 else f"m[{record.p}]={record.message_symbol}"
@@ -181,7 +181,7 @@ class Link:
             self.say(
                 "controller", f"offers k={effects.offer.k} cipher={effects.offer.cipher} ({inside})"
             )
-        self.settled(settled)
+        self.finished(finished)
         if effects.refusal:
             self.say("controller", effects.refusal)
         if effects.reply is not None and effects.reply.verdict == "greeting":
@@ -189,7 +189,7 @@ class Link:
         elif effects.reply is not None:
             self.say("controller", f"says {effects.reply.verdict}")
 
-    def settled(self, effects: Done) -> None:
+    def finished(self, effects: Done) -> None:
         if effects.transition is not None:
             self.tell("controller", effects.transition)
         if effects.save:
@@ -266,7 +266,7 @@ class Link:
             case ["controller", "restarts"]:
                 self.sender = self.new_sender(*self.saved_sender)
                 if self.sender.unfinished:
-                    self.settled(self.sender.finish_step())
+                    self.finished(self.sender.finish_step())
             case ["controller", "forgets"]:
                 self.saved_sender = (None, None)
                 self.sender = self.new_sender(None)

@@ -8,9 +8,9 @@ import pytest
 from pydantic import ValidationError
 
 from protocol.messages import (
+    ADVERSARY,
     FIELD,
-    INTEL,
-    OPS,
+    MANAGEMENT,
     ControllerHello,
     ControllerStatus,
     Measurement,
@@ -26,7 +26,7 @@ from protocol.secret.nonces import fresh_nonce
 from protocol.topics import BASE, check_loop, key_of
 from tools.rehearsal import Rehearsal
 
-ALL = (*FIELD, *OPS, *INTEL)
+ALL = (*FIELD, *MANAGEMENT, *ADVERSARY)
 SESSION = "0123456789abcdef"
 
 MEASUREMENT: dict[str, Any] = {
@@ -55,9 +55,9 @@ def test_schemas_are_flat(kind: type[Message]) -> None:
 def test_every_message_has_a_key_of_its_own() -> None:
     keys = {key_of(kind, "loop") for kind in ALL}
     assert len(keys) == len(ALL)
-    assert all(key.startswith(f"{BASE}/v1/loop/") for key in keys)
+    assert all(key.startswith(f"{BASE}/v2/loop/") for key in keys)
     field = {key_of(kind, "loop") for kind in FIELD}
-    assert not any(key.startswith(f"{BASE}/v1/loop/ops/") for key in field)
+    assert not any(key.startswith(f"{BASE}/v2/loop/management/") for key in field)
 
 
 @pytest.mark.parametrize("loop", ["", "a/b", "*", "**", "@a", "a b", "-a", "x" * 65, "ä"])
@@ -99,10 +99,10 @@ def test_the_fields_of_keys_have_one_form() -> None:
             Offer(**OFFER, **{name: value})
 
 
-def test_the_fingerprint_travels_on_ops_only() -> None:
+def test_the_fingerprint_travels_on_management_only() -> None:
     with_it: set[type[Message]] = {kind for kind in ALL if "fingerprint" in kind.model_fields}
-    ops: set[type[Message]] = {PlantHello, ControllerHello}
-    assert with_it == ops <= set(OPS)
+    management: set[type[Message]] = {PlantHello, ControllerHello}
+    assert with_it == management <= set(MANAGEMENT)
 
 
 def test_an_offer_is_as_long_whatever_the_cipher_symbol() -> None:
@@ -167,7 +167,7 @@ def test_unknown_fields_are_refused(extra: str) -> None:
 @pytest.mark.parametrize(
     "payload", [b"", b"{}", b"[]", b"null", b"\xff\xfe", b'{"v":1', b"0" * 10**5]
 )
-def test_garbage_is_refused(payload: bytes) -> None:
+def test_a_malformed_message_is_refused(payload: bytes) -> None:
     for kind in ALL:
         with pytest.raises(ValidationError):
             kind.model_validate_json(payload)

@@ -111,7 +111,7 @@ class Hosts:
 
     def __init__(self, fleet: Callable[[], Fleet], law: CandidateLaw, folder: Path) -> None:
         self.fleet, self.law, self.folder = fleet, law, folder
-        self.field, self.ops = MemoryHub(), MemoryHub()
+        self.field, self.management = MemoryHub(), MemoryHub()
         self.codes: list[int] = []
 
     @contextmanager
@@ -119,11 +119,11 @@ class Hosts:
         stopping = threading.Event()
 
         def controllers() -> None:
-            rest = Bounds(), Pace(pace), MemoryBus(self.field), MemoryBus(self.ops), stopping
+            rest = Bounds(), Pace(pace), MemoryBus(self.field), MemoryBus(self.management), stopping
             self.codes.append(run_controllers(self.fleet(), self.folder, lambda _: self.law, *rest))
 
         def plants() -> None:
-            rest = Bounds(), MemoryBus(self.field), MemoryBus(self.ops), stopping
+            rest = Bounds(), MemoryBus(self.field), MemoryBus(self.management), stopping
             self.codes.append(run_plants(self.fleet(), self.folder, Pace(pace), *rest))
 
         threads = [threading.Thread(target=one) for one in (controllers, plants)]

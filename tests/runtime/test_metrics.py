@@ -105,14 +105,14 @@ def test_nothing_is_told_of_a_loop_that_has_left(
 ) -> None:
     """Its last figures stood there for ever, as if it were still running."""
     board: Board = {}
-    ops = NotedBus(MemoryBus(MemoryHub()), board)
-    host = Host(MemoryBus(MemoryHub()), ops, threading.Event(), fleet=True)
+    management = NotedBus(MemoryBus(MemoryHub()), board)
+    host = Host(MemoryBus(MemoryHub()), management, threading.Event(), fleet=True)
     for loop in ("a", "b"):
         config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
         host.add(loop, *open_plant(config, 0.0), logging.getLogger("metrics"))
     host.remove("a")
     core, _ = open_plant(PlantConfig(sustained, tmp_path / "c", "c", Pace("realtime")), 0.0)
-    ops.publisher(key_of(PlantStatus, "b")).put(core.status(0.0).wire())
+    management.publisher(key_of(PlantStatus, "b")).put(core.status(0.0).wire())
     assert {loop for _, loop, _ in board} == {"b"}
     host.close()
     assert board == {}

@@ -137,7 +137,7 @@ def test_exactly_once_through_losses_repeats_and_deaths(seed: int, tmp_path: Pat
         store.close()
 
 
-def test_garbage_and_forgeries_change_nothing(tmp_path: Path) -> None:
+def test_malformed_bytes_and_forgeries_change_nothing(tmp_path: Path) -> None:
     world = World(tmp_path, 1)
     world.block()
     for kind in (SealCommand, SealedReceipt):
@@ -243,7 +243,7 @@ def test_keys_that_are_for_nobody_seal_nothing(world: World) -> None:
         (Sealed, b"{}", "sealed: 4 fields not as expected; ignored"),
     ],
 )
-def test_what_is_garbage_is_counted_by_fields(
+def test_what_is_malformed_is_counted_by_fields(
     world: World, kind: type[Message], wrong: bytes, text: str
 ) -> None:
     end = world.opening if kind is Sealed else world.sealing

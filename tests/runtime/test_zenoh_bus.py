@@ -28,7 +28,7 @@ from runtime.zenoh_bus import (
 from runtime.zenoh_settings import OPEN_MS
 
 PATIENCE_S = 20.0
-KEY = "wyner/v1/loop/offer"
+KEY = "wyner/v2/loop/offer"
 
 
 def until(condition: Callable[[], bool], what: str) -> None:
@@ -41,7 +41,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 class Inbox:
     """Keeps what a subscription delivers."""
 
-    def __init__(self, bus: Bus, key_expr: str = "wyner/v1/loop/**") -> None:
+    def __init__(self, bus: Bus, key_expr: str = "wyner/v2/loop/**") -> None:
         self.queue: queue.SimpleQueue[tuple[str, bytes, int]] = queue.SimpleQueue()
         bus.subscribe(key_expr, lambda *message: self.queue.put(message))
 
@@ -175,8 +175,8 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
         MemoryBus(hub) if kind == "memory" else ZenohBus(listen=[endpoint]) as source,
         MemoryBus(hub) if kind == "memory" else ZenohBus(connect=[endpoint]) as sink,
     ):
-        channel = sink.channel("wyner/v1/*/offer", 4)
-        publisher = source.publisher("wyner/v1/b/offer", many=True)
+        channel = sink.channel("wyner/v2/*/offer", 4)
+        publisher = source.publisher("wyner/v2/b/offer", many=True)
         until = time.monotonic() + 10
         while isinstance(publisher, ZenohPublisher) and not publisher.matched:
             assert time.monotonic() < until
@@ -203,7 +203,7 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
         channel.close()
         assert ended.wait(10)
         thread.join()
-    assert taken == [("wyner/v1/b/offer", b"0"), ("wyner/v1/b/offer", b"1")]
+    assert taken == [("wyner/v2/b/offer", b"0"), ("wyner/v2/b/offer", b"1")]
 
 
 def test_a_full_channel_keeps_the_newest() -> None:
@@ -253,9 +253,9 @@ def test_zenoh_carries_messages_both_ways_in_order_and_never_back_to_the_sender(
         open_bus(Addresses(connect=tuple(endpoints))) as controller,
     ):
         at_plant, at_controller = Inbox(plant), Inbox(controller)
-        send_until_heard(plant, at_controller, "wyner/v1/loop/measurement")
+        send_until_heard(plant, at_controller, "wyner/v2/loop/measurement")
         send_until_heard(controller, at_plant)
-        publisher = plant.publisher("wyner/v1/loop/measurement")
+        publisher = plant.publisher("wyner/v2/loop/measurement")
         before = time.time_ns()
         messages = []
         for i in range(0, 200, 4):  # lock-step with four at once: no queue on the way fills up
@@ -263,7 +263,7 @@ def test_zenoh_carries_messages_both_ways_in_order_and_never_back_to_the_sender(
                 publisher.put(b"%d" % (i + j))
             messages += [at_controller.take() for _ in range(4)]
         assert [payload for _, payload, _ in messages] == [b"%d" % i for i in range(200)]
-        assert {key for key, _, _ in messages} == {"wyner/v1/loop/measurement"}
+        assert {key for key, _, _ in messages} == {"wyner/v2/loop/measurement"}
         stamps = [t_ns for _, _, t_ns in messages]
         assert stamps == sorted(stamps)
         # The stamp is the publisher's, taken at the put: here both sides share one clock.
@@ -294,16 +294,16 @@ def test_a_listening_third_party_hears_both_and_may_leave() -> None:
         ZenohBus(listen=[at_controller_side], connect=[at_plant_side]) as controller,
     ):
         at_controller = Inbox(controller)
-        send_until_heard(plant, at_controller, "wyner/v1/loop/measurement")
+        send_until_heard(plant, at_controller, "wyner/v2/loop/measurement")
         with ZenohBus(listen=[at_tap_side], connect=[at_plant_side, at_controller_side]) as tap:
             heard = Inbox(tap)
-            send_until_heard(plant, heard, "wyner/v1/loop/measurement")
+            send_until_heard(plant, heard, "wyner/v2/loop/measurement")
             send_until_heard(controller, heard)
-            plant.publisher("wyner/v1/loop/measurement").put(b"x")
-            assert heard.take()[:2] == ("wyner/v1/loop/measurement", b"x")
+            plant.publisher("wyner/v2/loop/measurement").put(b"x")
+            assert heard.take()[:2] == ("wyner/v2/loop/measurement", b"x")
             controller.publisher(KEY).put(b"u")
             assert heard.take()[:2] == (KEY, b"u")
-        plant.publisher("wyner/v1/loop/measurement").put(b"after the tap")
+        plant.publisher("wyner/v2/loop/measurement").put(b"after the tap")
         while at_controller.take()[1] != b"after the tap":
             pass
 
@@ -319,7 +319,7 @@ def test_a_side_that_comes_back_is_found_again(restarted: str) -> None:
     staying = sides["connecting" if restarted == "listening" else "listening"]
     with ZenohBus(**staying) as stays:  # type: ignore[arg-type]
         inbox = Inbox(stays)
-        publisher = stays.publisher("wyner/v1/loop/measurement")
+        publisher = stays.publisher("wyner/v2/loop/measurement")
         for _ in range(3):
             with ZenohBus(**sides[restarted]) as comes_back:  # type: ignore[arg-type]
                 at_other = Inbox(comes_back)
@@ -342,7 +342,7 @@ def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None
         at_plant = Inbox(plant)
         publisher = stranger.declare_publisher(KEY)
         until(lambda: bool(publisher.matching_status.matching), "the subscription")  # type: ignore[attr-defined]
-        own, others = f"application/json;{KEY}", "application/json;wyner/v1/loop/measurement"
+        own, others = f"application/json;{KEY}", "application/json;wyner/v2/loop/measurement"
         publisher.put(b"misread on its way", encoding=others)
         # What names no key may come from anywhere, and is judged by its content.
         accepted = {own: b"ours", "application/json": b"no name", "zenoh/bytes": b"no encoding"}
@@ -453,7 +453,7 @@ def test_a_router_with_access_control_drops_what_is_not_allowed() -> None:
             "permission": "allow",
             "flows": ["ingress"],
             "messages": everything,
-            "key_exprs": ["wyner/v1/loop/measurement", "wyner/v1/loop/**"],
+            "key_exprs": ["wyner/v2/loop/measurement", "wyner/v2/loop/**"],
         },
         {
             "id": "no offers",
@@ -483,10 +483,10 @@ def test_a_router_with_access_control_drops_what_is_not_allowed() -> None:
         ZenohBus(connect=endpoints, client=True) as receiver,
     ):
         inbox = Inbox(receiver)
-        send_until_heard(sender, inbox, "wyner/v1/loop/measurement")
+        send_until_heard(sender, inbox, "wyner/v2/loop/measurement")
         sender.publisher(KEY).put(b"forged")
         # The router keeps one sender's messages in order: the next one shows the first was dropped.
-        sender.publisher("wyner/v1/loop/measurement").put(b"last")
+        sender.publisher("wyner/v2/loop/measurement").put(b"last")
         while (message := inbox.take())[1] != b"last":
             assert message[0] != KEY
         assert inbox.queue.empty()
@@ -539,7 +539,7 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
         publisher = bus.publisher(KEY)
         inbox = Inbox(awake)
         send_until_heard(bus, inbox)
-        marker = bus.publisher("wyner/v1/only/the/listener")
+        marker = bus.publisher("wyner/v2/only/the/listener")
         until(lambda: marker.matched, "the listener")
         os.kill(child.pid, signal.SIGSTOP)
         payload = bytes(4096)

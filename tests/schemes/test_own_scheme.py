@@ -337,7 +337,7 @@ def test_three_live_services_follow_it(
         names=("nearest-centre", "list-decoder", f"{__file__}:Last"),
     )
     tap = TapService(config)
-    tap.attach(MemoryBus(system.field), MemoryBus(system.ops))
+    tap.attach(MemoryBus(system.field), MemoryBus(system.management))
     with system.controller(b"at nine"), system.plant(steps=900):
         while "plant" not in system.codes:
             tap.work(0.05)

@@ -53,8 +53,8 @@ def test_w_of_a_polytope_holds_every_sum_of_corners() -> None:
                 moved = predict(scenario.A, ((0.0,), (0.0,)), before, (0.0,))
                 terms = zip(d, after, moved, strict=True)
                 assert gauge([a + b - c for a, b, c in terms]) <= 1
-    assert N.within(N)
-    assert not NoiseSet(half_widths=(0.5, 0.0)).within(N)
+    assert N.contains(N)
+    assert not N.contains(NoiseSet(half_widths=(0.5, 0.0)))
     drawn = SensorNoise(H=N.H, h=N.h, kind="corners").drawn((0.99, 0.0))
     assert drawn == N.corners()[-1]
 

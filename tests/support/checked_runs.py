@@ -58,5 +58,7 @@ def _run_with_keys(folder: Path) -> None:
         run_dir=str(folder),
         secret=True,
     )
-    outcome = run_session(options, lambda ops: SealedMessage(ops, SEALED), stays=False)
+    outcome = run_session(
+        options, lambda management: SealedMessage(management, SEALED), stays=False
+    )
     assert outcome.failure is None

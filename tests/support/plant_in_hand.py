@@ -288,10 +288,13 @@ class PlantInHand:
         """The offer is applied, and its step is over."""
         self._first = None
         self.hear(Offer, offer.wire())
+        if self.core.plant.acts:  # it is read when its step is over
+            self._tick()
         (applied,) = [event for event in self.events if isinstance(event, CountedTransition)]
-        kept = self.events[:], self.notices[:], self.saved[:], self.appended
-        self._tick()
-        self.events, self.notices, self.saved, self.appended = kept
+        if not self.core.plant.acts:
+            kept = self.events[:], self.notices[:], self.saved[:], self.appended
+            self._tick()
+            self.events, self.notices, self.saved, self.appended = kept
         return applied
 
     def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> Step:

@@ -196,22 +196,32 @@ class ByHand:
     def __init__(self, run_dir: Path) -> None:
         self.run_dir = run_dir
         free = free_endpoints(5)
-        self.plant_field, self.controller_field, self.plant_ops, self.controller_ops = free[:4]
-        self.intel = free[4]
+        (
+            self.plant_field,
+            self.controller_field,
+            self.plant_management,
+            self.controller_management,
+        ) = free[:4]
+        self.adversary = free[4]
         self.processes: dict[str, subprocess.Popen[str]] = {}
 
     def start(self, service: str, *arguments: str) -> subprocess.Popen[str]:
         endpoints = {
-            "plant": ["--listen", f"field={self.plant_field}", "--listen", f"ops={self.plant_ops}"],
+            "plant": [
+                "--listen",
+                f"field={self.plant_field}",
+                "--listen",
+                f"management={self.plant_management}",
+            ],
             "controller": [
                 "--listen",
                 f"field={self.controller_field}",
                 "--connect",
                 f"field={self.plant_field}",
                 "--listen",
-                f"ops={self.controller_ops}",
+                f"management={self.controller_management}",
                 "--connect",
-                f"ops={self.plant_ops}",
+                f"management={self.plant_management}",
             ],
             "tap": [
                 "--connect",
@@ -219,7 +229,7 @@ class ByHand:
                 "--connect",
                 f"field={self.controller_field}",
                 "--listen",
-                f"intel={self.intel}",
+                f"adversary={self.adversary}",
             ],
         }[service]
         self.processes[service] = subprocess.Popen(
@@ -259,19 +269,19 @@ def recovered(run_dir: Path) -> int:
     return sum(1 for _ in read_trace(run_dir / PLANT_TRACE).of("recovered"))
 
 
-def test_by_hand_in_any_order_with_send_and_garbage(by_hand: ByHand, tmp_path: Path) -> None:
+def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path: Path) -> None:
     """The controller comes first and waits; messages are sent to it while malformed flies."""
     by_hand.start("controller")
     by_hand.start("tap")
     by_hand.start("plant", "--pace", "fast")
-    ops = ["--connect", f"ops={by_hand.controller_ops}"]
-    sent = wyner("send", "first", *ops)
+    management = ["--connect", f"management={by_hand.controller_management}"]
+    sent = wyner("send", "first", *management)
     assert sent.returncode == 0, sent.stderr
     (tmp_path / "note").write_bytes(bytes(range(256)))
-    assert wyner("send", "--file", str(tmp_path / "note"), *ops).returncode == 0
+    assert wyner("send", "--file", str(tmp_path / "note"), *management).returncode == 0
     with (
         ZenohBus(connect=[by_hand.plant_field, by_hand.controller_field]) as field,
-        ZenohBus(connect=[by_hand.plant_ops, by_hand.controller_ops]) as bus,
+        ZenohBus(connect=[by_hand.plant_management, by_hand.controller_management]) as bus,
     ):
         publishers = [field.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)]
         publishers += [bus.publisher(key_of(kind, "loop")) for kind in (PlantHello, SendCommand)]
@@ -341,7 +351,9 @@ def test_bad_usage_is_one_line_and_code_2(
 
 
 def test_send_without_a_controller_says_so() -> None:
-    done = wyner("send", "hello", "--timeout", "0.5", "--connect", f"ops={free_endpoints(1)[0]}")
+    done = wyner(
+        "send", "hello", "--timeout", "0.5", "--connect", f"management={free_endpoints(1)[0]}"
+    )
     assert done.returncode == 1
     assert "no controller" in done.stderr
 

@@ -64,7 +64,7 @@ class System:
 
     def __init__(self, scenario: Scenario, law: CandidateLaw, run_dir: Path) -> None:
         self.scenario, self.law, self.run_dir = scenario, law, run_dir
-        self.field, self.ops = MemoryHub(), MemoryHub()
+        self.field, self.management = MemoryHub(), MemoryHub()
         self.codes: dict[str, int] = {}
         self.errors: dict[str, Exception] = {}
         self.plant_service: PlantService | None = None
@@ -82,7 +82,7 @@ class System:
             scenario or self.scenario, self.folder(name), "loop", self.law, message, seed=1
         )
         with self._running(name, lambda stopping: ControllerService(
-            config, MemoryBus(self.field), MemoryBus(self.ops), stopping
+            config, MemoryBus(self.field), MemoryBus(self.management), stopping
         )) as service:  # fmt: skip
             yield service
 
@@ -98,7 +98,7 @@ class System:
             scenario or self.scenario, self.folder(name), "loop", Pace(pace), steps, seed=1
         )
         with self._running(name, lambda stopping: PlantService(
-            config, MemoryBus(self.field), MemoryBus(self.ops), stopping
+            config, MemoryBus(self.field), MemoryBus(self.management), stopping
         )) as service:  # fmt: skip
             yield service
 
@@ -171,9 +171,9 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("pace", ["fast", "x20"])
-def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
+def test_malformed_bytes_on_every_key_is_counted_and_ignored(system: System, pace: str) -> None:
     """With a deadline too, where most of it comes while the plant waits for the tick."""
-    field, ops = MemoryBus(system.field), MemoryBus(system.ops)
+    field, management = MemoryBus(system.field), MemoryBus(system.management)
     junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":4}', b'{"v":3,"session":"x"}', b"null" * 50]
     offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
     measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
@@ -189,7 +189,7 @@ def test_garbage_on_every_key_is_counted_and_ignored(system: System, pace: str) 
                 for kind in (Measurement, Offer):
                     field.publisher(key_of(kind, "loop")).put(payload)
                 for command in (PlantHello, ControllerHello, SendCommand):
-                    ops.publisher(key_of(command, "loop")).put(payload)
+                    management.publisher(key_of(command, "loop")).put(payload)
             for message in (offer, measurement):
                 key = key_of(type(message), "loop")
                 field.publisher(key).put(message.wire())
@@ -225,10 +225,10 @@ def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: Syste
     assert status.late <= status.missed
 
 
-def replies_on(ops: MemoryBus) -> list[SendReply]:
+def replies_on(management: MemoryBus) -> list[SendReply]:
     """The controller's replies, as they come."""
     replies: list[SendReply] = []
-    ops.subscribe(
+    management.subscribe(
         key_of(SendReply, "loop"),
         lambda _k, payload, _t: replies.append(SendReply.model_validate_json(payload)),
     )
@@ -236,9 +236,9 @@ def replies_on(ops: MemoryBus) -> list[SendReply]:
 
 
 def test_messages_queue_up_in_order_and_the_same_id_only_once(system: System) -> None:
-    ops = MemoryBus(system.ops)
-    replies = replies_on(ops)
-    put = ops.publisher(key_of(SendCommand, "loop")).put
+    management = MemoryBus(system.management)
+    replies = replies_on(management)
+    put = management.publisher(key_of(SendCommand, "loop")).put
     with system.controller(), system.plant():
         for name, payload in (("a", b"first"), ("a", b"first"), ("b", b"second"), ("c", b"3")):
             put(SendCommand(id=name, payload=payload).wire())
@@ -251,9 +251,9 @@ def test_messages_queue_up_in_order_and_the_same_id_only_once(system: System) ->
 
 def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System) -> None:
     """A step decided before it came, counted again after it, would be taken for its start."""
-    ops = MemoryBus(system.ops)
+    management = MemoryBus(system.management)
     replies: list[bytes] = []
-    ops.subscribe(key_of(SendReply, "loop"), lambda _k, payload, _t: replies.append(payload))
+    management.subscribe(key_of(SendReply, "loop"), lambda _k, payload, _t: replies.append(payload))
     path = system.run_dir / CONTROLLER_JOURNAL
     with system.controller(), system.plant(steps=60):
         system.wait(lambda: "plant" in system.codes)
@@ -262,7 +262,9 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
         assert before is not None
         assert journal.step() is not None
     with system.controller():
-        ops.publisher(key_of(SendCommand, "loop")).put(SendCommand(id="a", payload=b"late").wire())
+        management.publisher(key_of(SendCommand, "loop")).put(
+            SendCommand(id="a", payload=b"late").wire()
+        )
         system.wait(lambda: bool(replies))
     with ControllerJournal(path, system.scenario.fingerprint()) as journal:
         after = journal.load()
@@ -313,7 +315,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
         service = PlantService(
-            config, MemoryBus(system.field), MemoryBus(system.ops), threading.Event()
+            config, MemoryBus(system.field), MemoryBus(system.management), threading.Event()
         )
         with pytest.raises(Failure, match=r"^the state is no longer finite at step 1004$"):
             service.run()
@@ -372,7 +374,7 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
 
 
 @pytest.mark.parametrize("u", [1.7e308, 6.1])
-def test_an_offer_outside_u_is_garbage_and_changes_nothing(system: System, u: float) -> None:
+def test_an_offer_outside_u_is_malformed_and_changes_nothing(system: System, u: float) -> None:
     forger = MemoryBus(system.field)
     put = forger.publisher(key_of(Offer, "loop")).put
     forged: list[int] = []
@@ -609,9 +611,9 @@ def test_a_full_disk_ends_the_service_and_no_event_is_lost(
 
 
 def test_an_identifier_belongs_to_one_message(system: System) -> None:
-    ops = MemoryBus(system.ops)
-    answered = replies_on(ops)
-    put = ops.publisher(key_of(SendCommand, "loop")).put
+    management = MemoryBus(system.management)
+    answered = replies_on(management)
+    put = management.publisher(key_of(SendCommand, "loop")).put
     asked = [("a", b"text"), ("a", b"text"), ("a", b"other"), ("initial", b"mine")]
     with system.controller(b"one"), system.plant():
         for name, payload in asked:
@@ -651,7 +653,7 @@ def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system
             assert message.wire() == payload
             said.setdefault(kind, []).append((time.monotonic(), message))
 
-        MemoryBus(system.ops).subscribe(key_of(kind, "loop"), hear)
+        MemoryBus(system.management).subscribe(key_of(kind, "loop"), hear)
 
     for kind in (PlantModel, PlantStatus, ControllerStatus):
         listen(kind)
@@ -680,7 +682,7 @@ def test_what_both_ends_say_is_what_a_reader_takes_and_nothing_is_missing(system
 def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System) -> None:
     """The first one's chunks must be gone, and the second one's must be there."""
     long = (b"A" * 12, b"B" * 12)
-    put = MemoryBus(system.ops).publisher(key_of(SendCommand, "loop")).put
+    put = MemoryBus(system.management).publisher(key_of(SendCommand, "loop")).put
     with system.controller(long[0]):
         put(SendCommand(id="second", payload=long[1]).wire())
         with system.plant() as plant:

@@ -25,10 +25,15 @@ def test_a_service_loads_little(
 ) -> None:
     """With the law's tables in the cache a controller needs no numerics: 20 MiB and 0.1 s less."""
     assert store_law(sustained_law, sustained, tmp_path / "wyner" / "designs")
-    field, ops = free_endpoints(2)
+    field, management = free_endpoints(2)
     command = [sys.executable, "-X", "importtime", "-m", "wyner", service]
     with subprocess.Popen(
-        [*command, f"--run-dir={tmp_path}", f"--listen=field={field}", f"--listen=ops={ops}"],
+        [
+            *command,
+            f"--run-dir={tmp_path}",
+            f"--listen=field={field}",
+            f"--listen=management={management}",
+        ],
         env=os.environ | {"XDG_CACHE_HOME": str(tmp_path)},
         stderr=subprocess.PIPE,
         text=True,

@@ -19,7 +19,7 @@ from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
 from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
-from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
+from tap_service.capture.recording import Limits, RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
 
 LOG = logging.getLogger("test")
@@ -62,7 +62,7 @@ def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
     for i, message in enumerate(run.messages):
         log.write(mirror_line(i, message.topic, message.wire()))
         if i % 10 == 0:
-            log.write(garbage_line(i, "key", b"?"))
+            log.write(malformed_line(i, "key", b"?"))
     log.close()
 
 

@@ -19,7 +19,7 @@ from runtime import recording
 from runtime.recording import part_path, parts_of
 from runtime.run_folder import CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
-from tap_service.capture.recording import Limits, RotatingLog, garbage_line, mirror_line
+from tap_service.capture.recording import Limits, RotatingLog, malformed_line, mirror_line
 from tests.support.lines import unmark
 from tests.support.traces import read_trace
 
@@ -104,9 +104,9 @@ def test_a_line_break_inside_a_payload_stays_one_line() -> None:
     assert from_json(line)["message"] == from_json(payload)
 
 
-def test_garbage_is_kept_byte_for_byte(tmp_path: Path) -> None:
+def test_a_malformed_message_is_kept_byte_for_byte(tmp_path: Path) -> None:
     log = RotatingLog(tmp_path / CAPTURE, {}, ROOMY, LOG)
-    log.write(garbage_line(5, "wyner/v1/loop/offer", b"\x00\xff{\n"))
+    log.write(malformed_line(5, "wyner/v2/loop/offer", b"\x00\xff{\n"))
     log.close()
     (event,) = read_trace(tmp_path / CAPTURE).of("malformed")
     assert event["base64"] == "AP97Cg=="
@@ -349,7 +349,7 @@ def test_skipping_ahead_counts_every_line_that_it_leaves_out(
     for k in range(200):
         log.write(line_of(measurement(k)))
         if k % 3 == 0:
-            log.write(garbage_line(k, "key", b"?"))
+            log.write(malformed_line(k, "key", b"?"))
         if k % 5 == 0:
             log.write(b"no message")
     log.close()

@@ -46,7 +46,7 @@ def config_of(sustained: Scenario, tmp_path: Path) -> Callable[[FleetLoop], TapC
             run_dir=tmp_path / loop.id,
             knowledge=sustained.knowledge().model_copy(update={"alpha": None}),
             field=Addresses(),
-            intel=Addresses(),
+            adversary=Addresses(),
             names=("set-membership",),
             loop=loop.id,
         )
@@ -59,16 +59,16 @@ def test_each_loop_is_recorded_in_its_own_folder(
 ) -> None:
     path = tmp_path / "fleet.toml"
     path.write_text('[[loop]]\nid = "a"\n[[loop]]\nid = "b"\n[[loop]]\nid = "bad"\n')
-    field, intel = MemoryHub(), MemoryHub()
+    field, adversary = MemoryHub(), MemoryHub()
     statuses: dict[str, TapStatus] = {}
-    MemoryBus(intel).subscribe(
+    MemoryBus(adversary).subscribe(
         "**",
         lambda key, payload, _t: statuses.update(
             {key.split("/")[2]: TapStatus.model_validate_json(payload)}
         ),
     )
     taps = TapFleet(Fleet.of_file(path), config_of)
-    taps.attach(MemoryBus(field), MemoryBus(intel))
+    taps.attach(MemoryBus(field), MemoryBus(adversary))
     stopping = threading.Event()
     thread = threading.Thread(target=taps.run, args=(stopping,))
     thread.start()

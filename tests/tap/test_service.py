@@ -62,12 +62,12 @@ class Wire:
     """The tap service on two hubs, with someone who sends and someone who watches."""
 
     def __init__(self, settings: TapConfig) -> None:
-        field, intel = MemoryHub(), MemoryHub()
+        field, adversary = MemoryHub(), MemoryHub()
         self.statuses: list[TapStatus] = []
         self.service = TapService(settings)
-        self.service.attach(MemoryBus(field), MemoryBus(intel))
+        self.service.attach(MemoryBus(field), MemoryBus(adversary))
         self._sender = MemoryBus(field)
-        MemoryBus(intel).subscribe(
+        MemoryBus(adversary).subscribe(
             key_of(TapStatus, "loop"),
             lambda _k, p, _t: self.statuses.append(TapStatus.model_validate_json(p)),
         )
@@ -136,7 +136,7 @@ def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: 
     assert all(len(s.tail_k) <= 32 for s in wire.statuses)
 
 
-def test_garbage_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> None:
+def test_a_malformed_message_is_kept_counted_and_harms_nothing(run: Run, tmp_path: Path) -> None:
     rng = random.Random(2)
     wire = Wire(config(run, tmp_path))
     junk = [rng.randbytes(rng.randrange(60)) for _ in range(40)]
@@ -383,10 +383,17 @@ def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) 
 @pytest.mark.integration
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
 def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> None:
-    field, intel = free_endpoints(2)
+    field, adversary = free_endpoints(2)
     command = [sys.executable, "-m", "wyner", "tap", "--scenario", "sustained"]
     command += ["--run-dir", str(tmp_path), "--eavesdropper", "nearest-centre,oracle"]
-    command += ["--connect", f"field={field}", "--listen", f"intel={intel}", "--free-bytes", "0"]
+    command += [
+        "--connect",
+        f"field={field}",
+        "--listen",
+        f"adversary={adversary}",
+        "--free-bytes",
+        "0",
+    ]
     statuses: list[TapStatus] = []
     arrived = threading.Event()
 
@@ -395,7 +402,7 @@ def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> 
         if statuses[-1].mirrored >= len(run.messages):
             arrived.set()
 
-    with ZenohBus(listen=[field]) as sender, ZenohBus(connect=[intel]) as watcher:
+    with ZenohBus(listen=[field]) as sender, ZenohBus(connect=[adversary]) as watcher:
         watcher.subscribe(key_of(TapStatus, "loop"), watch)
         put = {kind: sender.publisher(key_of(kind, "loop")) for kind in (Measurement, Offer)}
         process = subprocess.Popen(command, stderr=subprocess.PIPE)

@@ -53,14 +53,14 @@ def check_numbers(t: Transition) -> None:
 def test_lock_step_gives_every_transition_as_soon_as_it_is_known() -> None:
     transcript = Transcript()
     for message in lock_step(20):
-        settled = transcript.hear(message)
+        finished = transcript.hear(message)
         if isinstance(message, Measurement) and message.k:
-            assert [t.k for t in settled] == [message.k - 1]
-            assert settled[0].whole
-            assert settled[0].applied
-            assert settled[0].start == (message.k == 1)
+            assert [t.k for t in finished] == [message.k - 1]
+            assert finished[0].whole
+            assert finished[0].applied
+            assert finished[0].start == (message.k == 1)
         else:
-            assert not settled
+            assert not finished
 
 
 @given(st.frozensets(st.integers(0, 29)))

@@ -42,12 +42,12 @@ def draw_agreement(runs: Simulated, axes: "Axes", step: int | None = None, run: 
         raise ValueError(f"step: got {k}, expected 0 to {runs.steps - 1}")
     scenario = runs.system.scenario
     x, offers = runs.x[run, k], runs.candidates[run, k]
-    centres = x @ np.array(scenario.A).T + offers @ np.array(scenario.B).T
+    predictions = x @ np.array(scenario.A).T + offers @ np.array(scenario.B).T
     D_c, D_e = (
         corners(*(np.array(a) for a in disturbance.rows()))
         for disturbance in (scenario.defender.disturbance, scenario.eavesdropper_set)
     )
-    draw(axes, centres, runs.x[run, k + 1], D_c, D_e)
+    draw(axes, predictions, runs.x[run, k + 1], D_c, D_e)
 
 
 def draw_states(runs: Simulated, axes: "Axes", run: int = 0) -> None:

@@ -71,12 +71,12 @@ def _cumulative(spec: Disturbance, w: float) -> Cumulative:
     return lambda v: np.clip((ndtr(v / scale) - low) / (1 - 2 * low), 0.0, 1.0)
 
 
-def chances(centres: Array, widths: Array, alpha: float, law: DisturbanceLaw) -> Array:
+def chances(predictions: Array, widths: Array, alpha: float, law: DisturbanceLaw) -> Array:
     """Probability that a transition agrees on the candidate applied, for each candidate.
 
     Parameters
     ----------
-    centres : array, shape (M, n)
+    predictions : array, shape (M, n)
         B u of each candidate.
     widths : array, shape (n,)
         Half-widths of D_c, a box.
@@ -89,8 +89,8 @@ def chances(centres: Array, widths: Array, alpha: float, law: DisturbanceLaw) ->
         Exact: the agreed part of D_c is a box less boxes, and is measured cell by cell.
     """
     out = []
-    for r, centre in enumerate(centres):
-        shift = np.delete(centre - centres, r, axis=0)  # x+ - c_s = d + shift_s
+    for r, centre in enumerate(predictions):
+        shift = np.delete(centre - predictions, r, axis=0)  # x+ - c_s = d + shift_s
         if len(law.points):
             g = np.abs(law.points / widths).max(axis=1)
             others = (np.abs(law.points[:, None] + shift) / widths).max(axis=2)
@@ -159,8 +159,8 @@ def best_bet(
         step = spacing / 2 * sigma
         if (size - 1) * step > length:
             return 0.0
-        centres = np.arange(size)[:, None] * (step * b)
-        return math.log2(size) * float(chances(centres, widths, alpha, law).mean())
+        predictions = np.arange(size)[:, None] * (step * b)
+        return math.log2(size) * float(chances(predictions, widths, alpha, law).mean())
 
     best = Bet(0.0, 1, 2.0)
     widest = 2.0 * (1 + 1e-6)

@@ -6,14 +6,14 @@ from pathlib import Path
 
 from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
 from runtime.options import picked
-from runtime.services import CONTROLLER_OPS, PLANT_OPS
+from runtime.services import CONTROLLER_MANAGEMENT, PLANT_MANAGEMENT
 from wyner.cli.options import add_run_argument, joined
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Watch plant and controller over ops and the tap over intel. "
+        "Watch plant and controller over the management bus and the tap over the adversary bus. "
         "Without a terminal it prints lines. In the screen, ? shows the keys."
     )
     parser.add_argument("--headless", action="store_true", help="print lines even on a terminal")
@@ -51,23 +51,29 @@ def run(args: argparse.Namespace) -> int:
     elif (
         not buses.connect
         and not buses.scouting
-        and not any(map(listens, (PLANT_OPS, CONTROLLER_OPS)))
+        and not any(map(listens, (PLANT_MANAGEMENT, CONTROLLER_MANAGEMENT)))
     ):
         print(
-            f"wyner: no loop runs on this machine; waiting at {PLANT_OPS} for services started by "
-            "hand. Start `wyner up` first, or say --connect",
+            f"wyner: no loop runs on this machine; waiting at {PLANT_MANAGEMENT} for services "
+            "started by hand. Start `wyner up` first, or say --connect",
             file=sys.stderr,
         )
     loop = loop_of(buses)
-    ops, intel = (endpoints_of(buses, "dashboard", bus) for bus in ("ops", "intel"))
+    management, adversary = (
+        endpoints_of(buses, "dashboard", bus) for bus in ("management", "adversary")
+    )
     try:
-        with stop_on_signals() as stopping, open_bus(ops) as ops_bus, open_bus(intel) as intel_bus:
+        with (
+            stop_on_signals() as stopping,
+            open_bus(management) as management_bus,
+            open_bus(adversary) as adversary_bus,
+        ):
             if args.fleet:
                 table = FleetTable()
-                table.attach(ops_bus, intel_bus)
+                table.attach(management_bus, adversary_bus)
                 watch(table, stopping.is_set, screen=has_screen() and not args.headless)
                 return INTERRUPTED
-            source = BusSource(ops_bus, intel_bus, loop)
+            source = BusSource(management_bus, adversary_bus, loop)
             if args.headless or not has_screen():
                 ending = run_headless(source, until=stopping.is_set)
             else:

@@ -195,8 +195,8 @@ def _sealed(
     payload = SEALED.encode()
     messages: list[SealedMessage] = []
 
-    def begin(ops: Bus) -> Background:
-        messages.append(SealedMessage(ops, payload))
+    def begin(management: Bus) -> Background:
+        messages.append(SealedMessage(management, payload))
         return messages[0]
 
     options = _options(args, "keys", folder, secret=True)
@@ -319,14 +319,14 @@ def _scenario(name: str, text: str) -> Iterator[str]:
 class SealedMessage:
     """Asks the controller again and again to deliver one message sealed, until it has."""
 
-    def __init__(self, ops: Bus, payload: bytes) -> None:
+    def __init__(self, management: Bus, payload: bytes) -> None:
         self.delivered = False
         self._command = SealCommand(id=new_id(), payload=payload).wire()
         self._id = SealCommand.model_validate_json(self._command).id
         self._answers: Inbox[bytes] = Inbox()
-        self._publisher = ops.publisher(key_of(SealCommand, DEFAULT_LOOP))
+        self._publisher = management.publisher(key_of(SealCommand, DEFAULT_LOOP))
         self._due = 0.0
-        ops.subscribe(
+        management.subscribe(
             key_of(SealReply, DEFAULT_LOOP),
             lambda _key, reply, _t_ns: self._answers.put(reply, len(reply)),
         )

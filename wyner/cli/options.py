@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from protocol.topics import DEFAULT_LOOP
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
-from runtime.services import CONTROLLER_OPS, SERVICES
+from runtime.services import CONTROLLER_MANAGEMENT, SERVICES
 
 if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop
@@ -62,21 +62,24 @@ def joined(
     told = buses.connect or buses.listen or buses.client or buses.scouting
     if (told or buses.loop != DEFAULT_LOOP) and run_name is None:
         return None, buses
-    if wait_s and not is_there(run_name, CONTROLLER_OPS):
+    if wait_s and not is_there(run_name, CONTROLLER_MANAGEMENT):
         which = "no run" if run_name is None else f"no run {run_name!r}"
         print(f"wyner: {which} on this machine yet; waiting {wait_s:g} s for it", file=sys.stderr)
         until = time.monotonic() + wait_s
-        while time.monotonic() < until and not is_there(run_name, CONTROLLER_OPS):
+        while time.monotonic() < until and not is_there(run_name, CONTROLLER_MANAGEMENT):
             time.sleep(LOOK_S)
-        if run_name is None and not is_there(None, CONTROLLER_OPS):
+        if run_name is None and not is_there(None, CONTROLLER_MANAGEMENT):
             raise Failure(
                 f"no run on this machine within {wait_s:g} s: start one (wyner up; it is there "
                 "once its design is computed), or say where it is (--connect BUS=tcp/HOST:PORT)"
             )
-    loop = chosen(run_name, CONTROLLER_OPS)
+    loop = chosen(run_name, CONTROLLER_MANAGEMENT)
     if loop is None:
         return None, buses
-    ends = {"ops": (loop.plant_ops, loop.controller_ops), "intel": (loop.intel,)}
+    ends = {
+        "management": (loop.plant_management, loop.controller_management),
+        "adversary": (loop.adversary,),
+    }
     connect = [f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())]
     return loop, replace(buses, loop=loop.loop, connect=connect)
 

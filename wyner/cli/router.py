@@ -7,7 +7,7 @@ from pathlib import Path
 
 from runtime.errors import DONE, UsageError
 from runtime.logs import RateLimitedLog, logger
-from runtime.services import BUSES
+from runtime.services import BUSES, bus_names
 from runtime.signals import stop_on_signals
 
 
@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="BUS=ENDPOINT",
         help="carry this bus at an endpoint such as tcp/127.0.0.1:7447 (repeatable); BUS is "
-        "field, ops or intel",
+        "field, management or adversary",
     )
     parser.add_argument(
         "--tls",
@@ -57,9 +57,8 @@ def by_bus(option: str, values: Sequence[str]) -> dict[str, list[str]]:
         if bus in BUSES and value:
             found.setdefault(bus, []).append(value)
         else:
-            problems.append(
-                f"{option}: got {text!r}, expected BUS=VALUE with BUS one of {', '.join(BUSES)}"
-            )
+            names = bus_names(bus, BUSES)
+            problems.append(f"{option}: got {text!r}, expected BUS=VALUE with BUS one of {names}")
     if problems:
         raise UsageError(problems)
     return found

@@ -79,11 +79,11 @@ def run(args: argparse.Namespace) -> int:
     told = picked(BusOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout)
     loop = loop_of(buses)
-    ends = endpoints_of(buses, "operator", "ops")
+    ends = endpoints_of(buses, "operator", "management")
     said, until = "no answer", time.monotonic() + args.timeout
     try:
-        with open_bus(ends, args.timeout) as ops:
-            for reply in answers(ops, loop, command, until):
+        with open_bus(ends, args.timeout) as management:
+            for reply in answers(management, loop, command, until):
                 if not reply.accepted:
                     raise Failure(reply.detail)
                 if isinstance(reply, SendReply) or reply.delivered:
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
     start = "wyner up --scenario keys" if args.sealed else "wyner up"
     raise Failure(
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
-        f"start one ({start}), or say where it is (--connect ops=tcp/HOST:PORT, --loop ID)"
+        f"start one ({start}), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"
     )
 
 
@@ -123,7 +123,7 @@ def print_reply(reply: SendReply | SealReply, size: int, *, as_json: bool) -> No
 
 
 def answers(
-    ops: "Bus", loop: str, command: SendCommand | SealCommand, until: float
+    management: "Bus", loop: str, command: SendCommand | SealCommand, until: float
 ) -> "Iterator[SendReply | SealReply]":
     """Say the command again and again; each answer to it.
 
@@ -134,8 +134,10 @@ def answers(
     kind: type[SendReply | SealReply]
     kind = SealReply if isinstance(command, SealCommand) else SendReply
     heard: Inbox[bytes] = Inbox()
-    ops.subscribe(key_of(kind, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply)))
-    publisher = ops.publisher(key_of(type(command), loop))
+    management.subscribe(
+        key_of(kind, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply))
+    )
+    publisher = management.publisher(key_of(type(command), loop))
     again = -math.inf
     while (now := time.monotonic()) < until:
         if now >= again:

@@ -144,7 +144,8 @@ def run_session(
     ----------
     options : RunOptions
     background : callable, optional
-        Takes the ops bus; the run is not over before what it gives is, or the plant has ended.
+        Takes the management bus; the run is not over before what it gives is, or the plant has
+        ended.
     epilogue : callable, optional
         Lines for the last screen, from the summary; the verdict's if not given.
     stays : bool, optional
@@ -195,19 +196,19 @@ def run_session(
     screen = not options.headless and not options.json and has_screen()
     failure: Failure | None = None
     ending = Ending.FINISHED
-    ops_ends = [loop.plant_ops, loop.controller_ops]
+    management_ends = [loop.plant_management, loop.controller_management]
     try:
         supervisor.start()
         note.enter_context(announced(loop))
         with (
-            ZenohBus(connect=ops_ends) as ops,
-            ZenohBus(connect=[loop.intel]) as intel_bus,
+            ZenohBus(connect=management_ends) as management,
+            ZenohBus(connect=[loop.adversary]) as adversary_bus,
         ):
-            ops.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
-            ops.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
-            source = BusSource(ops, intel_bus, DEFAULT_LOOP)
+            management.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
+            management.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
+            source = BusSource(management, adversary_bus, DEFAULT_LOOP)
             if background is not None:
-                watching.background = background(ops)
+                watching.background = background(management)
             if screen:
                 ending = run_dashboard(
                     source,
@@ -301,7 +302,7 @@ def _attack(options: RunOptions, scenario: "Scenario") -> "AttackBegan | None":
 
 
 class Progress:
-    """Says when the run is over, from what plant and controller say on ops."""
+    """Says when the run is over, from what plant and controller say on the management bus."""
 
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered

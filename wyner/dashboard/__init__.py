@@ -1,1 +1,1 @@
-"""Watches the loop over ops and the taps over intel, on a live screen or in plain lines."""
+"""Watches the loop and the taps over their buses, on a live screen or in plain lines."""

@@ -133,9 +133,13 @@ class FleetTable:
         self._rows: dict[str, LoopRow] = {}
         self._arrived: Inbox[tuple[type[Message], str, bytes]] = Inbox(WAITING_AT_MOST)
 
-    def attach(self, ops: "Bus", intel: "Bus") -> None:
+    def attach(self, management: "Bus", adversary: "Bus") -> None:
         """Listen to the statuses of every loop."""
-        watched = ((ops, PlantStatus), (ops, ControllerStatus), (intel, TapStatus))
+        watched = (
+            (management, PlantStatus),
+            (management, ControllerStatus),
+            (adversary, TapStatus),
+        )
         for bus, kind in watched:
             bus.subscribe(every_loop(kind), self._arrive(kind))
 

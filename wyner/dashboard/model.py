@@ -30,7 +30,7 @@ PICTURE_NS: Final = 500_000_000
 came meanwhile is preferred to what came after it."""
 
 TAPS_KEPT: Final = 16
-"""Taps by name; more names than this on the intel bus are counted as malformed."""
+"""Taps by name; more names than this on the adversary bus are counted as malformed."""
 
 
 @dataclass(frozen=True, slots=True)

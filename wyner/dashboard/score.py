@@ -1,6 +1,7 @@
 """How good the taps are: their guesses scored against the truth, which they never see.
 
-The truth comes over ops, the guesses over intel, and they meet here and nowhere else.
+The truth comes over the management bus, the guesses over the adversary bus, and they meet here and
+nowhere else.
 """
 
 import math

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 WAITING_AT_MOST: Final = 32 * 2**20
 """Bytes held between two looks; the newest win, and what is pushed out is counted."""
 
-OPS_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
-INTEL_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
+MANAGEMENT_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
+ADVERSARY_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
 
 
 class Source(Protocol):
@@ -41,26 +41,29 @@ class Source(Protocol):
 
 
 class BusSource:
-    """Subscribes to the statuses of one loop over ops and intel.
+    """Subscribes to the statuses of one loop over the management and the adversary bus.
 
     Callbacks of the buses only append to a queue; parsing happens in `drain`, on the caller's
     thread. Closing the buses is the caller's.
 
     Parameters
     ----------
-    ops_bus, intel_bus : runtime.bus.Bus
+    management_bus, adversary_bus : runtime.bus.Bus
         Open buses.
     loop : str
         The loop's id.
     """
 
-    def __init__(self, ops_bus: "Bus", intel_bus: "Bus", loop: str) -> None:
+    def __init__(self, management_bus: "Bus", adversary_bus: "Bus", loop: str) -> None:
         self._types: dict[str, type[Message]] = {}
         self._waiting: deque[tuple[str, bytes, int]] = deque()
         self._delivering = threading.Lock()
         self._bytes = 0
         self._dropped = self._malformed = 0
-        for bus, types in ((ops_bus, OPS_WATCHED), (intel_bus, INTEL_WATCHED)):
+        for bus, types in (
+            (management_bus, MANAGEMENT_WATCHED),
+            (adversary_bus, ADVERSARY_WATCHED),
+        ):
             for message_type in types:
                 key = key_of(message_type, loop)
                 self._types[key] = message_type

@@ -22,7 +22,7 @@ def access_control(bus: str) -> dict[str, Any]:
     Parameters
     ----------
     bus : str
-        ``field``, ``ops`` or ``intel``.
+        ``field``, ``management`` or ``adversary``.
     """
     there = on_bus(bus)
     keys = keys_of_any_loop(topic for row in there for topic in row.publishes.get(bus, ()))

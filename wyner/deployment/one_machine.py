@@ -126,7 +126,9 @@ def lay_out(
     }
     write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
     ends = free_endpoints(8)
-    plant_field, controller_field, tap_field, plant_ops, controller_ops, intel = ends[:6]
+    plant_field, controller_field, tap_field, plant_management, controller_management, adversary = (
+        ends[:6]
+    )
     plant_side, controller_side = ends[6:]
     on_bus = attack is not None and attack.attack["at"] == "bus"
     common = ["--run-dir", str(run_dir)]
@@ -159,7 +161,7 @@ def lay_out(
                 f"field={tap_field}",
                 *(("--connect", f"field={plant_side}") if on_bus else ()),
                 "--listen",
-                f"ops={plant_ops}",
+                f"management={plant_management}",
             ],
             run_dir / "plant" / "log",
         ),
@@ -184,9 +186,9 @@ def lay_out(
                 "--connect",
                 f"field={tap_field}",
                 "--listen",
-                f"ops={controller_ops}",
+                f"management={controller_management}",
                 "--connect",
-                f"ops={plant_ops}",
+                f"management={plant_management}",
             ],
             run_dir / "controller" / "log",
         ),
@@ -198,7 +200,7 @@ def lay_out(
                 "--knowledge",
                 str(knowledge_file),
                 "--listen",
-                f"intel={intel}",
+                f"adversary={adversary}",
                 "--listen",
                 f"field={tap_field}",
             ],
@@ -216,9 +218,9 @@ def lay_out(
             run_dir=str(run_dir.absolute()),
             scenario=scenario.name,
             loop=DEFAULT_LOOP,
-            plant_ops=plant_ops,
-            controller_ops=controller_ops,
-            intel=intel,
+            plant_management=plant_management,
+            controller_management=controller_management,
+            adversary=adversary,
         ),
     )
 

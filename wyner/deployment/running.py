@@ -34,16 +34,16 @@ class RunningLoop:
     scenario : str
     loop : str
         Its id on the buses.
-    plant_ops, controller_ops, intel : str
+    plant_management, controller_management, adversary : str
         Where its services listen.
     """
 
     run_dir: str
     scenario: str
     loop: str
-    plant_ops: str
-    controller_ops: str
-    intel: str
+    plant_management: str
+    controller_management: str
+    adversary: str
 
     def seen_from(self, folder: Path) -> str:
         """The run's folder as a path from ``folder`` where it is inside that one, else whole."""

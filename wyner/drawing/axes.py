@@ -39,20 +39,20 @@ def draw_sets(axes: Axes, sets: Mapping[int, Array], x: Array | None = None) -> 
     axes.set_ylabel("$x_2$")
 
 
-def draw_agreement(axes: Axes, centres: Array, x_next: Array, D_c: Array, D_e: Array) -> None:
+def draw_agreement(axes: Axes, predictions: Array, x_next: Array, D_c: Array, D_e: Array) -> None:
     """Reach^c and Reach^e about each candidate's centre, and x(k+1).
 
     Parameters
     ----------
     axes : Axes
-    centres : array, shape (M, n)
+    predictions : array, shape (M, n)
     x_next : array, shape (n,)
     D_c, D_e : array, shape (corners, n)
     """
     if D_c.shape[1] < 2:
         raise ValueError("got 1 state, expected at least 2 to draw")
     rings = _hull(D_c[:, :2]), _hull(D_e[:, :2])
-    for i, c in enumerate(centres):
+    for i, c in enumerate(predictions):
         (line,) = axes.plot(c[0], c[1], marker="+", ms=8, ls="none")
         for ring, style, who in zip(rings, ("-", "--"), "ce", strict=True):
             at = c[:2] + ring

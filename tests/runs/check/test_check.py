@@ -327,7 +327,7 @@ def shout_on_the_field_bus(folder: Path) -> None:
         malformed = {
             "event": "malformed",
             "t_ns": 1,
-            "key": "wyner/v1/loop/offer",
+            "key": "wyner/v2/loop/offer",
             "base64": "aGk=",
         }
         lines.insert(50, malformed)
@@ -415,12 +415,12 @@ def test_a_failure_says_where(copied: Path) -> None:
     assert "controller's verdict" in place.text
 
 
-def test_garbage_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
+def test_a_malformed_message_is_shown_with_its_key_and_its_first_bytes(copied: Path) -> None:
     shout_on_the_field_bus(copied)
     place = findings(copied)["public-fields"].counter.first
     assert place is not None
     assert place.text == (
-        "capture.jsonl line 51: neither Measurement, Offer nor Sealed (wyner/v1/loop/offer: b'hi')"
+        "capture.jsonl line 51: neither Measurement, Offer nor Sealed (wyner/v2/loop/offer: b'hi')"
     )
 
 

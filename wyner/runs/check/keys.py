@@ -60,14 +60,14 @@ class _Opinion:
                 return self._of_outputs(self._observer, ts, x_next)
             if self._linear:
                 x, u = np.array([t.x for t in ts]), np.array([t.candidates for t in ts])
-                centres = f_c(self._A, self._B, x, u)
+                predictions = f_c(self._A, self._B, x, u)
             else:
-                centres = np.array([t.predictions for t in ts])
-            reached = scale(*self._D_c, x_next, centres)
-            hers = scale(*self._D_e, x_next, centres)
+                predictions = np.array([t.predictions for t in ts])
+            reached = scale(*self._D_c, x_next, predictions)
+            hers = scale(*self._D_e, x_next, predictions)
             if self._noisy:
                 hers = np.max(
-                    [scale(*self._room, c, centres) for c in centres.swapaxes(0, 1)], axis=0
+                    [scale(*self._room, c, predictions) for c in predictions.swapaxes(0, 1)], axis=0
                 )
             keys = key_symbols(reached, hers)
         return [self._wrong(*row) for row in zip(ts, keys.tolist(), reached.tolist(), strict=True)]

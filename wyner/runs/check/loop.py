@@ -307,8 +307,8 @@ class Admissible(Clause):
             self._judge(ts, away, "is {:.3g} away from K x inside T_0")
             return
         target = Polytope(*candidate_target(design, s, max(i - 1, 0)))
-        centres = (X @ np.array(s.A).T)[:, None] + U @ np.array(s.B).T
-        beyond = (centres @ target.H.T - target.h).max(axis=2)
+        predictions = (X @ np.array(s.A).T)[:, None] + U @ np.array(s.B).T
+        beyond = (predictions @ target.H.T - target.h).max(axis=2)
         self._judge(ts, beyond, f"leads {{:.3g}} beyond T_{max(i - 1, 0)} ~ D_c")
         inputs = Polytope.from_rows(*s.control.inputs.rows())
         over = (U @ inputs.H.T - inputs.h).max(axis=2)

@@ -113,8 +113,8 @@ class Walk:
 
     def _predictions(self, t: TracedTransition) -> list[tuple[float, float]]:
         x = t.x if t.box is None else Box(*t.box).centre
-        centres = (predict(self._agreement.A, self._agreement.B, x, u) for u in t.candidates)
-        return [self._seen(c) for c in centres]
+        predictions = (predict(self._agreement.A, self._agreement.B, x, u) for u in t.candidates)
+        return [self._seen(c) for c in predictions]
 
     def _seen(self, x: Vector) -> tuple[float, float]:
         across, up = self._axes
@@ -127,10 +127,10 @@ class Walk:
         for steps in self._stretches:
             for t in steps:
                 if isinstance(t, TracedTransition):
-                    centres = self._predictions(t)
-                    middle = _middle(centres)
+                    predictions = self._predictions(t)
+                    middle = _middle(predictions)
                     for i in (0, 1):
-                        far[i] = max(far[i], *(abs(c[i] - middle[i]) for c in centres))
+                        far[i] = max(far[i], *(abs(c[i] - middle[i]) for c in predictions))
         return Frame(AIR * (reach[0] + far[0]), AIR * (reach[1] + far[1]))
 
     def doors(self, period_s: float) -> list[Door]:
@@ -219,10 +219,10 @@ class Walk:
 
     def _picture(self, t: TracedTransition) -> str:
         """The agreement picture: each input's prediction in its D_c and D_e, and the next state."""
-        centres = self._predictions(t)
-        middle = _middle(centres)
+        predictions = self._predictions(t)
+        middle = _middle(predictions)
         parts = []
-        for i, c in enumerate(centres):
+        for i, c in enumerate(predictions):
             x, y = map(number, self._frame.at(c[0] - middle[0], c[1] - middle[1]))
             stroke = f'stroke="{COLOURS[i % len(COLOURS)]}"'
             parts += [

@@ -173,7 +173,7 @@ class _Loop:
             self.x = self.y - self.last
         self.following = np.empty((self.n, R))
         self.free = np.empty((self.n, R))  # A x
-        self.centres = np.empty((self.M, self.n, R))
+        self.predictions = np.empty((self.M, self.n, R))
         self.gauges = np.empty((self.M, R))
         self.u = np.zeros((self.m, R))
         self.fallback = Fallback.of(scenario).input
@@ -224,8 +224,8 @@ class _Loop:
             else:
                 verdict = rule.judge(self.boxes[r], offered, y)
                 self.gauges[:, r] = verdict.gauges
-                centres = rule.predictions(self.boxes[r], offered)
-                self.possible[:, r] = 1.0 + spread(rule.apart, centres)
+                predictions = rule.predictions(self.boxes[r], offered)
+                self.possible[:, r] = 1.0 + spread(rule.apart, predictions)
                 self.seen[r], self.gone[r] = verdict.seen, 0
             self.boxes[r] = rule.box(self.seen[r], self.gone[r], y)
         self.y = read
@@ -256,14 +256,14 @@ class _Loop:
             _weighted(self.A[i], rows_y, self.free[i], self.spare)
         for j, inputs in enumerate(columns):
             for i in range(self.n):
-                np.copyto(self.centres[j, i], self.free[i])
-                _add(self.B[i], inputs, self.centres[j, i], self.spare)
+                np.copyto(self.predictions[j, i], self.free[i])
+                _add(self.B[i], inputs, self.predictions[j, i], self.spare)
         for i in range(self.m):
             self.choose(coin, [inputs[i] for inputs in columns], self.u[i])
         for i in range(self.n):
             out = self.following[i]
             if self.same_model and self.noise is None:
-                self.choose(coin, [self.centres[j, i] for j in range(self.M)], out)
+                self.choose(coin, [self.predictions[j, i] for j in range(self.M)], out)
             else:
                 _weighted(self.true_A[i], rows_x, out, self.spare)
                 _add(self.true_B[i], list(self.u), out, self.spare)
@@ -274,10 +274,10 @@ class _Loop:
             self.following[:, r] = np.array(moved) + d[:, r]
         read = self.following if self.noise is None else self.following + self.drawn()
         for j in range(self.M):
-            np.subtract(read, self.centres[j], out=self.difference)
+            np.subtract(read, self.predictions[j], out=self.difference)
             self.measure(self.gauge, self.gauges[j])
             if self.reach is not None:
-                np.subtract(read, self.centres[j], out=self.difference)
+                np.subtract(read, self.predictions[j], out=self.difference)
                 self.measure(self.reach, self.possible[j])
         if self.rule.apart is not None:
             self.measure_spread(self.rule.apart)
@@ -303,11 +303,11 @@ class _Loop:
         return drawn
 
     def measure_spread(self, gauge: Gauge) -> None:
-        """How far the candidates' centres lie apart, the same for each candidate."""
+        """How far the candidates' predictions lie apart, the same for each candidate."""
         widest = np.zeros(len(self.runs))
         for j in range(self.M):
             for i in range(self.M):
-                np.subtract(self.centres[j], self.centres[i], out=self.difference)
+                np.subtract(self.predictions[j], self.predictions[i], out=self.difference)
                 self.measure(gauge, self.possible[0])
                 np.maximum(widest, self.possible[0], out=widest)
         self.possible[:] = 1.0 + widest

@@ -1,4 +1,4 @@
-"""Intel messages: what the tap tells whoever watches it."""
+"""Adversary messages: what the tap tells whoever watches it."""
 
 from typing import Annotated, ClassVar, Self
 
@@ -62,7 +62,7 @@ class TapStatus(Message):
         tails have one length.
     """
 
-    topic: ClassVar[str] = "intel/tap/status"
+    topic: ClassVar[str] = "adversary/tap/status"
     seq: Count
     t_ns: Count
     name: str
@@ -105,4 +105,4 @@ class TapStatus(Message):
         return self
 
 
-INTEL: tuple[type[Message], ...] = (TapStatus,)
+ADVERSARY: tuple[type[Message], ...] = (TapStatus,)

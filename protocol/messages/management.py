@@ -1,4 +1,4 @@
-"""Ops messages: between controller, plant, dashboard and operator; the tap must not reach them."""
+"""Management messages: of controller, plant, dashboard and operator; the tap must not hear them."""
 
 from collections.abc import Iterable
 from functools import cache
@@ -39,7 +39,7 @@ class PlantHello(Message):
         offer (-1: none).
     """
 
-    topic: ClassVar[str] = "ops/plant/hello"
+    topic: ClassVar[str] = "management/plant/hello"
     instance: SessionId
     session: SessionId
     controller: SessionId | None = None
@@ -68,7 +68,7 @@ class ControllerHello(Message):
         Answer: the plant's process.
     """
 
-    topic: ClassVar[str] = "ops/controller/hello"
+    topic: ClassVar[str] = "management/controller/hello"
     instance: SessionId
     incarnation: Count
     fingerprint: Fingerprint
@@ -89,13 +89,13 @@ class _Command(Message):
 class SendCommand(_Command):
     """An operator's message for the controller to deliver. An ``id`` is queued once."""
 
-    topic: ClassVar[str] = "ops/command/send"
+    topic: ClassVar[str] = "management/command/send"
 
 
 class SendReply(Message):
     """The controller's answer to a `SendCommand`."""
 
-    topic: ClassVar[str] = "ops/reply/send"
+    topic: ClassVar[str] = "management/reply/send"
     id: Identifier
     accepted: bool
     queued: Count
@@ -105,13 +105,13 @@ class SendReply(Message):
 class SealCommand(_Command):
     """An operator's message to be sent sealed. An ``id`` is taken once."""
 
-    topic: ClassVar[str] = "ops/command/seal"
+    topic: ClassVar[str] = "management/command/seal"
 
 
 class SealReply(Message):
     """The controller's answer to every `SealCommand`, repeated ones included."""
 
-    topic: ClassVar[str] = "ops/reply/seal"
+    topic: ClassVar[str] = "management/reply/seal"
     id: Identifier
     accepted: bool
     delivered: bool
@@ -125,7 +125,7 @@ class SealedReceipt(Message):
     it, and ``key_ids`` are those of the message.
     """
 
-    topic: ClassVar[str] = "ops/plant/receipt"
+    topic: ClassVar[str] = "management/plant/receipt"
     id: Identifier
     key_ids: Annotated[tuple[Identifier, ...], Field(max_length=4096)] = ()
     refused: str = ""
@@ -148,7 +148,7 @@ class BlockAnnouncement(Message):
     blocks of this end that are not confirmed.
     """
 
-    topic: ClassVar[str] = "ops/keys/word"
+    topic: ClassVar[str] = "management/keys/word"
     side: Literal["controller", "plant"]
     session: SessionId
     block: BlockNumber
@@ -175,7 +175,7 @@ class KeyRequest(Message):
         Ids of keys, origins of pads or names of blocks; 4096 at most.
     """
 
-    topic: ClassVar[str] = "ops/keys/request"
+    topic: ClassVar[str] = "management/keys/request"
     side: Literal["controller", "plant"]
     use: _Use
     what: _What
@@ -189,7 +189,7 @@ class KeyAnswer(Message):
     keys or pads are marked.
     """
 
-    topic: ClassVar[str] = "ops/keys/answer"
+    topic: ClassVar[str] = "management/keys/answer"
     side: Literal["controller", "plant"]
     use: _Use
     what: _What
@@ -253,7 +253,7 @@ class PlantModel(Message):
         The claim under which keys are secret, in words; empty where none are made.
     """
 
-    topic: ClassVar[str] = "ops/plant/model"
+    topic: ClassVar[str] = "management/plant/model"
     scenario: str
     law: str
     pace: str
@@ -284,7 +284,7 @@ class PlantModel(Message):
 
 SECRET_FIELDS: Final = frozenset({"last_message", "partial", "sending"})
 SECRET_PREFIXES: Final = ("tail_", "pictured_")
-"""Fields that travel on ops and stand in no file: texts, and the last keys and coins."""
+"""Fields that travel on the management bus only, in no file: texts, the last keys and coins."""
 
 
 class _Status(Message):
@@ -374,7 +374,7 @@ class PlantStatus(_Status):
         of the tail. They say so to whoever watches; no end acts on it.
     """
 
-    topic: ClassVar[str] = "ops/plant/status"
+    topic: ClassVar[str] = "management/plant/status"
     phase: Literal["greeting", "running", "stopped", "refused"]
     session: SessionId
     sessions: Count
@@ -486,7 +486,7 @@ class ControllerStatus(_Status):
         What was read after that step, what was expected, and how far apart they are, in D_c.
     """
 
-    topic: ClassVar[str] = "ops/controller/status"
+    topic: ClassVar[str] = "management/controller/status"
     phase: Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
     session: SessionId | None
     k: Annotated[int, Field(ge=-1)]
@@ -545,7 +545,7 @@ def _forgeries(count: int, k: int, what: str) -> str:
 
 Status = PlantStatus | ControllerStatus
 
-OPS: tuple[type[Message], ...] = (
+MANAGEMENT: tuple[type[Message], ...] = (
     PlantHello,
     ControllerHello,
     SendCommand,
