@@ -18,7 +18,7 @@ from runtime.sandbox import START_S, SandboxError, SandboxProcess, acquire, give
 ANSWER_S: Final = 2.0
 """Seconds that an attack has for a step."""
 
-Heard = tuple[str, bytes]
+BusMessage = tuple[str, bytes]
 """A message's topic and payload."""
 
 

@@ -84,7 +84,7 @@ def measure(steps: int = 1_000_000, folder: Path | None = None) -> dict[str, Any
         usage = os.wait4(child.pid, 0)[2]
         child.returncode = 0
     return {
-        "steps": next((c["counted"] for c in told["clauses"] if c["name"] == "switching"), 0),
+        "steps": next((c["counted"] for c in told["checks"] if c["name"] == "switching"), 0),
         "passed": told["passed"],
         "seconds": time.monotonic() - began,
         "cpu_seconds": usage.ru_utime + usage.ru_stime,

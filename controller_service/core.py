@@ -115,7 +115,7 @@ class ControllerCore:
     predict : callable, optional
         f_c, where it is not linear.
     message : bytes, optional
-        Queued under `INITIAL_ID` at the start, once in the queue's life.
+        Queued under `INITIAL_ID` at the start, once, however often the process is started.
     telemetry : ControllerTelemetry, optional
         What is told beside the record; without it no status is published.
     status_s : float
@@ -292,7 +292,7 @@ class ControllerCore:
         else:
             assert self._starting, "nothing waits to be finished"
             self._starting = False
-            # Saved first: no other process may greet as this life of the journal.
+            # Saved first: no other process may greet as this incarnation.
             actions = Actions(
                 write=Save(self.record),
                 publish=(self._greeting(),),
@@ -319,6 +319,10 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "alarmed"
         return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
+
+    def end_session(self, why: str) -> Actions:
+        """Keys that its messages are under are gone: nothing that the plant says can be read."""
+        return self._end_session("keys gone", f"{why}; session ended")
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
@@ -369,7 +373,7 @@ class ControllerCore:
             return self._without_offer(measurement, following, judged, HALTED, "alarmed")
         try:
             missed = measurement.k - measurement.applied_k - 1
-            box = self.rules.box(following.seen, missed, measurement.x)
+            box = self.rules.box(following.estimate, missed, measurement.x)
             x = measurement.x if box is None else box.centre
             candidates = self._propose(x)
             predictions = self._predictions(x, candidates)
@@ -458,7 +462,7 @@ class ControllerCore:
             offer.candidates,
             offer.predictions,
             measurement.x_after,
-            self.rules.box(record.seen, record.k - record.applied_k - 1, record.x),
+            self.rules.box(record.estimate, record.k - record.applied_k - 1, record.x),
         )
         after, carry = self._arrows[verdict.symbol]
         message, offset = record.message, record.offset
@@ -466,8 +470,8 @@ class ControllerCore:
         if offset == len(self._frame_of(message)) and record.framed:
             message, offset = message + 1, 0
         following = self._decide(after, record.transitions + 1, message, offset, decided)
-        if verdict.seen is not None:
-            following = following._replace(seen=verdict.seen)
+        if verdict.estimate is not None:
+            following = following._replace(estimate=verdict.estimate)
         expected = self.coins.expected(offer, measurement.applied_key)
         failed = self.rules.fails(verdict, expected)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)
@@ -739,7 +743,9 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ", "keys gone"], why: str
+    ) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()
@@ -791,7 +797,7 @@ class ControllerCore:
     def _greeting(self) -> ControllerHello:
         """Ask the plant to say which session it is in.
 
-        The record must have been saved before: no other process may greet as this life.
+        The record must have been saved before: no other process may greet as this incarnation.
         """
         return self._hello("greeting")
 

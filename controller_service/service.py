@@ -49,7 +49,7 @@ from runtime.user_code import UserCodeError
 class ControllerConfig(EndConfig):
     """What the controller service is started with.
 
-    ``message`` is queued once in a journal's life, however often the service is started with it.
+    ``message`` is queued once, however often the service is started with it.
     ``clear_alarm``: offers go on that an alarm has ended.
     ``pace`` is the plant's: a network's delays are of its clock.
     """

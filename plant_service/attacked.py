@@ -3,7 +3,7 @@
 from collections import deque
 from typing import Final, Self
 
-from attacker_service.asking import Attacker, Heard
+from attacker_service.asking import Attacker, BusMessage
 from plant_service.plant import Plant
 from protocol.link.session import Truth
 from protocol.messages import FIELD
@@ -40,7 +40,7 @@ class AttackedPlant:
         self._x = x
         self._u: Vector = ()
         self._told = ""
-        self.heard: deque[Heard] = deque(maxlen=HEARD)
+        self.heard: deque[BusMessage] = deque(maxlen=HEARD)
 
     def prepare(self, k: int) -> None:
         """As the plant."""
@@ -81,7 +81,7 @@ class AttackedPlant:
 class _Overheard:
     """A bus whose messages on some keys are noted as they pass."""
 
-    def __init__(self, bus: Bus, heard: deque[Heard], topics: dict[str, str]) -> None:
+    def __init__(self, bus: Bus, heard: deque[BusMessage], topics: dict[str, str]) -> None:
         self._bus, self._heard, self._topics = bus, heard, topics
         self.subscribe, self.appearances = bus.subscribe, bus.appearances
         self.left, self.close = bus.left, bus.close
@@ -105,7 +105,7 @@ class _Overheard:
 class _Noted:
     """A publisher whose messages are noted."""
 
-    def __init__(self, publisher: Publisher, heard: deque[Heard], topic: str) -> None:
+    def __init__(self, publisher: Publisher, heard: deque[BusMessage], topic: str) -> None:
         self._put, self._heard, self._topic = publisher.put, heard, topic
 
     def put(self, payload: bytes) -> None:
@@ -116,7 +116,7 @@ class _Noted:
 class _NotedChannel:
     """A channel whose messages are noted."""
 
-    def __init__(self, channel: Channel, heard: deque[Heard], topics: dict[str, str]) -> None:
+    def __init__(self, channel: Channel, heard: deque[BusMessage], topics: dict[str, str]) -> None:
         self._receive, self.close = channel.receive, channel.close
         self._heard, self._topics = heard, topics
 

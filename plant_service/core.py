@@ -219,7 +219,7 @@ class PlantCore:
             begun=None,
         )
         self.controller: str | None = None
-        """The controller process that was asked last in this process's life, if any."""
+        """The controller process that this process asked last, if any."""
         self.state: State = first_state(record)
         self._met = record.transitions > 0 or record.sessions > 1
         self._taken_up = ("", "")
@@ -245,7 +245,7 @@ class PlantCore:
 
     @property
     def accepted(self) -> bool:
-        """Whether the controller asked has accepted this session in this process's life."""
+        """Whether the controller asked has accepted this session since this process began."""
         return self.state in WORKING
 
     @property
@@ -372,6 +372,14 @@ class PlantCore:
             self.coins.done(done, now)
             return NOTHING_TO_DO
         return key_actions(self.keying, done)._replace(write=self._erase_rows())
+
+    def end_session(self, why: str) -> Actions:
+        """Keys that its messages are under are gone: no offer can be read."""
+        if self._finished:
+            return NOTHING_TO_DO
+        self.state = TABLE[self.state, "keys gone"].next
+        self._begin_session()
+        return self._anew(why, Notice(f"{why}; new session {self.record.session}", "error"))
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
@@ -558,7 +566,7 @@ class PlantCore:
         """
         offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
         scheme = self.rules.scheme
-        box = self.rules.box(record.seen, record.k - record.applied_k - 1, record.x)
+        box = self.rules.box(record.estimate, record.k - record.applied_k - 1, record.x)
         verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next, box)
         after, carry = scheme.follow(record.state, verdict.symbol)
         agreed, pad = carry
@@ -620,7 +628,7 @@ class PlantCore:
             coin_key=self.coins.key,
             coin_from=self.coins.first,
             keyed=bool(report.applied_key),
-            seen=verdict.seen,
+            estimate=verdict.estimate,
             true_x=self._state_of(self._truth),
         )
         self._step = None
@@ -706,7 +714,7 @@ class PlantCore:
         record, outputs = self.record, self.rules.outputs
         if outputs is None:
             return self._fallback(record.x, record.u)
-        return outputs.instead(record.seen, record.k - record.applied_k - 1, record.u)
+        return outputs.instead(record.estimate, record.k - record.applied_k - 1, record.u)
 
     def _state_of(self, truth: Truth | None) -> Vector:
         """The simulated state that the record keeps: where no reading tells it."""
@@ -870,7 +878,7 @@ class PlantCore:
             coin_key="",
             coin_from=-1,
             keyed=False,
-            seen=None,
+            estimate=None,
         )
         self._left = True
         self.keying.begin(session)

@@ -108,8 +108,8 @@ class PlantTelemetry:
 
     def _state(self, record: ReceiverRecord) -> Vector:
         """x(k) as it is read; where outputs are read, as it was estimated after the last offer."""
-        if record.seen is not None:
-            return record.seen.box.centre
+        if record.estimate is not None:
+            return record.estimate.box.centre
         return (0.0,) * self._hidden or record.x
 
     def status(
@@ -197,7 +197,7 @@ def _before(t: CountedTransition) -> Vector:
 
 def _after(t: CountedTransition) -> Vector:
     """x(k+1) likewise."""
-    return t.x_next if t.verdict.seen is None else t.verdict.seen.box.centre
+    return t.x_next if t.verdict.estimate is None else t.verdict.estimate.box.centre
 
 
 def _truths(tail: Sequence[CountedTransition]) -> tuple[Vector, ...]:

@@ -11,7 +11,7 @@ from math import inf
 from operator import sub
 from typing import Final, NamedTuple
 
-from protocol.box_observer import Box, Seen
+from protocol.box_observer import Box, Estimate
 from protocol.vectors import Matrix, Vector
 
 NO_SYMBOL = -1
@@ -111,14 +111,14 @@ class AgreementResult(NamedTuple):
     ``gauges`` holds g(x_next - c_i) for each candidate; ``symbol`` is the key symbol, or
     :data:`NO_SYMBOL` where x_next is outside Diff. ``inside`` counts the candidates that the
     defender finds possible: with 1 and no symbol, one is impossible for the eavesdropper. Where
-    some outputs alone are read, ``box`` is where the state was, and ``seen`` what is kept of it.
+    some outputs alone are read, ``box`` is where the state was; ``estimate`` is what is kept.
     """
 
     gauges: Vector
     symbol: int
     inside: int = 0
     box: Box | None = None
-    seen: Seen | None = None
+    estimate: Estimate | None = None
 
     @property
     def unexplained(self) -> bool:

@@ -98,7 +98,7 @@ class Observed(NamedTuple):
     box: Box
 
 
-class Seen(NamedTuple):
+class Estimate(NamedTuple):
     """What both ends keep of a transition: the box right after it, and what may be in force."""
 
     box: Box

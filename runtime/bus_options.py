@@ -167,11 +167,11 @@ def noted(metrics: str | None, bus: "Bus") -> "Iterator[Bus]":
     if metrics is None:
         yield bus
         return
-    from runtime.metrics import Board, NotedBus, served
+    from runtime.metrics import NotedBus, Statuses, served
 
-    board: Board = {}
-    with served(metrics, board):
-        yield NotedBus(bus, board)
+    statuses: Statuses = {}
+    with served(metrics, statuses):
+        yield NotedBus(bus, statuses)
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from runtime.errors import UsageError, needs
 if TYPE_CHECKING:
     from prometheus_client import Metric
 
-Board = dict[tuple[str, str, str], bytes]
+Statuses = dict[tuple[str, str, str], bytes]
 """The newest status of each topic, loop and eavesdropper."""
 
 COUNTERS = {
@@ -30,8 +30,8 @@ COUNTERS = {
         "messages": ("messages_recovered", "whole messages that the plant has"),
         "frames_refused": ("frames_refused", "frames that failed their check"),
         "malformed": ("malformed", "messages that were no messages"),
-        "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
-        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key in its life"),
+        "keys_made": ("keys_made", "keys of confirmed blocks since this process began"),
+        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key since then"),
         "guarded": ("guarded_messages", "messages of the other end's under a key"),
         "unguarded": ("unguarded_messages", "plain ones, where messages are guarded"),
         "forged": ("forged_messages", "messages refused as forgeries"),
@@ -45,8 +45,8 @@ COUNTERS = {
         "forged": ("forged_messages", "messages refused as forgeries"),
         "unwatched": ("unwatched_steps", "transitions that no key watched, of a keyed coin"),
         "malformed": ("malformed", "messages that were no messages"),
-        "keys_made": ("keys_made", "keys of confirmed blocks in this process's life"),
-        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key in its life"),
+        "keys_made": ("keys_made", "keys of confirmed blocks since this process began"),
+        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key since then"),
     },
     TapStatus.topic: {
         "mirrored": ("tap_mirrored", "messages in the tap's recording"),
@@ -78,7 +78,7 @@ GAUGES = {
 
 
 class _Noted:
-    """A publisher whose newest payload stays on the board."""
+    """A publisher whose newest payload stays among the statuses."""
 
     def __init__(self, publisher: Publisher, note: Callable[[bytes], None]) -> None:
         self._publisher = publisher
@@ -90,18 +90,18 @@ class _Noted:
 
 
 class NotedBus(Bus):
-    """A bus whose published statuses stay on a board.
+    """A bus whose published statuses are kept.
 
     Parameters
     ----------
     bus : Bus
         Closed by whoever opened it.
-    board : dict
+    statuses : dict
     """
 
-    def __init__(self, bus: Bus, board: Board) -> None:
+    def __init__(self, bus: Bus, statuses: Statuses) -> None:
         self._bus = bus
-        self._board = board
+        self._statuses = statuses
 
     def publisher(self, key: str, *, many: bool = False) -> Publisher:
         """A publisher on one key."""
@@ -112,7 +112,7 @@ class NotedBus(Bus):
 
         def note(payload: bytes) -> None:
             name = from_json(payload)["name"] if topic == TapStatus.topic else ""
-            self._board[topic, loop, name] = payload
+            self._statuses[topic, loop, name] = payload
 
         return _Noted(publisher, note)
 
@@ -131,8 +131,8 @@ class NotedBus(Bus):
     def left(self, loop: str) -> None:
         """Nothing is told any more of a loop that has left."""
         self._bus.left(loop)
-        for place in [place for place in list(self._board) if place[1] == loop]:
-            del self._board[place]
+        for place in [place for place in list(self._statuses) if place[1] == loop]:
+            del self._statuses[place]
 
     def close(self) -> None:
         """As the bus does."""
@@ -140,10 +140,10 @@ class NotedBus(Bus):
 
 
 class StatusCollector:
-    """Reads the metrics off a board whenever Prometheus asks."""
+    """Reads the metrics off statuses whenever Prometheus asks."""
 
-    def __init__(self, board: Board) -> None:
-        self._board = board
+    def __init__(self, statuses: Statuses) -> None:
+        self._statuses = statuses
 
     def collect(self) -> "Iterator[Metric]":
         """The metrics, by name."""
@@ -160,7 +160,7 @@ class StatusCollector:
             "from a step's first measurement to its offer",
             labels=["loop"],
         )
-        for (topic, loop, name), payload in sorted(self._board.copy().items()):
+        for (topic, loop, name), payload in sorted(self._statuses.copy().items()):
             status: dict[str, Any] = from_json(payload)
             service = topic.split("/")[1]
             for kind, fields in kinds:
@@ -186,7 +186,7 @@ class StatusCollector:
 
 
 @contextmanager
-def served(address: str, board: Board) -> Iterator[int]:
+def served(address: str, statuses: Statuses) -> Iterator[int]:
     """Answer Prometheus at ``HOST:PORT`` (port 0: any free one); gives the port.
 
     Raises
@@ -202,7 +202,7 @@ def served(address: str, board: Board) -> Iterator[int]:
     except ImportError:
         raise UsageError(needs("--metrics", "prometheus-client")) from None
     registry = CollectorRegistry()
-    registry.register(StatusCollector(board))
+    registry.register(StatusCollector(statuses))
     try:
         server, thread = start_http_server(int(port), host.strip("[]"), registry=registry)
     except OSError as error:

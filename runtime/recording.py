@@ -4,16 +4,16 @@ A recording is one or more parts, ``trace.jsonl``, ``trace.0001.jsonl``, ..., ea
 that names its number. A part that would outgrow its bound is ended and another begun; the oldest
 are dropped where all together would outgrow theirs, and for no other reason.
 
-A file is written by one process at a time, in *lives*. A life begins with a header, or, where the
-file is there already, with the mark ``continued``. It ends with the mark ``end``, which counts the
-life's lines before it and holds their SHA-256. A process that is killed leaves no end mark, and at
-most one torn line, its last: so a reader can tell a killed writer from a file that was cut. A life
-that goes on in the recording's next part says so in its end mark.
+A file is written by one process at a time, an *incarnation* of its writer. Each begins with a
+header, or, where the file is there already, with the mark ``continued``. It ends with the mark
+``end``, which counts its lines before it and holds their SHA-256. A process that is killed leaves
+no end mark, and at most one torn line, its last: so a reader can tell a killed writer from a file
+that was cut. An incarnation that goes on in the recording's next part says so in its end mark.
 
-    {"event":"header",...}                          first life
+    {"event":"header",...}                          first incarnation
     {"event":"transition",...}
     {"event":"end","lines":2,"sha256":"9f86..."}    it ended by itself
-    {"event":"continued"}                           second life
+    {"event":"continued"}                           second incarnation
     {"event":"transi                                and was killed
 
 :class:`LineWriter` and :func:`read_lines` work on one file, :class:`Parts` on the files of a
@@ -115,7 +115,7 @@ class LineWriter:
     def append_all(self, lines: Sequence[bytes]) -> int:
         """Hand several lines over in one piece; how many were written whole.
 
-        Where it is fewer, the disk is full; the rest is lost, and so is the life's end mark.
+        Where it is fewer, the disk is full; the rest is lost, and so is the incarnation's end mark.
         """
         block = b"\n".join([*lines, b""])
         written = self._put(block)

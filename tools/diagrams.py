@@ -37,7 +37,7 @@ from protocol.secret.blocks import BlockResult
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
-from wyner.runs.check import CLAUSES
+from wyner.runs.check import CHECKS
 from wyner.runs.check.covered import KINDS
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
@@ -150,10 +150,10 @@ def _cell(state: str, row: tuple[str, str]) -> str:
     return ", ".join(filter(None, words)) or "–"
 
 
-def clause_table() -> str:
-    """What `wyner check` looks at: each clause, where it comes from, and what must hold."""
-    lines = ["| clause | source | what must hold | counts |", "|---|---|---|---|"]
-    lines += [f"| {c.name} | {c.source} | {c.says} | {c.of} |" for c in CLAUSES]
+def check_table() -> str:
+    """What `wyner check` looks at: each of its checks, where it comes from, and what must hold."""
+    lines = ["| check | source | what must hold | counts |", "|---|---|---|---|"]
+    lines += [f"| {c.name} | {c.source} | {c.says} | {c.of} |" for c in CHECKS]
     return "\n".join([*lines, ""])
 
 
@@ -255,7 +255,7 @@ PARTS: Final[dict[str, Callable[[], str]]] = {
 PROTOCOL_PARTS: Final[dict[str, Callable[[], str]]] = {
     "plant-session": plant_session,
     "controller-session": controller_session,
-    "clauses": clause_table,
+    "checks": check_table,
 }
 """Of docs/protocol.md."""
 

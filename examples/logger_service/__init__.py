@@ -2,4 +2,4 @@
 
 from protocol.registry import provide
 
-provide("service", "logger_service.row")
+provide("service", "logger_service.service_spec")

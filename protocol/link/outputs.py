@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL, AgreementResult, Gauge, predict, spread
-from protocol.box_observer import Box, BoxObserver, Seen
+from protocol.box_observer import Box, BoxObserver, Estimate
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
 
@@ -41,25 +41,25 @@ class OutputRule:
     alpha: float
     fallback: Fallback
 
-    def box(self, seen: Seen | None, missed: int, y: Vector) -> Box:
-        """Where the state lies that is read as ``y``, ``missed`` steps after what was ``seen``."""
-        if seen is None or missed > MOST_MISSED:
+    def box(self, estimate: Estimate | None, missed: int, y: Vector) -> Box:
+        """Where the state lies that is read as ``y``, ``missed`` steps after the estimate."""
+        if estimate is None or missed > MOST_MISSED:
             return self.observer.begin(y)
-        return self.observer.met(self._predicted(seen, missed), y) if missed else seen.box
+        return self.observer.met(self._predicted(estimate, missed), y) if missed else estimate.box
 
-    def instead(self, seen: Seen | None, missed: int, in_force: Vector) -> Vector:
-        """The input of a missed step, ``missed`` of which came before it since what was ``seen``.
+    def instead(self, estimate: Estimate | None, missed: int, in_force: Vector) -> Vector:
+        """The input of a missed step, ``missed`` of which came before it since the estimate.
 
         The fallback sees the state that both ends predict, and no reading: the controller heard of
         none meanwhile.
         """
-        if seen is None or missed >= MOST_MISSED:
+        if estimate is None or missed >= MOST_MISSED:
             return self.fallback.input((0.0,) * len(self.observer.A), in_force)
-        return self.fallback.input(self._predicted(seen, missed).centre, in_force)
+        return self.fallback.input(self._predicted(estimate, missed).centre, in_force)
 
-    def _predicted(self, seen: Seen, missed: int) -> Box:
+    def _predicted(self, estimate: Estimate, missed: int) -> Box:
         """The box after some missed steps, of which nothing was read."""
-        box, inputs = seen
+        box, inputs = estimate
         for _ in range(missed):
             if self.fallback.kind != "hold":
                 inputs = (self.fallback.input(box.centre, inputs[0]),)
@@ -89,4 +89,6 @@ class OutputRule:
         together = 1.0 + spread(self.apart, predictions) <= self.alpha
         symbol = found.possible[0] if inside == 1 and together else NO_SYMBOL
         inputs = tuple([candidates[i] for i in found.possible]) or candidates
-        return AgreementResult(tuple(gauges), symbol, inside, box=box, seen=Seen(found.box, inputs))
+        return AgreementResult(
+            tuple(gauges), symbol, inside, box=box, estimate=Estimate(found.box, inputs)
+        )

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from protocol.agreement import NO_SYMBOL
-from protocol.box_observer import Seen
+from protocol.box_observer import Estimate
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
@@ -40,8 +40,8 @@ class SenderRecord(NamedTuple):
     ``incarnation`` counts the processes that had this journal. ``coin_key`` is the newest key that
     an offer of the session named for its coin, and ``coin_from`` the step of its first digit.
     ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm has ended
-    the offers. ``seen`` is what the last transition left of the box in which the state lies, where
-    some outputs alone are read.
+    the offers. ``estimate`` is what the last transition left of the box in which the state lies,
+    where some outputs alone are read.
     """
 
     session: str | None = None
@@ -67,7 +67,7 @@ class SenderRecord(NamedTuple):
     coin_from: int = -1
     failed: int = 0
     halted: bool = False
-    seen: Seen | None = None
+    estimate: Estimate | None = None
 
     @property
     def s(self) -> int:
@@ -89,7 +89,7 @@ class ReceiverRecord(NamedTuple):
     only in what is written while a plant acts: the step that is under way. The session of its offer
     may be one that has ended since. ``coin_key`` is the newest key of the session whose digits a
     coin came from, and ``coin_from`` the step of its first one; ``keyed`` says whether the last
-    applied offer's did. Where some outputs alone are read ``seen`` is as the controller's, and
+    applied offer's did. Where some outputs alone are read ``estimate`` is as the controller's, and
     ``true_x`` the simulated state, which no reading tells.
     """
 
@@ -121,7 +121,7 @@ class ReceiverRecord(NamedTuple):
     coin_key: str = ""
     coin_from: int = -1
     keyed: bool = False
-    seen: Seen | None = None
+    estimate: Estimate | None = None
     true_x: Vector = ()
 
     @property

@@ -39,7 +39,7 @@ from protocol.agreement import (
     Gauge,
     predict,
 )
-from protocol.box_observer import Box, Seen
+from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.defence.key_digits import fails
 from protocol.link.fallback import Fallback
@@ -145,12 +145,12 @@ class Rules:
             return True
         return self.test is not None and self.test.fails(verdict.gauges)
 
-    def box(self, seen: Seen | None, missed: int, reading: Vector) -> Box | None:
+    def box(self, estimate: Estimate | None, missed: int, reading: Vector) -> Box | None:
         """Where the state lies; None where it is read as it is.
 
         Parameters
         ----------
-        seen : Seen, optional
+        estimate : Estimate, optional
             What the last transition left of its box.
         missed : int
             Steps since that transition.
@@ -158,7 +158,7 @@ class Rules:
         """
         if self.outputs is None:
             return None
-        return self.outputs.box(seen, missed, reading)
+        return self.outputs.box(estimate, missed, reading)
 
     def prediction(self, x: Vector, offer: Offer, candidate: int, box: Box | None = None) -> Vector:
         """f_c(x, u_i) of one candidate of an offer, as it would be read."""

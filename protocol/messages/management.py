@@ -340,7 +340,7 @@ class PlantStatus(_Status):
     sampled_late_s, actuated_after_s : tuple of float
         Median, 99th percentile and largest of the last steps, in seconds; empty in lock-step.
     keys_made, key_blocks_lost : int
-        Keys of confirmed blocks, and blocks that made none, in this process's life.
+        Keys of confirmed blocks, and blocks that made none, since this process began.
     keys_of_block, key_block_steps : int
         Keys and steps of the last confirmed block.
     keys_refused : str
@@ -350,8 +350,8 @@ class PlantStatus(_Status):
     key_blocks_waiting : int
         Whole blocks that the partner has not confirmed.
     key_blocks_begun : int
-        Blocks begun in all lives. Each adds ``eps_sec`` to the distance from perfect keys, whatever
-        became of it.
+        Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
+        whatever became of it.
     guarded, unguarded, guard_ahead : int
         Messages of the partner's that were under a key, and plain ones, where messages are
         guarded; and the steps to come for which this end holds keys to send under.
@@ -473,7 +473,7 @@ class ControllerStatus(_Status):
     queue, delivered : int
         Messages that wait behind it, and those of which every symbol was counted.
     unexplained, watched, unwatched : int
-        Transitions of this process's life that no candidate explains; those that were tested
+        Transitions since this process began that no candidate explains; those that were tested
         against the one candidate that a key chose; and, where the coin is keyed, those that could
         not be.
     defence : str
@@ -481,7 +481,7 @@ class ControllerStatus(_Status):
     coin_keys : int
         Keys that are held for the coins of steps to come.
     alarms, alarm_k : int
-        Alarms of this process's life, and the step of the last one (-1: none).
+        Alarms since this process began, and the step of the last one (-1: none).
     alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
         What was read after that step, what was expected, and how far apart they are, in D_c.
     """

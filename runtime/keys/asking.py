@@ -129,7 +129,7 @@ class Asker:
         elif what == "keys":
             erased = self._book.answered(answer.use, refused)
         elif answer.use not in self._audits:
-            return Actions()  # of a former life
+            return Actions()  # of a former process
         else:
             return self._audited(what, answer)
         return Actions(notices=_erased(what, erased))

@@ -10,7 +10,7 @@ from controller_service.laws.base import CandidateLaw
 from protocol.arrays import Array
 from protocol.defence.base import Words
 from protocol.defence.coding import FULL, turned
-from wyner.simulate.engine.attacks import Heard, Learner
+from wyner.simulate.engine.attacks import Learner, SentAndOffered
 
 ANGLES: Final = 720
 KEPT: Final = 6
@@ -25,7 +25,7 @@ def rotation_learner(law: CandidateLaw) -> Learner:
     steps leave one angle: the best of a grid, closed in on.
     """
 
-    def misfit(heard: Sequence[Heard], angles: Array) -> Array:
+    def misfit(heard: Sequence[SentAndOffered], angles: Array) -> Array:
         """How far the offers of these angles, shape (R, a), are from those that were heard."""
         total = np.zeros(angles.shape)
         c, s = np.cos(angles), np.sin(angles)
@@ -37,7 +37,7 @@ def rotation_learner(law: CandidateLaw) -> Learner:
             total += np.abs(offers - candidates[:, :1, 0])
         return total
 
-    def learn(heard: Sequence[Heard]) -> Words:
+    def learn(heard: Sequence[SentAndOffered]) -> Words:
         runs = len(heard[0][0])
         width = 2 * math.pi / ANGLES
         grid = np.broadcast_to(np.arange(ANGLES) * width, (runs, ANGLES))

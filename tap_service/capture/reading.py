@@ -59,7 +59,7 @@ class CaptureReader:
     parts_missing: int = 0
     skipped: int = 0
     ended: bool = False
-    lives: int = 0
+    incarnations: int = 0
     """Recordings begun so far: where a tap was started again there are more than one."""
     header: dict[str, Any] = field(init=False)
     _number: int = field(init=False, default=0)
@@ -153,7 +153,7 @@ class CaptureReader:
         return True
 
     def _enter(self, part: Path) -> None:
-        self.lives += not self._went_on
+        self.incarnations += not self._went_on
         self._went_on = False
         self._number, self._part, self._headed = number_of(part), LineReader(part), None
 

@@ -247,7 +247,7 @@ def test_a_runs_folder_is_checked(tmp_path: Path) -> None:
     small = SmallRun(tmp_path / "run")
     small.steps(40)
     small.close()
-    results = {f.clause.name: f.result for f in wyner.check(tmp_path / "run")}
+    results = {f.check.name: f.result for f in wyner.check(tmp_path / "run")}
     assert results["agreement"] == "PASS"
     assert "FAIL" not in results.values()
     with pytest.raises(FileNotFoundError, match="no run here"):

@@ -212,10 +212,10 @@ class Watched(Simulation):
         agree(*self.stores.values())
         self.after(self.random.random() * AGREED_S, self._agree)
 
-    def _new_plant(self, lives: int) -> PlantCore:
+    def _new_plant(self, incarnations: int) -> PlantCore:
         if self._device is not None:
             self._device.passes = self.ends["plant"].ports.passes
-        return super()._new_plant(lives)
+        return super()._new_plant(incarnations)
 
     def send(self, to: Side, message: Message) -> None:
         """Look at a message of the loop, and send it."""
@@ -254,7 +254,7 @@ class Watched(Simulation):
         if isinstance(event, CountedTransition) and event.coin == NO_SYMBOL:
             return  # the controller's
         assert event.session == self.plant.record.session, "counted in another session"
-        if device.u is None:  # of a life before, or before an input was known
+        if device.u is None:  # of a process before, or before an input was known
             return
         assert event.x_next == device.x, "a step led elsewhere than its trace says"
         assert event.u == device.u, "a step had another input than its trace says"
@@ -344,7 +344,7 @@ def _short(key: bytes, size: int) -> tuple[int, ...]:
 
 
 def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
-    """The same plant in each life of its process."""
+    """The same plant in each process."""
     return plant
 
 

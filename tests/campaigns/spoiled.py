@@ -36,7 +36,7 @@ SCENARIOS: Final = ("sustained", "keys")
 LAST: Final = b"last"
 
 FORGOTTEN: Final = {"messages"}
-"""Clauses that see that a controller does not know what it was handed after the copy was made."""
+"""Checks that see that a controller does not know what it was handed after the copy was made."""
 
 
 def files_of(loop: RecordedLoop, side: Side) -> list[Path]:
@@ -178,7 +178,7 @@ class Spoiled:
                 self.wrong.append(f"{payload!r} was never sent")
             if times > 1 and not again:
                 self.wrong.append(f"{payload!r} was recovered {times} times")
-        results = {r.clause.name: r for r in check(read_evidence(self.loop.folder))}
+        results = {r.check.name: r for r in check(read_evidence(self.loop.folder))}
         for name, result in results.items():
             if result.result == "FAIL":
                 self.counts[f"check: {name}"] += 1

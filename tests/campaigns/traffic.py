@@ -158,7 +158,7 @@ class Traffic:
             return [*self.wrong, f"the run cannot be read: {error}"]
         plant = evidence.plant
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
-        failed = [f"{r.clause.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
+        failed = [f"{r.check.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
         return self.wrong + failed
 
 

@@ -106,7 +106,7 @@ def test_the_plant_loads_nothing_of_who_attacks_it() -> None:
     assert {n for p in naming for n in imports_of(p) if n.startswith("attacker_service.")} == {
         "attacker_service.asking",
         "attacker_service.asking.Attacker",
-        "attacker_service.asking.Heard",
+        "attacker_service.asking.BusMessage",
     }
     loaded = loaded_by(*(name_of(path) for path in inside("plant_service")))
     hers = {n for n in loaded if n.startswith(("attacker_service", "tap_service"))}
@@ -134,7 +134,7 @@ def test_a_run_is_read_by_its_one_reader() -> None:
 
 
 def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
-    """What a clause is to find wrong in the protocol, it may not ask the protocol."""
+    """What a check is to find wrong in the protocol, it may not ask the protocol."""
     path = ROOT / "wyner" / "runs" / "check" / "paper.py"
     assert not rooms_of(path)
     assert {name.split(".")[0] for name in imports_of(path)} == {"typing", "numpy"}

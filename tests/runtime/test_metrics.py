@@ -16,7 +16,7 @@ from protocol.topics import key_of
 from runtime.errors import UsageError
 from runtime.host import Host
 from runtime.memory_bus import MemoryBus, MemoryHub
-from runtime.metrics import Board, NotedBus, served
+from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
 
 pytest.importorskip("prometheus_client")
@@ -33,8 +33,8 @@ def read(port: int) -> dict[str, float]:
 def test_every_loop_is_told_of_by_its_newest_status(
     sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path
 ) -> None:
-    board: Board = {}
-    bus = NotedBus(MemoryBus(MemoryHub()), board)
+    statuses: Statuses = {}
+    bus = NotedBus(MemoryBus(MemoryHub()), statuses)
     for loop in ("a", "b"):
         plant, files = open_plant(
             PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime")), 0.0
@@ -61,7 +61,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
     keys = {"key_bits_held": 256, "copies": 90, "copies_missed": 3, "claim_refuted": True}
     for hers in (tap, tap.model_copy(update={"name": "key-solver", **keys})):
         bus.publisher(key_of(TapStatus, "a")).put(hers.wire())
-    with served("127.0.0.1:0", board) as port:
+    with served("127.0.0.1:0", statuses) as port:
         samples = read(port)
     of = '{eavesdropper="",loop="%s",service="plant"}'
     for loop in ("a", "b"):
@@ -104,8 +104,8 @@ def test_nothing_is_told_of_a_loop_that_has_left(
     sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path
 ) -> None:
     """Its last figures stood there for ever, as if it were still running."""
-    board: Board = {}
-    management = NotedBus(MemoryBus(MemoryHub()), board)
+    statuses: Statuses = {}
+    management = NotedBus(MemoryBus(MemoryHub()), statuses)
     host = Host(MemoryBus(MemoryHub()), management, threading.Event(), fleet=True)
     for loop in ("a", "b"):
         config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
@@ -113,6 +113,6 @@ def test_nothing_is_told_of_a_loop_that_has_left(
     host.remove("a")
     core, _ = open_plant(PlantConfig(sustained, tmp_path / "c", "c", Pace("realtime")), 0.0)
     management.publisher(key_of(PlantStatus, "b")).put(core.status(0.0).wire())
-    assert {loop for _, loop, _ in board} == {"b"}
+    assert {loop for _, loop, _ in statuses} == {"b"}
     host.close()
-    assert board == {}
+    assert statuses == {}

@@ -32,8 +32,8 @@ def encoder(**changes: dict[str, Any]) -> Scenario:
 def held(t: CountedTransition) -> bool:
     """Whether the state after a transition is in the box of both ends."""
     assert t.truth is not None
-    assert t.verdict.seen is not None
-    low, high = t.verdict.seen.box
+    assert t.verdict.estimate is not None
+    low, high = t.verdict.estimate.box
     return all(a <= v <= b for a, v, b in zip(low, t.truth.x_next, high, strict=True))
 
 

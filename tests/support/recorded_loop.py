@@ -307,4 +307,4 @@ class RecordedLoop:
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""
         results = check(read_evidence(self.folder))
-        return [f"{r.clause.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
+        return [f"{r.check.name}: {r.counter.first}" for r in results if r.result == "FAIL"]

@@ -26,7 +26,7 @@ from wyner.sweeps.grid import (
     points_of,
 )
 from wyner.sweeps.results import Results, histogram_of, read_rows, summarise
-from wyner.sweeps.running import SerialExecutor, looks, run_sweep, run_task
+from wyner.sweeps.running import SerialExecutor, run_sweep, run_task, stages
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = """
@@ -357,9 +357,9 @@ def test_the_version_covers_what_the_numbers_come_from(
 
 def test_looks_double_up_to_the_limit() -> None:
     base = {"name": "a", "scenario": "sustained", "runs": 20, "steps": 5, "seed": 1, "batch": 10}
-    assert list(looks(Sweep.model_validate(base))) == [20]
+    assert list(stages(Sweep.model_validate(base))) == [20]
     stop = {"stop": {"relative_width": 0.1, "max_runs": 105}}
-    assert list(looks(Sweep.model_validate(base | stop))) == [20, 40, 80, 105]
+    assert list(stages(Sweep.model_validate(base | stop))) == [20, 40, 80, 105]
 
 
 def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Path) -> None:

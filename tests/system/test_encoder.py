@@ -1,4 +1,4 @@
-"""A motor of which the encoder alone is read, live: both ends killed, and every clause holds."""
+"""A motor of which the encoder alone is read, live: both ends killed, and every check holds."""
 
 import subprocess
 import sys

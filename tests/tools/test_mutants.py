@@ -55,7 +55,7 @@ def test_every_quick_test_file_of_a_room_judges_it(room: str) -> None:
     slow = {
         "test_watched.py",
         "test_mutants.py",
-        "test_key_clauses.py",
+        "test_key_checks.py",
         "test_evidence.py",
     }
     assert there - judges <= slow

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from wyner.runs.check.clause import Result
+    from wyner.runs.check.base import Result
 
 
 def check(run_dir: str | Path) -> "list[Result]":
-    """What ``wyner check`` says of a run's folder, clause by clause.
+    """What ``wyner check`` says of a run's folder, one result a check.
 
     Raises
     ------

@@ -1,4 +1,5 @@
-"""``wyner check``: replay a run's traces and say, clause by clause, whether they obey the paper."""
+"""``wyner check``: replay a run's traces and say, one check after another, whether they obey
+the paper."""
 
 import argparse
 import json
@@ -10,14 +11,14 @@ from protocol.text import printable
 from runtime.errors import DONE, FAILED, UsageError
 
 if TYPE_CHECKING:
-    from wyner.runs.check.clause import Result
+    from wyner.runs.check.base import Result
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Replay the traces and the capture of a run that has ended through the pure "
-        "functions of the protocol, and say PASS or FAIL for each clause of the paper. A clause "
+        "functions of the protocol, and say PASS or FAIL for each check. A check "
         "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
         "one does, 2 when there is no run."
     )
@@ -74,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def results_of(folder: Path) -> "list[Result]":
-    """What each clause says of a run.
+    """What each check says of a run.
 
     Raises
     ------
@@ -106,7 +107,7 @@ def summary_of(folder: Path, results: "Sequence[Result]") -> dict[str, Any]:
         "failed": failed,
         "skipped": sum(f.result == "SKIP" for f in results),
         "sealed": is_sealed(Run.load(folder).manifest),
-        "clauses": [f.as_json() for f in results],
+        "checks": [f.as_json() for f in results],
         "files": [kind._asdict() for kind in KINDS],
     }
 
@@ -118,11 +119,11 @@ def counted(results: "Sequence[Result]") -> str:
 
 
 def lines_of(result: "Result") -> list[str]:
-    """A clause for people: one line, and one more where it does not hold."""
-    clause, counter = result.clause, result.counter
-    counted = f"{counter.counted} {clause.of}"
+    """A check for people: one line, and one more where it does not hold."""
+    check, counter = result.check, result.counter
+    counted = f"{counter.counted} {check.of}"
     details = counter.skipped or "; ".join(part for part in (counted, counter.note) if part)
-    lines = [f"{result.result}  {clause.name:15} {clause.source:13} {clause.says} [{details}]"]
+    lines = [f"{result.result}  {check.name:15} {check.source:13} {check.says} [{details}]"]
     first = counter.first
     if first is not None:
         where = f"session {first.session}, " if first.session else ""

@@ -12,7 +12,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Write one self-contained HTML page of a run: what counts as secret by the paper's rule "
         "against the truth, what was sent and recovered, states and inputs, one step, keys against "
-        "taps over time, and the clauses of the check. The page's path goes to standard output."
+        "taps over time, and the checks. The page's path goes to standard output."
     )
     parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
     parser.add_argument(

@@ -99,7 +99,7 @@ class Resolved:
     """The events of a trace that count, each once: iterate once.
 
     Of a step that was traced twice the last counts. A missed step that was traced and never saved
-    does not count where it was made again. Marks of the writer's lives are left out.
+    does not count where it was made again. Marks of the writer's incarnations are left out.
 
     Parameters
     ----------

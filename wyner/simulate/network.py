@@ -122,7 +122,7 @@ class SimulatedEnd:
         self.endpoint: Peer | None = None
         self.key_maker = world.key_maker(side)
         self.wakes_at = inf
-        self.lives = 0
+        self.incarnations = 0
 
 
 class Simulation:
@@ -144,7 +144,7 @@ class Simulation:
     plant_journal : PlantStorage, optional
         None: one in memory.
     own : callable, optional
-        Gives what stands in the place of the scenario's plant, for each life of its process.
+        Gives what stands in the place of the scenario's plant, for each process.
     folder : Path
         Where the files that the scenario names are looked for.
 
@@ -152,7 +152,7 @@ class Simulation:
     ----------
     ends : dict of Side to SimulatedEnd
     plant : PlantCore
-        The plant's core in this life of its process.
+        The plant's core in this process.
     random : random.Random
         From which all that the world does is drawn.
     """
@@ -276,15 +276,19 @@ class Simulation:
     def keep(self, side: Side, task: Task) -> None:
         """Have a task done some time later, if the process still lives, and told later still."""
         end = self.ends[side]
-        life, late_s = end.lives, self._faults.delay_s
+        incarnation, late_s = end.incarnations, self._faults.delay_s
 
         def do() -> None:
-            if end.lives == life and end.endpoint is not None and end.key_maker is not None:
+            if (
+                end.incarnations == incarnation
+                and end.endpoint is not None
+                and end.key_maker is not None
+            ):
                 done = work(end.key_maker, task)
                 self.after(self.random.random() * late_s, lambda: tell(done))
 
         def tell(done: Done) -> None:
-            if end.lives == life and end.endpoint is not None:
+            if end.incarnations == incarnation and end.endpoint is not None:
                 self._perform(end, end.endpoint.key_task_done(done, self.now_s))
 
         self.after(self.random.random() * late_s, do)
@@ -313,23 +317,23 @@ class Simulation:
         if known.setdefault(at, t) != t:
             self.history.rewritten.append(at)
 
-    # --- lives and deaths -------------------------------------------------------------------------
+    # --- starts and deaths ------------------------------------------------------------------------
 
     def _start(self, side: Side) -> None:
         end = self.ends[side]
-        end.lives += 1
+        end.incarnations += 1
         end.ports.crash_at()
         end.key_maker = self.key_maker(side)
-        end.endpoint = self._behind_the_network(side, end.lives)
+        end.endpoint = self._behind_the_network(side, end.incarnations)
         self._perform(end, end.endpoint.start(self.now_s))
 
-    def _behind_the_network(self, side: Side, lives: int) -> Peer:
-        """A new life of an end; its channel begins anew, too."""
+    def _behind_the_network(self, side: Side, incarnations: int) -> Peer:
+        """A new process of an end; its channel begins anew, too."""
         core: Peer
         kind: type[Measurement] | type[Offer]
         way: Direction
         if side == "plant":
-            core, kind, way = self._new_plant(lives), Offer, "to_plant"
+            core, kind, way = self._new_plant(incarnations), Offer, "to_plant"
         else:
             core, kind, way = self._new_controller(), Measurement, "to_controller"
         scale = 1.0 if self._step_s is None else self._step_s / self.scenario.plant.period_s
@@ -355,9 +359,9 @@ class Simulation:
         )
         return self._controller
 
-    def _new_plant(self, lives: int) -> PlantCore:
+    def _new_plant(self, incarnations: int) -> PlantCore:
         # A plant that died before it saved a step tosses its coin for that step again.
-        draws = self._run if lives == 1 else self._run + 1000 * lives
+        draws = self._run if incarnations == 1 else self._run + 1000 * incarnations
         # Where outputs are read such a step is made again with the d that it had.
         disturbed = draws if self.scenario.plant.C is None else self._run
         record = self._plant_journal.load()

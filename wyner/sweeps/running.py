@@ -169,7 +169,7 @@ class SerialExecutor(Executor):
 Progress = Callable[[int, int], None]
 
 
-def looks(sweep: Sweep) -> Iterator[int]:
+def stages(sweep: Sweep) -> Iterator[int]:
     """Numbers of runs after which a point is looked at: doubling, up to the run limit."""
     runs = sweep.runs
     while runs < sweep.limit:
@@ -228,7 +228,7 @@ def run_sweep(
                 group.done.setdefault((p.task, r["first_run"] // sweep.batch), []).append(r)
     waiting = list(groups)
     finished = foreseen = 0
-    for runs in looks(sweep):
+    for runs in stages(sweep):
         tasks = [
             task
             for group in waiting

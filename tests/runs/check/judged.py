@@ -1,4 +1,4 @@
-"""A clause that judges parts made by hand."""
+"""A check that judges parts made by hand."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -6,8 +6,8 @@ from typing import Any, cast
 
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 
 SCHEDULE = Schedule(Assumption(eps_E=0.9, eps_sec=0.3), first=4, largest=8)
@@ -33,11 +33,11 @@ def evidence(
     )
 
 
-def judge(clause: type[Clause], e: Evidence, *parts: Part) -> Counter:
-    """What a clause counts over these parts."""
-    counter = Counter(skipped=clause.skipped(e))
+def judge(kind: type[Check], e: Evidence, *parts: Part) -> Counter:
+    """What a check counts over these parts."""
+    counter = Counter(skipped=kind.skipped(e))
     if not counter.skipped:
-        judging = clause(e, counter)
+        judging = kind(e, counter)
         for part in parts:
             judging.feed(part)
         judging.finish()

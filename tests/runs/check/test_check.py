@@ -1,4 +1,4 @@
-"""wyner check: a right run passes, and each thing that is wrong fails the clause that says so."""
+"""wyner check: a right run passes, and each thing that is wrong fails the check that says so."""
 
 import base64
 import json
@@ -13,18 +13,18 @@ from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.lines import unmark
 from tests.support.small_run import Lines, SmallRun, read_lines, write_lines
 from wyner.cli.main import main
-from wyner.runs.check import CLAUSES, OF_KEYS, check
-from wyner.runs.check.clause import Result
+from wyner.runs.check import CHECKS, OF_KEYS, check
+from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import read_evidence
 
 Event = dict[str, Any]
 
-HERE = [clause.name for clause in CLAUSES if clause.name not in OF_KEYS]
-"""Clauses for a scenario that makes no keys."""
+HERE = [check.name for check in CHECKS if check.name not in OF_KEYS]
+"""Checks for a scenario that makes no keys."""
 
 
 def findings(folder: Path) -> dict[str, Result]:
-    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+    return {finding.check.name: finding for finding in check(read_evidence(folder))}
 
 
 def failed(folder: Path) -> set[str]:
@@ -76,7 +76,7 @@ def copied_eventful(eventful: Path, tmp_path: Path) -> Path:
 # --- right runs -----------------------------------------------------------------------------------
 
 
-def test_a_clean_run_passes_every_clause(clean: Path) -> None:
+def test_a_clean_run_passes_every_check(clean: Path) -> None:
     results = findings(clean)
     assert {f.result for f in results.values()} == {"PASS"}
     assert all(f.counter.counted > 0 for f in results.values())
@@ -84,7 +84,7 @@ def test_a_clean_run_passes_every_clause(clean: Path) -> None:
     assert results["prefix"].counter.counted == 65
 
 
-def test_a_run_with_faults_passes_every_clause(eventful: Path) -> None:
+def test_a_run_with_faults_passes_every_check(eventful: Path) -> None:
     results = findings(eventful)
     assert {name: f.counter.first for name, f in results.items() if f.result != "PASS"} == {}
     assert "12 written again" in results["traces"].counter.note
@@ -392,7 +392,7 @@ def look_different_in_state_2(folder: Path) -> None:
         (look_different_in_state_2, {"same-shape"}),
     ],
 )
-def test_what_is_wrong_fails_its_clause(
+def test_what_is_wrong_fails_its_check(
     copied: Path, corrupt: Callable[[Path], None], expected: set[str]
 ) -> None:
     corrupt(copied)
@@ -483,7 +483,7 @@ def test_a_run_in_which_nothing_happened_fails(tmp_path: Path) -> None:
 # --- the command ----------------------------------------------------------------------------------
 
 
-def test_the_command_says_pass_or_fail_for_each_clause(
+def test_the_command_says_pass_or_fail_for_each_check(
     copied: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["check", str(copied)]) == 0
@@ -501,11 +501,11 @@ def test_the_command_gives_one_object(copied: Path, capsys: pytest.CaptureFixtur
     assert main(["check", str(copied), "--json"]) == 0
     summary = json.loads(capsys.readouterr().out)
     assert (summary["passed"], summary["failed"], summary["skipped"]) == (True, 0, 0)
-    assert [clause["name"] for clause in summary["clauses"]] == HERE
+    assert [check["name"] for check in summary["checks"]] == HERE
     turn_the_coin(copied)
     assert main(["check", "--json", str(copied)]) == 1
     summary = json.loads(capsys.readouterr().out)
-    coin = next(clause for clause in summary["clauses"] if clause["name"] == "coin")
+    coin = next(check for check in summary["checks"] if check["name"] == "coin")
     assert coin["result"] == "FAIL"
     assert coin["failures"] == 1
     assert set(coin["first"]) == {"session", "j", "k", "text"}
@@ -548,6 +548,6 @@ def test_a_trace_without_its_header_fails_and_the_line_is_named(
 def test_a_service_that_was_killed_before_its_first_line_is_honest(copied: Path) -> None:
     for trace in (PLANT_TRACE, CONTROLLER_TRACE):
         (copied / trace).write_bytes(b"")
-    findings = {f.clause.name: f for f in check(read_evidence(copied))}
+    findings = {f.check.name: f for f in check(read_evidence(copied))}
     assert findings["whole"].result != "FAIL" or "journal" in str(findings["whole"].counter.first)
     assert "header" not in str([f.counter.first for f in findings.values()])

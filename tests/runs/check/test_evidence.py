@@ -40,7 +40,7 @@ def unsealed(copied: Path) -> Path:
 
 
 def failed(folder: Path) -> set[str]:
-    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+    return {f.check.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
 def passes(folder: Path) -> bool:
@@ -140,7 +140,7 @@ UNSEEN: dict[Callable[[Path], None], set[str]] = {
 
 
 @pytest.mark.parametrize("how", CHANGES)
-def test_without_a_seal_the_clauses_see_what_they_are_said_to(
+def test_without_a_seal_the_checks_see_what_they_are_said_to(
     unsealed: Path, tmp_path: Path, how: Callable[[Path], None]
 ) -> None:
     unseen = set()

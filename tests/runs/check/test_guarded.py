@@ -1,4 +1,4 @@
-"""The clause `guarded` on a run whose messages are tagged, and on that run changed."""
+"""The check `guarded` on a run whose messages are tagged, and on that run changed."""
 
 import shutil
 from collections.abc import Callable
@@ -26,11 +26,11 @@ def tagged(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def results(folder: Path) -> dict[str, str]:
-    return {r.clause.name: r.result for r in check(read_evidence(folder))}
+    return {r.check.name: r.result for r in check(read_evidence(folder))}
 
 
 def test_an_honest_run_passes_and_tags_are_recomputed(tagged: Path) -> None:
-    found = {r.clause.name: r for r in check(read_evidence(tagged))}
+    found = {r.check.name: r for r in check(read_evidence(tagged))}
     assert all(r.result != "FAIL" for r in found.values()), results(tagged)
     counter = found["guarded"].counter
     assert counter.counted > 100

@@ -1,4 +1,4 @@
-"""The clauses of keys one by one: what they count, what they find, and how they say it."""
+"""The checks of keys one by one: what they count, what they find, and how they say it."""
 
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,8 +11,8 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import SCHEDULE, evidence, heard, judge
 from wyner.runs.check import key_blocks
+from wyner.runs.check.base import Check, Counter, Place
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Clause, Counter, Place
 from wyner.runs.check.evidence import Pair, Part
 from wyner.runs.check.records import (
     BlockStoredLine,
@@ -31,7 +31,7 @@ def told(number: int, topic: str, k: int, session: str = A, /, **message: Any) -
 
 
 def walked(j: int, counts: int, k: int | None = None, session: str = A) -> Walked:
-    t = TracedTransition.__new__(TracedTransition)  # its other fields are other clauses'
+    t = TracedTransition.__new__(TracedTransition)  # its other fields are other checks'
     fields = {"session": session, "j": j, "k": j if k is None else k, "counts": counts}
     for name, value in fields.items():
         object.__setattr__(t, name, value)
@@ -68,19 +68,19 @@ def test_copy_0_leaves_once_a_step_and_a_session() -> None:
     assert found == Counter(5, 1, first(5, text))
 
 
-def test_a_field_of_another_type_is_another_clauses_matter() -> None:
+def test_a_field_of_another_type_is_another_checks_matter() -> None:
     strange: list[object] = [[1], {}, "2", None, 1.5]
     for value in strange:
         fields = ("nonce", "copy_number", "applied_k", "applied_copy", "heard", "block", "tag")
         message: dict[str, Any] = dict.fromkeys(fields, value)
         seen = [told(2, topic, 5, **message) for topic in ("offer", "measurement")]
-        for clause in (key_blocks.Copy0Once, key_blocks.Counted, key_blocks.Tags):
-            assert judge(clause, evidence(), heard(*seen)).failures == 0
+        for check in (key_blocks.Copy0Once, key_blocks.Counted, key_blocks.Tags):
+            assert judge(check, evidence(), heard(*seen)).failures == 0
         assert judge(key_blocks.NonceOnce, evidence(), heard(*seen)).failures == 1
 
 
 @pytest.mark.parametrize(
-    ("clause", "without", "said"),
+    ("check", "without", "said"),
     [
         (key_blocks.NonceOnce, {"wire": None}, "no capture in this run's folder"),
         (key_blocks.Copy0Once, {"wire": None}, "no capture in this run's folder"),
@@ -91,10 +91,10 @@ def test_a_field_of_another_type_is_another_clauses_matter() -> None:
     ],
 )
 def test_what_is_not_there_is_not_judged(
-    clause: type[Clause], without: dict[str, Any], said: str
+    check: type[Check], without: dict[str, Any], said: str
 ) -> None:
     part = heard(told(2, "offer", 5, nonce="p"), told(3, "offer", 5, nonce="p"))
-    assert judge(clause, evidence(**without), part) == Counter(skipped=said)
+    assert judge(check, evidence(**without), part) == Counter(skipped=said)
 
 
 # --- counts ---------------------------------------------------------------------------------------

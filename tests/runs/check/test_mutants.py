@@ -1,4 +1,4 @@
-"""Nothing that a run recorded can be otherwise without a clause that says so, by its name."""
+"""Nothing that a run recorded can be otherwise without a check that says so, by its name."""
 
 import os
 import shutil
@@ -39,7 +39,7 @@ def killed(ended: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def failed(folder: Path) -> set[str]:
-    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+    return {f.check.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
 NAMED: dict[tuple[str, str], set[str]] = {
@@ -83,7 +83,7 @@ NAMED: dict[tuple[str, str], set[str]] = {
     ("offer", "candidates"): {"wire", "public-fields"},
     ("offer", "cipher"): {"wire", "one-cipher", "public-fields"},
 }
-"""The clauses of which one must name the change; where none is given, those of `OTHERWISE`."""
+"""The checks of which one must name the change; where none is given, those of `OTHERWISE`."""
 
 OTHERWISE: dict[Path, set[str]] = {
     PLANT_TRACE: {"traces", "switching", "in-step", "frames", "whole"},
@@ -114,10 +114,10 @@ def only_marked(m: Mutant) -> bool:
 def test_honest_runs_pass(ended: Path, killed: Path) -> None:
     for folder in (ended, killed):
         findings = check(read_evidence(folder))
-        assert {f.clause.name: f.counter for f in findings if f.result != "PASS"} == {}
+        assert {f.check.name: f.counter for f in findings if f.result != "PASS"} == {}
 
 
-def test_every_change_of_meaning_fails_the_clause_that_names_it(
+def test_every_change_of_meaning_fails_the_check_that_names_it(
     killed: Path, tmp_path: Path
 ) -> None:
     folder = Path(shutil.copytree(killed, tmp_path / "run"))

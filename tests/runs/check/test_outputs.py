@@ -32,7 +32,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def failed(folder: Path) -> set[str]:
     found = check(read_evidence(folder))
-    return {one.clause.name for one in found if one.result == "FAIL"}
+    return {one.check.name for one in found if one.result == "FAIL"}
 
 
 def test_a_clean_run_passes(clean: Path) -> None:
@@ -58,7 +58,7 @@ def no_box(line: Line) -> None:
 
 
 @pytest.mark.parametrize(
-    ("traces", "edit", "clause"),
+    ("traces", "edit", "check"),
     [
         ((PLANT_TRACE,), low, "traces"),
         ((PLANT_TRACE, CONTROLLER_TRACE), low, "traces"),
@@ -67,12 +67,12 @@ def no_box(line: Line) -> None:
         ((PLANT_TRACE, CONTROLLER_TRACE), gauge, "agreement"),
     ],
 )
-def test_what_is_wrong_fails_its_clause(
+def test_what_is_wrong_fails_its_check(
     clean: Path,
     tmp_path: Path,
     traces: tuple[Path, ...],
     edit: Callable[[Line], None],
-    clause: str,
+    check: str,
 ) -> None:
     folder = tmp_path / "run"
     shutil.copytree(clean, folder)
@@ -80,4 +80,4 @@ def test_what_is_wrong_fails_its_clause(
         lines = read_lines(folder / name)
         edit(next(x for x in lines[60:] if x.get("symbol", -1) >= 0))
         write_lines(folder / name, lines)
-    assert clause in failed(folder)
+    assert check in failed(folder)

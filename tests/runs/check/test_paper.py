@@ -10,7 +10,7 @@ from protocol.schemes.base import Carry
 from protocol.schemes.switched import State, Switched
 from tests.support.small_run import SmallRun
 from wyner.runs.check import check
-from wyner.runs.check.clause import Result
+from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, scale
 from wyner.runs.check.paper import key_symbols as keys_of_scales
@@ -30,7 +30,7 @@ def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> dict[st
     run = SmallRun(folder, name=name)
     run.steps(steps, {4: "plant dies", 9: "offer lost", 30: "plant forgets"})
     run.close()
-    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+    return {finding.check.name: finding for finding in check(read_evidence(folder))}
 
 
 # --- by hand --------------------------------------------------------------------------------------

@@ -12,14 +12,14 @@ from tests.support.small_run import SmallRun, read_lines, write_lines
 from tests.support.traces import read_trace
 from wyner.cli.main import main
 from wyner.runs.check import check
-from wyner.runs.check.clause import Result
+from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import read_evidence
 
 PART = 40_000
 
 
 def findings(folder: Path) -> dict[str, Result]:
-    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+    return {finding.check.name: finding for finding in check(read_evidence(folder))}
 
 
 def results(folder: Path, result: str) -> set[str]:

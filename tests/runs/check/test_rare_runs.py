@@ -11,12 +11,12 @@ from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.ended_run import ended_run
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.runs.check import check, evidence
-from wyner.runs.check.clause import EDGE, Place, Result
+from wyner.runs.check.base import EDGE, Place, Result
 from wyner.runs.check.evidence import read_evidence
 
 
 def findings(folder: Path) -> dict[str, Result]:
-    return {finding.clause.name: finding for finding in check(read_evidence(folder))}
+    return {finding.check.name: finding for finding in check(read_evidence(folder))}
 
 
 def wrong(folder: Path) -> dict[str, str]:
@@ -64,7 +64,7 @@ def test_a_first_step_that_is_missed_holds_the_input_zero(tmp_path: Path) -> Non
 
 
 def test_a_disturbance_that_leaves_is_told_beside_the_largest_gauge(tmp_path: Path) -> None:
-    """A key is then unlike the coin now and then, and both clauses say how often."""
+    """A key is then unlike the coin now and then, and both checks say how often."""
     wide = (('kind = "uniform"\n', 'kind = "gaussian"\ndeviation = 0.7\n'),)
     folder = ended(SmallRun(tmp_path / "run", changes=wide), 300)
     made = [t for t in read_lines(folder / PLANT_TRACE) if t["event"] == "transition"]

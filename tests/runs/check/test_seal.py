@@ -83,7 +83,7 @@ def wrong(run: Path) -> dict[str, str]:
 
 
 def failed(run: Path) -> set[str]:
-    return {f.clause.name for f in check(read_evidence(run)) if f.result == "FAIL"}
+    return {f.check.name for f in check(read_evidence(run)) if f.result == "FAIL"}
 
 
 def fields(value: Any) -> Iterator[tuple[Any, Any]]:
@@ -254,7 +254,7 @@ def test_every_other_file(run: Path, name: Path, how: Callable[[Path], None]) ->
 
 def test_the_check_names_the_file(run: Path) -> None:
     put(run, PLANT_STATUS, OTHERS[PLANT_STATUS] | {"k": 61})
-    found = {f.clause.name: f for f in check(read_evidence(run)) if f.result == "FAIL"}
+    found = {f.check.name: f for f in check(read_evidence(run)) if f.result == "FAIL"}
     assert set(found) == {"whole"}
     first = found["whole"].counter.first
     assert first is not None

@@ -1,4 +1,4 @@
-"""The clause of sealed messages: what travelled, what was sealed, what was opened."""
+"""The check of sealed messages: what travelled, what was sealed, what was opened."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,8 +12,8 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import evidence, judge
 from tests.support.giving import sealed_by
+from wyner.runs.check.base import Counter, Place
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Counter, Place
 from wyner.runs.check.evidence import Part
 from wyner.runs.check.sealed import SealedOnce
 
@@ -78,7 +78,7 @@ def test_without_a_capture_there_is_nothing_to_look_at(run: Run) -> None:
     assert found == Counter(skipped="no capture in this run's folder")
 
 
-def test_what_is_no_message_is_another_clauses_matter(run: Run) -> None:
+def test_what_is_no_message_is_another_checks_matter(run: Run) -> None:
     part = Part(
         [], [], [], [], [CapturedMessage("capture.jsonl", 2, b"{", Sealed.topic, "", -1, {})]
     )

@@ -1,4 +1,4 @@
-"""The keyed coin on files, through deaths; its clauses, and what they catch."""
+"""The keyed coin on files, through deaths; its checks, and what they catch."""
 
 import json
 import random
@@ -25,7 +25,7 @@ STEPS = 1400
 
 
 def failed(folder: Path) -> set[str]:
-    return {r.clause.name for r in check(read_evidence(folder)) if r.result == "FAIL"}
+    return {r.check.name for r in check(read_evidence(folder)) if r.result == "FAIL"}
 
 
 def transitions(folder: Path, trace: Path) -> Lines:
@@ -109,7 +109,7 @@ def test_a_spoofed_reading_is_an_alarm_and_the_check_finds_it_right(attacked: Pa
     tested = [t for t in lines if t["event"] == "transition" and t["j"] >= onset]
     assert [a["j"] for a in alarms] == [t["j"] for t in tested if t["expected"] != 0]
     assert 0.5 < len(alarms) / len(tested) < 0.95
-    results = {r.clause.name: r.result for r in check(read_evidence(attacked))}
+    results = {r.check.name: r.result for r in check(read_evidence(attacked))}
     assert results["alarms"] == results["keyed-coin"] == "PASS"
     status = json.loads((attacked / CONTROLLER_STATUS).read_text())
     assert status["alarms"] == len(alarms)

@@ -1,4 +1,4 @@
-"""What the check says of a wrong run, word for word: clause, count, place, text and note.
+"""What the check says of a wrong run, word for word: check, count, place, text and note.
 
 One thing is made wrong at a time, and every finding that differs from the honest run's stands in
 ``words.txt``. ``WYNER_REWRITE=1`` writes the file anew; look at the difference.
@@ -51,7 +51,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> SmallRun:
 
 
 def findings(folder: Path) -> dict[str, str]:
-    """What each clause says, and each line of the traces that cannot be so."""
+    """What each check says, and each line of the traces that cannot be so."""
     said = {}
     evidence = read_evidence(folder)
     for finding in check(evidence):

@@ -244,10 +244,10 @@ def test_it_says_what_the_check_says(
 ) -> None:
     main(["check", "--json", str(run_dir)])
     found = json.loads(capsys.readouterr().out)
-    passed = sum(c["result"] == "PASS" for c in found["clauses"])
+    passed = sum(c["result"] == "PASS" for c in found["checks"])
     assert f"{passed} PASS, 0 FAIL" in text
-    for clause in found["clauses"]:
-        assert f"<td>{clause['name']}</td>" in text
+    for check in found["checks"]:
+        assert f"<td>{check['name']}</td>" in text
 
 
 def test_states_are_drawn_where_they_were(run_dir: Path, text: str) -> None:
@@ -270,7 +270,7 @@ def test_without_a_tap_it_says_so(text: str) -> None:
     assert "beliefs" in text
 
 
-def test_a_failed_clause_is_shown_as_failed(tmp_path: Path, run_dir: Path) -> None:
+def test_a_failed_check_is_shown_as_failed(tmp_path: Path, run_dir: Path) -> None:
     broken = tmp_path / "broken"
     shutil.copytree(run_dir, broken)
     trace = broken / "plant" / "trace.jsonl"

@@ -163,5 +163,5 @@ def test_copies_take_a_few_bytes_each() -> None:
     tracemalloc.stop()
     assert taken < 12 * len(sent)
     assert list(sent)[-2:] == [("measurement", S, 29_999), ("offer", S, 29_999)]
-    assert heard.life(("offer", S, 7)) == 1
-    assert heard.life(("measurement", S, 7)) is None
+    assert heard.incarnation(("offer", S, 7)) == 1
+    assert heard.incarnation(("measurement", S, 7)) is None

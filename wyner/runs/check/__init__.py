@@ -1,9 +1,9 @@
-"""Does a run obey the paper? A list of clauses, each of which looks at the evidence.
+"""Does a run obey the paper? A list of checks, each of which looks at the evidence.
 
-A clause counts what it looked at and keeps the first place where it did not hold. There are three
+A check counts what it looked at and keeps the first place where it did not hold. There are three
 kinds. A replay evaluates the pure functions of both ends (:mod:`protocol.agreement`, the scheme,
 :mod:`protocol.schemes.framing`) on the raw numbers of the traces: it finds a trace that its program
-did not write. Others compare files with each other. The clause ``paper`` asks code that shares
+did not write. Others compare files with each other. The check ``paper`` asks code that shares
 nothing with the ends (:mod:`wyner.runs.check.paper`): it finds a program that is wrong.
 """
 
@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Final
 
+from wyner.runs.check.base import Check, Counter, Result
 from wyner.runs.check.bus import PublicFields, SameAnswer, SameShape, Wire
-from wyner.runs.check.clause import Clause, Counter, Result
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.files import ScenarioIdentity, Traces, Whole
 from wyner.runs.check.key_blocks import (
@@ -34,7 +34,7 @@ from wyner.runs.check.sealed import SealedOnce
 from wyner.runs.check.stores import KeyStores
 from wyner.runs.check.watched import Alarms, Guarded, KeyedCoins
 
-CLAUSES: Final[tuple[type[Clause], ...]] = (
+CHECKS: Final[tuple[type[Check], ...]] = (
     Traces,
     ScenarioIdentity,
     Whole,
@@ -73,8 +73,8 @@ CLAUSES: Final[tuple[type[Clause], ...]] = (
 )
 
 OF_KEYS: Final = frozenset(
-    clause.name
-    for clause in (
+    kind.name
+    for kind in (
         NonceOnce,
         Copy0Once,
         Counted,
@@ -89,29 +89,29 @@ OF_KEYS: Final = frozenset(
         Guarded,
     )
 )
-"""Clauses of which a scenario that makes no keys knows nothing."""
+"""Checks of which a scenario that makes no keys knows nothing."""
 
 
 def check(evidence: Evidence, watch: Callable[[Part], None] | None = None) -> list[Result]:
-    """Judge every clause, in one passage over the run; ``watch`` is shown each part as well."""
+    """Make every check, in one passage over the run; ``watch`` is shown each part as well."""
     keys = evidence.rules.schedule is not None
     results: list[Result] = []
-    clauses: list[Clause] = []
-    for kind in CLAUSES:
+    checks: list[Check] = []
+    for kind in CHECKS:
         if not keys and kind.name in OF_KEYS:
             continue
         counter = Counter(skipped=kind.skipped(evidence))
         results.append(Result(kind, counter))
         if not counter.skipped:
-            clauses.append(kind(evidence, counter))
+            checks.append(kind(evidence, counter))
     with _collecting_seldom():
         for part in evidence.parts():
-            for clause in clauses:
-                clause.feed(part)
+            for one in checks:
+                one.feed(part)
             if watch is not None:
                 watch(part)
-    for clause in clauses:
-        clause.finish()
+    for one in checks:
+        one.finish()
     return results
 
 

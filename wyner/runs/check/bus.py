@@ -1,4 +1,4 @@
-"""The field bus's clauses: nothing secret, and nothing that tells the two states apart."""
+"""The field bus's checks: nothing secret, and nothing that tells the two states apart."""
 
 import re
 import struct
@@ -12,8 +12,8 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, Measurement, Offer
 from protocol.scenario.defence import CLEAR
 from wyner.runs.check.attacked import rewrites
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import wrong
 from wyner.runs.check.steps import AppliedStep
@@ -91,7 +91,7 @@ class _First:
         return None if not first else first == mine
 
 
-class SameAnswer(Clause):
+class SameAnswer(Check):
     """A measurement and an offer of one number never change (rules 1 and 2)."""
 
     name = "same-answer"
@@ -124,7 +124,7 @@ class SameAnswer(Clause):
         self.counter.note = f"{measurements} measurements and {offers} offers repeated"
 
 
-class Wire(Clause):
+class Wire(Check):
     """The captured numbers are the plant's own."""
 
     name = "wire"
@@ -200,7 +200,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
     before = steps.find(session, seen.k - 1)
     if here is None and before is not None:
         here = before.x_next
-    coded = "rest" in m  # its states open under a key, and other clauses look at that
+    coded = "rest" in m  # its states open under a key, and other checks look at that
     if here is not None and not coded and steps.of_state(m["x"]) != here:
         unlike.append("x")
     last = step.last_applied if step is not None else steps.newest(session)
@@ -216,7 +216,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
     return unlike
 
 
-class PublicFields(Clause):
+class PublicFields(Check):
     """Only the three public messages, with exactly their public fields."""
 
     name = "public-fields"
@@ -307,7 +307,7 @@ def _shape(raw: bytes) -> tuple[bytes, int]:
     return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 
-class SameShape(Clause):
+class SameShape(Check):
     """Fields, lengths and kinds of number do not depend on the automaton state."""
 
     name = "same-shape"

@@ -20,7 +20,7 @@ class FileKind(NamedTuple):
     evidence : bool
         Whether a run is judged by them, so that a change of one fails the check.
     held_by : str
-        The clauses that notice a change; of what is no evidence, why it is none.
+        The checks that notice a change; of what is no evidence, why it is none.
     """
 
     pattern: str
@@ -29,11 +29,11 @@ class FileKind(NamedTuple):
 
 
 SEAL: Final = "the seal"
-_BOTH: Final = "what the clauses replay, its end marks, its journal, the seal"
+_BOTH: Final = "what the checks replay, its end marks, its journal, the seal"
 
 KINDS: Final = (
     FileKind("manifest.json", True, "scenario; its seal holds a digest of itself"),
-    FileKind("scenario.toml", True, "scenario, and every clause that computes; the seal"),
+    FileKind("scenario.toml", True, "scenario, and every check that computes; the seal"),
     FileKind("plant/trace*.jsonl", True, _BOTH),
     FileKind("controller/trace*.jsonl", True, _BOTH),
     FileKind("plant/journal.sqlite3*", True, "whole, frames; the seal"),
@@ -41,7 +41,7 @@ KINDS: Final = (
     FileKind("plant/keys.sqlite3", True, "key-stores, key-ids, sealed-once; the seal"),
     FileKind("controller/keys.sqlite3", True, "key-stores, key-ids, sealed-once; the seal"),
     FileKind("*/keys.sqlite3-given", True, "key-stores: the count beside its store"),
-    FileKind("tap/capture*.jsonl", True, "the clauses of the bus, its end marks, the seal"),
+    FileKind("tap/capture*.jsonl", True, "the checks of the bus, its end marks, the seal"),
     FileKind("tap/guesses*.jsonl", True, "whole: its end marks; the seal"),
     FileKind("tap/analysis*.jsonl", True, "whole: its end marks; the seal"),
     FileKind("tap/status.json", True, "whole: its count of the capture; the seal"),

@@ -1,4 +1,4 @@
-"""The files' clauses: whole, of one scenario, and as far on as their journals."""
+"""The files' checks: whole, of one scenario, and as far on as their journals."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,7 +15,7 @@ from runtime.run_folder import (
     PLANT_TRACE,
     TAP_STATUS,
 )
-from wyner.runs.check.clause import Clause, Counter
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import Walked
@@ -25,7 +25,7 @@ from wyner.runs.check.sides import Segments, SideReader
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
 
 
-class Traces(Clause):
+class Traces(Check):
     """Lines as they should be, numbered without a gap, in rising steps."""
 
     name = "traces"
@@ -74,7 +74,7 @@ def cut_at(e: Evidence, side: str) -> tuple[str, int, int]:
     return ("", -1, -1) if cut is None else (cut.session, cut.j, cut.k)
 
 
-class ScenarioIdentity(Clause):
+class ScenarioIdentity(Check):
     """The scenario in the folder is the one that every file was made under."""
 
     name = "scenario"
@@ -91,7 +91,7 @@ class ScenarioIdentity(Clause):
         self._compare("manifest.json", e.manifest or {})
         for name, reader in e.readers():
             if not reader.header:
-                continue  # killed before it, or it is gone: another clause says
+                continue  # killed before it, or it is gone: another check says
             what = f"{name}'s trace"
             self._compare(what, reader.header)
             if not reader.header.keys() >= set(IDENTITY):
@@ -112,7 +112,7 @@ class ScenarioIdentity(Clause):
                 self.counter.count(told[name] == expected[name], "", -1, -1, text)
 
 
-class Whole(Clause):
+class Whole(Check):
     """Every recording holds what its writer counted, and goes as far as its journal; the seal."""
 
     name = "whole"
@@ -129,9 +129,9 @@ class Whole(Clause):
         for name, reader in e.readers():
             journal = e.plant_journal if name == "plant" else e.controller_journal
             path = e.run_dir / (PLANT_JOURNAL if name == "plant" else CONTROLLER_JOURNAL)
-            if reader.last_life and path.is_file() and _holds_nothing(journal):
-                text = f"{name}'s journal holds nothing, its trace's last life {reader.last_life}"
-                counter.count(False, "", -1, -1, f"{text} transitions")
+            if reader.of_last and path.is_file() and _holds_nothing(journal):
+                text = f"{name}'s journal holds nothing, its trace's last process"
+                counter.count(False, "", -1, -1, f"{text} {reader.of_last} transitions")
             elif isinstance(journal, JournalState):
                 text = _behind(reader, journal)
                 counter.count(not text, journal.session or "", -1, -1, f"{name}'s trace: {text}")
@@ -139,7 +139,7 @@ class Whole(Clause):
         _as_the_tap_says(e, counter)
         for name, wrong in broken(e.run_dir, e.manifest):
             counter.count(not wrong, "", -1, -1, f"{name}: {wrong}")
-        counter.note = f"{killed} lives without an end mark: killed, or still running"
+        counter.note = f"{killed} processes without an end mark: killed, or still running"
         if again := sorted(went_on_in(e.run_dir, e.manifest)):
             counter.note += f"; started again since the seal: {', '.join(again)}"
 
@@ -176,7 +176,7 @@ def _recordings(e: Evidence) -> Iterator[Segments]:
 
 
 def _segments_of(path: Path) -> Segments:
-    """The marks of a recording whose lines no clause reads."""
+    """The marks of a recording whose lines no check reads."""
     marks = Segments(path.name)
     for number, raw, finished in raw_lines(path):
         marks.newline = finished

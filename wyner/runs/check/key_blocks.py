@@ -1,4 +1,4 @@
-"""The clauses of keys: nonces leave once, both ends count alike, blocks and ids are the same."""
+"""The checks of keys: nonces leave once, both ends count alike, blocks and ids are the same."""
 
 from abc import abstractmethod
 from collections.abc import Iterator
@@ -11,8 +11,8 @@ from protocol.secret.records import Side, StoreError
 from runtime.keys.ledger import spent_rows
 from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import BlockStoredLine, Told, TracedTransition, Walked
 
@@ -22,7 +22,7 @@ FILES: Final[tuple[tuple[Side, str], ...]] = (
 )
 
 
-class NonceOnce(Clause):
+class NonceOnce(Check):
     """No nonce travels twice, as copy 0 or as a dummy."""
 
     name = "nonce-once"
@@ -43,7 +43,7 @@ class NonceOnce(Clause):
             self._known.add(nonce)
 
 
-class Copy0Once(Clause):
+class Copy0Once(Check):
     """A step's copy 0 leaves at most once."""
 
     name = "copy-0-once"
@@ -65,7 +65,7 @@ class Copy0Once(Clause):
                 self._known.add(at)
 
 
-class Counted(Clause):
+class Counted(Check):
     """Both ends count the same copies of a transition, and those that they named."""
 
     name = "counted"
@@ -150,7 +150,7 @@ class TracedBlocks:
         return max(0, rows - (spent_rows(rows) if signed else 1))
 
 
-class Blocks(Clause):
+class Blocks(Check):
     """Every block makes as many keys as its transitions allow, at both ends."""
 
     name = "blocks"
@@ -202,7 +202,7 @@ def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStoredLine
                 yield side, item.line
 
 
-class Tags(Clause):
+class Tags(Check):
     """Each end shows one tag for a block, and the same as its partner where tags are public."""
 
     name = "tags"
@@ -233,7 +233,7 @@ class Tags(Clause):
         self.counter.note = "signed with a shared secret" if signed else "public"
 
 
-class PadsOnce(Clause):
+class PadsOnce(Check):
     """A set of pads signs one block, at whichever end."""
 
     name = "pads-once"
@@ -260,7 +260,7 @@ class PadsOnce(Clause):
             self.counter.skipped = "no block is signed"
 
 
-class _BothStores(Clause):
+class _BothStores(Check):
     """Compares what both ends' key stores hold once the run is over."""
 
     of = "keys"
@@ -296,7 +296,7 @@ class GivenOnce(_BothStores):
                 if given and mark:
                     text = f"key {name} was given for {given!r}, and its mark is {mark!r}"
                     self.counter.count(given == mark, "", -1, -1, text)
-                # the clauses keyed-coin and guarded look at those that the hearer adopts unmarked
+                # the checks keyed-coin and guarded look at those that the hearer adopts unmarked
                 unknown += bool(given) and not mark and not given.startswith(("coin ", "guard "))
         if unknown:
             self.counter.note = f"{unknown} more have no mark: a key store was put back, or removed"
@@ -325,7 +325,7 @@ class KeyIds(_BothStores):
         self.counter.count(not both, "", -1, -1, f"{len(both)} keys belong to both halves")
 
 
-class RefusedAtZero(Clause):
+class RefusedAtZero(Check):
     """Where nothing is claimed there is no nonce and no key; a seeded run's keys are refused."""
 
     name = "refused-at-zero"
@@ -359,7 +359,7 @@ class RefusedAtZero(Clause):
 def open_store(
     e: Evidence, side: Side, name: str, counter: Counter, stack: ExitStack
 ) -> KeyStore | None:
-    """A copy of a side's key store, if it is there; one that cannot be read fails the clause."""
+    """A copy of a side's key store, if it is there; one that cannot be read fails the check."""
     path = e.run_dir / name
     if not path.is_file():
         return None

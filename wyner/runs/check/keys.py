@@ -1,4 +1,4 @@
-"""The keys' clauses: the agreement test, the scheme, both ends in step."""
+"""The keys' checks: the agreement test, the scheme, both ends in step."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -13,7 +13,7 @@ from protocol.box_observer import BoxObserver
 from protocol.schemes.base import decrypt
 from protocol.secret.records import Side
 from wyner.runs.check.attacked import lies, rewrites
-from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
+from wyner.runs.check.base import EDGE, Check, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.paper import (
     ROUNDING,
@@ -112,7 +112,7 @@ class _Opinion:
         return "" if inside else f"x(k+1) is not in Reach^c of candidate b_r = {t.coin}, (14)"
 
 
-class Paper(Clause):
+class Paper(Check):
     """Figs. 5 and 6 and their equations, by code that shares nothing with the ends."""
 
     name = "paper"
@@ -139,7 +139,7 @@ class Paper(Clause):
                     self.counter.count(not text, t.session, t.j, t.k, f"{side}: {text}")
 
 
-class Agreement(Clause):
+class Agreement(Check):
     """Equations (20) and (21), recomputed from the raw numbers."""
 
     name = "agreement"
@@ -169,7 +169,7 @@ class Agreement(Clause):
         self.counter.note = f"{self._agreed} keys agreed"
 
 
-class Coin(Clause):
+class Coin(Check):
     """Equation (22): the key is b_r."""
 
     name = "coin"
@@ -204,7 +204,7 @@ class Coin(Clause):
             self.counter.note = f"{self._spoofed} unlike the coin under attack"
 
 
-class _Scheme(Clause):
+class _Scheme(Check):
     """The scheme over one end's trace."""
 
     of = "transitions"
@@ -275,7 +275,7 @@ _UNWRITTEN: Final = tuple(
 _shared: Final = attrgetter(*_SHARED)
 
 
-class InStep(Clause):
+class InStep(Check):
     """Both traces agree; the controller's may lack the last transition of a session."""
 
     name = "in-step"

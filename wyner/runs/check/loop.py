@@ -1,4 +1,4 @@
-"""The control loop's clauses: steps, reachable sets, admissible inputs."""
+"""The control loop's checks: steps, reachable sets, admissible inputs."""
 
 from typing import TYPE_CHECKING, Final
 
@@ -6,12 +6,12 @@ import numpy as np
 
 from protocol.agreement import Gauge, predict
 from protocol.arrays import Array
-from protocol.box_observer import Box, Seen
+from protocol.box_observer import Box, Estimate
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
 from wyner.runs.check.attacked import lies, unlike_manifest, wrong_labels
-from wyner.runs.check.clause import EDGE, Clause, Counter, may_leave
+from wyner.runs.check.base import EDGE, Check, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import Break, MissedLine, TracedTransition, Walked
 
@@ -25,7 +25,7 @@ FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
 
 
-class Switching(Clause):
+class Switching(Check):
     """Equation (15): u = candidate b_r; every step begins where the last ended."""
 
     name = "switching"
@@ -49,7 +49,7 @@ class Switching(Clause):
         plant = self.evidence.scenario.plant
         self._x: Vector = plant.initial_state if plant.noise is None else ()
         self._u: Vector = (0.0,) * self.evidence.rules.inputs
-        self._seen: Seen | None = None  # of the last transition, where outputs are read
+        self._estimate: Estimate | None = None  # of the last transition, where outputs are read
         self._applied = -1
 
     def feed(self, part: Part) -> None:
@@ -59,7 +59,7 @@ class Switching(Clause):
                 self._begin_after_the_cut()
             if isinstance(item, Walked):
                 self._step(item.t, item.t.j)
-                self._seen, self._applied = item.verdict.seen, item.t.k
+                self._estimate, self._applied = item.verdict.estimate, item.t.k
             elif isinstance(item, MissedLine):
                 self._step(item, -1)
             elif isinstance(item, Break):
@@ -70,7 +70,7 @@ class Switching(Clause):
         outputs = self.evidence.rules.outputs
         if outputs is None:
             return self._fallback.input(step.x, self._u)
-        return outputs.instead(self._seen, step.k - self._applied - 1, self._u)
+        return outputs.instead(self._estimate, step.k - self._applied - 1, self._u)
 
     def _begin_after_the_cut(self) -> None:
         assert self.evidence.plant is not None
@@ -87,7 +87,7 @@ class Switching(Clause):
         if step.session != self._session and step.k < self._place and self._restarted:
             self._x, self._u, self._place = step.x, step.u, step.k  # its journal was an older copy
         if step.session != self._session:
-            self._seen, self._applied = None, -1
+            self._estimate, self._applied = None, -1
         self._session, self._restarted = step.session, False
         x = self._x or step.x
         where = (step.session, j, step.k)
@@ -121,7 +121,7 @@ class Switching(Clause):
             )
 
 
-class Reachable(Clause):
+class Reachable(Check):
     """Equations (6) and (14): the gauge of what happened is at most 1.
 
     Of an attacked plant that is its true state, which its labels name.
@@ -255,7 +255,7 @@ def _gauge(e: Evidence, x: Vector, u: Vector, x_next: Vector) -> float:
     return rule.gauge([a - b for a, b in zip(x_next, centre, strict=True)])
 
 
-class Admissible(Clause):
+class Admissible(Check):
     """(27): u in U, and A x + B u in T_(i-1) ~ D_c."""
 
     name = "admissible"

@@ -1,12 +1,12 @@
-"""The message's clauses: what arrived, what was reported, and that no key served twice."""
+"""The message's checks: what arrived, what was reported, and that no key served twice."""
 
 from dataclasses import dataclass, field
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.framing import Deframer
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import (
@@ -27,7 +27,7 @@ REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
 """What each side reports of a whole frame."""
 
 
-class Prefix(Clause):
+class Prefix(Check):
     """The plant's message symbols are the controller's first ones."""
 
     name = "prefix"
@@ -159,7 +159,7 @@ class Framing:
             self.counter.fail(at.session, at.j, at.k, text)
 
 
-class Frames(Clause):
+class Frames(Check):
     """The symbols add up to whole frames, and to what each side reported."""
 
     name = "frames"
@@ -215,7 +215,8 @@ class Frames(Clause):
 class _Queue:
     """The controller's messages, as its trace tells them.
 
-    One that is a life's last word may be in no journal: ``doubtful``, until it is queued again.
+    One that is a process's last line may be in no journal: ``doubtful``, until it is queued
+    again.
     """
 
     counter: Counter
@@ -269,7 +270,7 @@ class _Queue:
             self.counter.fail("", -1, -1, text)
 
 
-class Messages(Clause):
+class Messages(Check):
     """The recovered messages follow the queue."""
 
     name = "messages"
@@ -336,7 +337,7 @@ class Messages(Clause):
         self.counter.note = f"{len(self._reached)} of {queued} queued messages arrived"
 
 
-class OneTimePad(Clause):
+class OneTimePad(Check):
     """Walk the keys: each is agreed once and used once at most."""
 
     name = "one-time-pad"
@@ -378,7 +379,7 @@ TRUTH: Final = ("true_x_next", "true_u", "attack_failed")
 """What no journal holds."""
 
 
-class OneCipher(Clause):
+class OneCipher(Check):
     """Every offer made for a transition carries the same cipher symbol."""
 
     name = "one-cipher"
@@ -415,7 +416,7 @@ class OneCipher(Clause):
     def _offered(self, seen: CapturedMessage) -> None:
         e, cipher = self.evidence, seen.message.get("cipher")
         if not e.steps.knows(seen.session) or e.before(seen) or not isinstance(cipher, int):
-            return  # of what is no number another clause says so
+            return  # of what is no number another check says so
         k = e.steps.next_applied(seen.session, seen.k)
         self._again += k != seen.k
         step = e.steps.find(seen.session, k)

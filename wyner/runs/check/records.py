@@ -278,7 +278,7 @@ class Again(NamedTuple):
 
 
 class Break(NamedTuple):
-    """A life of the writer is over; ``ended`` says that it ended by itself, and was not killed."""
+    """The writer's process is over; ``ended`` says that it ended by itself, and was not killed."""
 
     ended: bool
 

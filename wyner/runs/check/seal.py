@@ -114,7 +114,7 @@ def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
 
 
 def _continues(path: Path, size: int) -> bool:
-    """Whether another life of the recording begins behind its first ``size`` bytes."""
+    """Whether another incarnation of the writer begins behind its first ``size`` bytes."""
     with path.open("rb") as file:
         file.seek(size)
         first = file.read(4096).lstrip(b"\n").split(b"\n")[0]

@@ -1,4 +1,4 @@
-"""The clause of sealed messages: what travels is what was sealed, each under keys of its own."""
+"""The check of sealed messages: what travels is what was sealed, each under keys of its own."""
 
 from contextlib import ExitStack
 from hashlib import sha256
@@ -6,13 +6,13 @@ from hashlib import sha256
 from protocol.messages import Sealed
 from protocol.secret.sealed import keys_needed
 from runtime.keys.sealed_book import SealedBook, SealedText
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, open_store
 
 
-class SealedOnce(Clause):
+class SealedOnce(Check):
     """A key seals one message, and what travels is what both ends' stores have of it."""
 
     name = "sealed-once"
@@ -30,7 +30,7 @@ class SealedOnce(Clause):
         for seen in part.sealed:
             text = _text(seen)
             if text is None:
-                continue  # another clause says so
+                continue  # another check says so
             problem = _unlike(text, self._travelled.setdefault(text.identifier, text))
             for name in text.key_ids:
                 owner = self._owner.setdefault(name, text.identifier)

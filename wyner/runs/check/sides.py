@@ -8,7 +8,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 from pydantic_core import to_json
 
-from protocol.box_observer import Box, Seen
+from protocol.box_observer import Box, Estimate
 from protocol.link.session import Rules
 from runtime.recording import (
     CONTINUED,
@@ -57,7 +57,7 @@ class Segments:
         self.ended = False
         self.next: Any = None
         self.newline = True
-        self.lives = 0
+        self.incarnations = 0
         self.unended = 0
         self.torn = 0
         self._name = name
@@ -81,7 +81,7 @@ class Segments:
         self._digest.update(b"\n")
 
     def malformed(self, number: int) -> None:
-        """A line that holds no JSON object: torn by a kill, if it is its life's last."""
+        """A line that holds no JSON object: torn by a kill, if it is its writer's last."""
         self._not_torn()
         self._malformed = number
 
@@ -109,11 +109,11 @@ class Segments:
             return
         if kind != HEADER:
             self._headless(number)
-        elif self.lives:
+        elif self.incarnations:
             self.problem(number, "a second header")
-        if self.lives:
+        if self.incarnations:
             self._close()
-        self.lives += 1
+        self.incarnations += 1
         self._begin()
         self.ended, self.next = False, None
         self.line(number, raw)
@@ -123,9 +123,9 @@ class Segments:
         self.unended += not self.ended
 
     def _headless(self, number: int) -> None:
-        if not self.lives:
+        if not self.incarnations:
             self.problem(number, f"expected a header of format {TRACE_FORMAT!r}")
-            self.lives = 1
+            self.incarnations = 1
 
     def finish(self) -> None:
         """The file is over; ``newline`` says whether its last line was finished."""
@@ -159,8 +159,8 @@ class SideReader:
     ----------
     gone : int
         Parts that are gone, the oldest.
-    last_life : int
-        Transitions that its last life has traced.
+    of_last : int
+        Transitions that its last incarnation has traced.
     attack : AttackLine, optional
         The attack on the plant, as its trace has named it.
     cut : TracedTransition, optional
@@ -191,13 +191,13 @@ class SideReader:
         self._kept = 0  # the oldest part that was kept, as the newest header says
         self._session: str | None = None
         self._state: Any = None
-        self._seen: Seen | None = None  # of the last transition, where outputs are read
-        self._seen_known = not self._seeking
+        self._estimate: Estimate | None = None  # of the last transition, where outputs are read
+        self._estimate_known = not self._seeking
         self._resolver = Resolver()
         self._announce = side == "plant" and not self._seeking
         self._held: MissedLine | None = None
         self.behind = 0
-        self.last_life = 0
+        self.of_last = 0
 
     @property
     def marks(self) -> Segments:
@@ -253,7 +253,7 @@ class SideReader:
             elif kind == CONTINUED:
                 yield Break(ended)
                 self._resolver.restart()
-                self._announce, self.last_life = self.side == "plant", 0
+                self._announce, self.of_last = self.side == "plant", 0
             return
         self.marks.line(number, raw)
         if kind == "transition":
@@ -360,23 +360,23 @@ class SideReader:
             return
         yield from self._flush(t.session, t.k, restarted=restarted)
         self.from_journal = not number
-        self.last_life += bool(number)
+        self.of_last += bool(number)
         self.last = t
         rules = self._rules
         if t.session not in self.transitions:
             self._state = rules.scheme.initial
         self.transitions[t.session] = self.transitions.get(t.session, 0) + 1
         box = None if t.box is None else Box(*t.box)
-        if rules.outputs is not None and self._seen_known:
+        if rules.outputs is not None and self._estimate_known:
             assert box is not None
-            seen, missed = None, 0
+            estimate, missed = None, 0
             if last is not None and last.session == t.session:
-                seen, missed = self._seen, t.k - last.k - 1
-            if (expected := rules.outputs.box(seen, missed, t.x)) != box:
+                estimate, missed = self._estimate, t.k - last.k - 1
+            if (expected := rules.outputs.box(estimate, missed, t.x)) != box:
                 self.problem(number, f"box: got {t.box}, both ends have {tuple(expected)}")
                 box = expected
         verdict = rules.judge(t.x, t.candidates, t.predictions, t.x_next, box)
-        self._seen, self._seen_known = verdict.seen, True
+        self._estimate, self._estimate_known = verdict.estimate, True
         self._state, carry = rules.scheme.advance(self._state, verdict.symbol)
         yield Walked(t, verdict, carry, self._state[0])
 

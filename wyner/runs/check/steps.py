@@ -89,7 +89,7 @@ class Steps:
         session.x_next.append(self.of_state(step.x_next))
 
     def _at(self, name: str, k: int) -> _Session | None:
-        """The session whose next step is k; None where k does not follow (another clause says)."""
+        """The session whose next step is k; None where k does not follow (another check says)."""
         session = self._sessions.get(name)
         if session is None:
             session = self._sessions[name] = _Session(k)

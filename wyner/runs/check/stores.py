@@ -11,7 +11,7 @@ from protocol.secret.records import Side, key_id
 from runtime.keys.ledger import spent_rows
 from runtime.keys.store import TOMBSTONES, KeyStore
 from runtime.keys.store_file import check_of
-from wyner.runs.check.clause import Clause, Counter
+from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, TracedBlocks, open_store
 from wyner.runs.check.records import (
@@ -100,7 +100,7 @@ class _End:
         return self.sessions.get(at[0], 0) < self.sessions.get(begun, len(self.sessions))
 
 
-class KeyStores(Clause):
+class KeyStores(Check):
     """Each end's store holds the blocks that its trace says were stored, with all their keys."""
 
     name = "key-stores"

@@ -1,4 +1,4 @@
-"""The clauses of the keyed coin, of alarms and of guarded messages, by code of their own."""
+"""The checks of the keyed coin, of alarms and of guarded messages, by code of their own."""
 
 import re
 from collections import deque
@@ -9,8 +9,8 @@ import numpy as np
 
 from protocol.scenario.defence import CLEAR
 from protocol.secret.records import Side
+from wyner.runs.check.base import EDGE, Check, Counter
 from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.clause import EDGE, Clause, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, open_store
 from wyner.runs.check.records import AlarmLine, ForgedLine, Told, TracedTransition, Walked
@@ -49,7 +49,7 @@ class _Served(NamedTuple):
     last: int
 
 
-class KeyedCoins(Clause):
+class KeyedCoins(Check):
     """Each keyed coin is the digit that belongs to its step, of a key of both ends."""
 
     name = "keyed-coin"
@@ -133,7 +133,7 @@ class KeyedCoins(Clause):
         )
 
 
-class Guarded(Clause):
+class Guarded(Check):
     """Each guarded message has a slot of its own, of keys that both ends gave for this session."""
 
     name = "guarded"
@@ -246,7 +246,7 @@ def tag_of(said: bytes, point: int, pad: int) -> int:
     return total ^ pad
 
 
-class Alarms(Clause):
+class Alarms(Check):
     """Every alarm is right and none is missing."""
 
     name = "alarms"

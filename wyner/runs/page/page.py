@@ -15,7 +15,7 @@ from protocol.text import readable
 from runtime.files import write_atomically
 from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
-from wyner.runs.check.clause import Result
+from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
 from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
 from wyner.runs.check.seal import FILES, ITSELF
@@ -123,14 +123,14 @@ def page(e: Evidence, said: list[TapOutput] | str, step: int | None = None) -> s
         keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
-        f"<p>Clauses of the check, below: {_counts(results)}.</p>",
+        f"<p>Checks, below: {_counts(results)}.</p>",
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
         *_attack(attack),
         *_section("What was sent and what arrived", _message(e, recorded)),
         *_section("States and inputs", _loop(e, recorded, walk, _flags(attack, period_s))),
         *_section("Any step", _steps(recorded, walk)),
         *_section("Keys against taps", keys),
-        *_section("Clauses of the check", _clauses(results)),
+        *_section("Checks", _checks(results)),
         *_section("The run", _about(e)),
     ]
     return (
@@ -175,7 +175,7 @@ def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
 
 
 class _Recorded:
-    """What the page shows of the traces: the plant's steps of its last life, and the messages.
+    """What the page shows of the traces: the steps of the plant's last process, and the messages.
 
     Of each line it keeps what is drawn, so that a page of a million steps is made like any other.
     """
@@ -357,15 +357,15 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[s
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
 
 
-def _clauses(results: Sequence[Result]) -> Iterator[str]:
+def _checks(results: Sequence[Result]) -> Iterator[str]:
     yield f"<p>{_counts(results)}</p>"
     body = []
     for r in results:
         first = "" if r.counter.first is None else f"; first: {r.counter.first.text}"
-        note = r.counter.skipped or f"{r.counter.counted} {r.clause.of}"
+        note = r.counter.skipped or f"{r.counter.counted} {r.check.of}"
         note += f"; {r.counter.note}" if r.counter.note else ""
-        body.append((r.result, r.clause.name, r.clause.source, r.clause.says, note + first))
-    yield _table(("result", "clause", "source", "says", "looked at"), body)
+        body.append((r.result, r.check.name, r.check.source, r.check.says, note + first))
+    yield _table(("result", "check", "source", "says", "looked at"), body)
 
 
 def _about(e: Evidence) -> Iterator[str]:

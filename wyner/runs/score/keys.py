@@ -83,18 +83,18 @@ class HeardCopies:
     """Copies 0 that a tap has heard, each with the number of her recording."""
 
     def __init__(self) -> None:
-        self._lives = {topic: BySteps() for topic in _TOPICS}
+        self._incarnations = {topic: BySteps() for topic in _TOPICS}
 
-    def add(self, copy: Copy, life: int) -> None:
+    def add(self, copy: Copy, incarnation: int) -> None:
         """Note a copy, the first time."""
         topic, session, k = copy
-        if (lives := self._lives.get(topic)) is not None:
-            lives.setdefault((session, k), life)
+        if (heard := self._incarnations.get(topic)) is not None:
+            heard.setdefault((session, k), incarnation)
 
-    def life(self, copy: Copy) -> int | None:
+    def incarnation(self, copy: Copy) -> int | None:
         """In which of her recordings a copy is; None where she missed it."""
         topic, session, k = copy
-        found: int | None = self._lives[topic].get((session, k))
+        found: int | None = self._incarnations[topic].get((session, k))
         return found
 
 
@@ -364,13 +364,13 @@ def _rates(
     count = 0
     for name, copy in copies():
         names.setdefault(name)
-        if (life := heard.life(copy)) is not None:
-            last[life] = count
+        if (incarnation := heard.incarnation(copy)) is not None:
+            last[incarnation] = count
         count += 1
     ends = {i for i in last.values() if i < max(last.values()) or count - i > AWAY}
     audit = Audit(claim.eps_E**hears, tuple(names))
     for i, (name, copy) in enumerate(copies()):
-        audit.add(name, missed=heard.life(copy) is None)
+        audit.add(name, missed=heard.incarnation(copy) is None)
         if i in ends:
             audit.gone()
     return audit.judge()
@@ -381,7 +381,7 @@ def _audited(
 ) -> AuditedBlock:
     a = walk.schedule.assumption
     rows = a.rows(block.transitions, block.steps, len(block.copies))
-    missed = 0 if heard is None else sum(heard.life(copy) is None for copy in block.copies)
+    missed = 0 if heard is None else sum(heard.incarnation(copy) is None for copy in block.copies)
     return AuditedBlock(
         *at,
         transitions=block.transitions,
@@ -405,7 +405,7 @@ def _heard(run: Run) -> HeardCopies | None:
         for _, message in reader.records():
             if not isinstance(message, Sealed) and not message.copy_number:
                 copy = (message.topic, message.session, message.k)
-                heard.add(copy, reader.lives)
+                heard.add(copy, reader.incarnations)
     except (CaptureError, OSError):
         return None
     return heard

@@ -36,8 +36,8 @@ Kind = Callable[[np.random.Generator], Attack]
 """Makes the attack of one simulation with the generator that it draws from."""
 
 
-Heard = tuple[Array, Array]
-Learner = Callable[[Sequence[Heard]], Words]
+SentAndOffered = tuple[Array, Array]
+Learner = Callable[[Sequence[SentAndOffered]], Words]
 
 MEMORY: Final = 2
 """Steps before the onset that a learner is given."""
@@ -187,7 +187,7 @@ class _Ends:
         self._step: list[Integers] = []
         self._following = self._drawn(0)
         self._sent: Array | None = None
-        self._heard: list[Heard] = []
+        self._heard: list[SentAndOffered] = []
 
     def _drawn(self, k: int) -> list[Integers]:
         """Keys of step k."""

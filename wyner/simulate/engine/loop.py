@@ -18,7 +18,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
 from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict, spread
 from protocol.arrays import Array, Symbols
-from protocol.box_observer import Seen
+from protocol.box_observer import Estimate
 from protocol.brief import Brief
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
@@ -187,7 +187,7 @@ class _Loop:
         noise = self.drawn()
         read = np.array([rule.observer.read(x) for x in self.x.T.tolist()]).T
         self.y = read + noise
-        self.seen: list[Seen | None] = [None] * len(self.runs)
+        self.estimates: list[Estimate | None] = [None] * len(self.runs)
         self.gone = [0] * len(self.runs)  # missed steps since the last transition
         self.boxes = [rule.box(None, 0, tuple(y)) for y in self.y.T.tolist()]
 
@@ -213,7 +213,7 @@ class _Loop:
             offered = tuple([tuple([float(c[r]) for c in inputs]) for inputs in columns])
             u = offered[coin[r]]
             if r in without:
-                u = rule.instead(self.seen[r], self.gone[r], tuple(self.u[:, r].tolist()))
+                u = rule.instead(self.estimates[r], self.gone[r], tuple(self.u[:, r].tolist()))
             moved = predict(self.true_A, self.true_B, self.x[:, r].tolist(), u)
             self.u[:, r] = u
             self.x[:, r] = np.array(moved) + d[:, r]
@@ -226,8 +226,8 @@ class _Loop:
                 self.gauges[:, r] = verdict.gauges
                 predictions = rule.predictions(self.boxes[r], offered)
                 self.possible[:, r] = 1.0 + spread(rule.apart, predictions)
-                self.seen[r], self.gone[r] = verdict.seen, 0
-            self.boxes[r] = rule.box(self.seen[r], self.gone[r], y)
+                self.estimates[r], self.gone[r] = verdict.estimate, 0
+            self.boxes[r] = rule.box(self.estimates[r], self.gone[r], y)
         self.y = read
 
     def choose(self, coin: Symbols, options: Sequence[Array], out: Array) -> None:

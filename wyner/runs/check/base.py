@@ -1,4 +1,4 @@
-"""What a clause is, what it counts, and what clauses share."""
+"""What a check is, what it counts, and what checks share."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final, Literal
@@ -12,7 +12,7 @@ EDGE: Final = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a clause did not hold; -1 or empty where a number does not apply."""
+    """Where a check did not hold; -1 or empty where a number does not apply."""
 
     session: str
     j: int
@@ -22,7 +22,7 @@ class Place:
 
 @dataclass(slots=True)
 class Counter:
-    """What a clause counted and found; ``skipped`` says why there was nothing to look at."""
+    """What a check counted and found; ``skipped`` says why there was nothing to look at."""
 
     counted: int = 0
     failures: int = 0
@@ -44,7 +44,7 @@ class Counter:
             self.first = Place(session, j, k, text)
 
 
-class Clause:
+class Check:
     """One thing that the paper or the protocol demands of a run.
 
     It is fed a run's parts in order, and told when there are no more.
@@ -99,15 +99,15 @@ _CALLED: Final = {
 
 @dataclass(frozen=True, slots=True, repr=False)
 class Result(Brief):
-    """A clause and how it came out."""
+    """A check and how it came out."""
 
-    clause: type[Clause]
+    check: type[Check]
     counter: Counter
 
     def brief(self) -> dict[str, object]:
         """What was looked at, how it came out, and the first place where it does not hold."""
         c = self.counter
-        told = {"clause": self.clause.name, "result": self.result, self.clause.of: c.counted}
+        told = {"check": self.check.name, "result": self.result, self.check.of: c.counted}
         return told if c.first is None else told | {"first": c.first.text}
 
     @property
@@ -121,12 +121,12 @@ class Result(Brief):
         """The result for machines."""
         c, first = self.counter, self.counter.first
         return {
-            "name": self.clause.name,
-            "source": self.clause.source,
-            "says": self.clause.says,
+            "name": self.check.name,
+            "source": self.check.source,
+            "says": self.check.says,
             "result": self.result,
             "counted": c.counted,
-            "of": self.clause.of,
+            "of": self.check.of,
             "failures": c.failures,
             "first": None
             if first is None

@@ -1,4 +1,4 @@
-"""The clauses of keys: a right run passes, each thing that is wrong fails the one that says so."""
+"""The checks of keys: a right run passes, each thing that is wrong fails the one that says so."""
 
 import base64
 import json
@@ -41,7 +41,7 @@ def copied(run: Path, tmp_path: Path) -> Path:
 
 
 def failed(folder: Path) -> set[str]:
-    return {f.clause.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
+    return {f.check.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
 @pytest.mark.slow
@@ -164,10 +164,10 @@ WRONG: dict[str, tuple[Path, Callable[[list[Line]], object], set[str]]] = {
 @pytest.mark.slow
 @pytest.mark.integration
 @pytest.mark.parametrize("wrong", WRONG)
-def test_what_is_wrong_fails_its_clause(wrong: str, copied: Path) -> None:
-    path, change, clauses = WRONG[wrong]
+def test_what_is_wrong_fails_its_check(wrong: str, copied: Path) -> None:
+    path, change, checks = WRONG[wrong]
     rewrite(copied / path, change)
-    assert clauses <= failed(copied)
+    assert checks <= failed(copied)
 
 
 def only_sealed(lines: list[Line]) -> None:
@@ -183,7 +183,7 @@ def harmless(m: Mutant) -> bool:
 
 @pytest.mark.slow
 @pytest.mark.integration
-def test_every_change_of_a_sealed_message_fails_a_clause_that_names_it(copied: Path) -> None:
+def test_every_change_of_a_sealed_message_fails_a_check_that_names_it(copied: Path) -> None:
     rewrite(copied / PLANT_TRACE, lambda lines: lines.__delitem__(slice(3, None)))
     rewrite(copied / CONTROLLER_TRACE, lambda lines: lines.__delitem__(slice(3, None)))
     rewrite(copied / CAPTURE, only_sealed)
