@@ -1,6 +1,6 @@
 """``wyner demo``: the whole story in five short runs on one screen.
 
-The paper's channel at its limit, read by the tap as it is spoken; a sealed message under distilled
+The law `packed` at its limit, read by the tap as it is spoken; a sealed message under distilled
 keys beside a tap that misses three messages of ten; the control, a tap that hears all; and a sensor
 that is spoofed, under a key that is secret and under one that the tap reads.
 """
@@ -51,7 +51,7 @@ TITLES: Final = {
     "unseen": "4/4 attacked, key read",
 }
 ABOUT: Final = {
-    "spoken": "a message over the paper's channel, beside a tap that hears all",
+    "spoken": "a message that the loop itself carries, beside a tap that hears all",
     "sealed": "one under keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
     "caught": "a sensor spoofed by who misses 30 %, under keys distilled from that",
