@@ -55,6 +55,11 @@ EARLY: Final = 200
 """Steps after which a learner is expected to read nearly every separable step."""
 
 
+def described(view: View) -> str:
+    """A view by what the studies vary of it."""
+    return "View(" + ", ".join(f"{name}={getattr(view, name)!r}" for name in HEARD) + ")"
+
+
 class Identified(Protocol):
     """What is measured, with an id of its own."""
 
@@ -79,10 +84,9 @@ class Task:
     @property
     def id(self) -> str:
         """A hash of what is measured and how."""
-        heard = ", ".join(f"{name}={getattr(self.view, name)!r}" for name in HEARD)
         text = f"Task(study={self.study!r}, condition={self.condition!r}, tap={self.tap!r}"
         text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
-        text += f", view=View({heard}), raw={self.raw!r})"
+        text += f", view={described(self.view)}, raw={self.raw!r})"
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
