@@ -17,7 +17,16 @@ from typing import Any, Final
 from studies import DATA
 from studies.secrecy.runs import simulate, text_of
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import SOURCES, append_rows, described, heard_by, offline, said_about
+from studies.secrecy.study import (
+    SOURCES,
+    STATED,
+    append_rows,
+    described,
+    heard_by,
+    offline,
+    said_about,
+    stated_by,
+)
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -47,8 +56,7 @@ ANY_BYTES: Final = "text, any bytes"
 
 COLUMNS: Final = (
     "task", "version", "condition", "tap", "seed", "steps", "keys", "keys_right", "bits",
-    "bits_right", "messages", "messages_exact", "probability", "likeliest_exact", "bits_left",
-    "message_bits", "cpu_s",
+    "bits_right", "messages", "messages_exact", *STATED,
 )  # fmt: skip
 
 
@@ -165,7 +173,6 @@ def measure(reading: Reading) -> dict[str, object]:
         tap = offline(named(reading.tap), knowledge)
     said = said_about(tap, heard_by(run, reading.view))
     scored = score(run.truth, said)
-    belief = said.belief
     return {
         "task": reading.id,
         "version": code_version(*SOURCES),
@@ -179,13 +186,7 @@ def measure(reading: Reading) -> dict[str, object]:
         "bits_right": f"{scored.bits.right:g}",
         "messages": scored.messages.of,
         "messages_exact": int(scored.messages.right),
-        "probability": f"{belief.confidence:.6g}",
-        "likeliest_exact": int(belief.message == payload),
-        "bits_left": ""
-        if belief.bits_left is None
-        else f"{min(belief.bits_left, 8 * len(payload)):.3f}",  # no message leaves more
-        "message_bits": 8 * len(payload),
-        "cpu_s": f"{time.process_time() - begun:.2f}",
+        **stated_by(said.belief, payload, begun),
     }
 
 
