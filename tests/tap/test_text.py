@@ -5,7 +5,6 @@ import itertools
 import lzma
 import os
 import random
-import time
 import tracemalloc
 
 import numpy as np
@@ -550,17 +549,14 @@ def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
 
 
 @pytest.mark.slow
-def test_a_step_costs_what_a_live_loop_of_ten_a_second_affords() -> None:
-    """Processor time of a whole run, its message under way for 237 steps, and when she had it."""
+def test_live_she_has_the_message_soon_after_the_plant() -> None:
+    """Her processor time a step is `wyner bench text`'s."""
     run = simulate(320, 4, name="packed", payloads=[SENTENCES[0].encode("ascii")])
     (over, _), *_ = run.truth.whole
     view = View(seed=4, loss=0.3)
-    heard = heard_by(run, view)
     tap = Text(view.told(run.scenario.knowledge()))
-    begun = time.process_time()
-    for t in heard:
+    for t in heard_by(run, view):
         tap.observe(t)
-    assert time.process_time() - begun < 0.1 * len(heard)
     assert over < tap.belief().solved_k < over + 40
 
 
