@@ -320,6 +320,10 @@ class ControllerCore:
             self._telemetry.phase = "alarmed"
         return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
 
+    def end_session(self, why: str) -> Actions:
+        """Keys that its messages are under are gone: nothing that the plant says can be read."""
+        return self._end_session("keys gone", f"{why}; session ended")
+
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keying, self.record.session, self.record.k, count)
@@ -739,7 +743,9 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ", "keys gone"], why: str
+    ) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()

@@ -35,6 +35,17 @@ class Counting(Protocol):
         """Its transitions so far."""
 
 
+class End(Peer, Protocol):
+    """An end that may be guarded."""
+
+    @property
+    def instance(self) -> str:
+        """Random id of its process."""
+
+    def end_session(self, why: str) -> Actions:
+        """Its session is over, since messages in it cannot be opened."""
+
+
 def refusal(scenario: Scenario, seed: int | None) -> str | None:
     """Why nobody gets a key of a run, in one line; None where they do."""
     if scenario.keys is None:
@@ -109,7 +120,7 @@ def coin_keys(
 
 
 def guarded(
-    end: Peer,
+    end: End,
     at: KeyMakerAt | None,
     scenario: Scenario,
     record: Counting | None,
@@ -135,7 +146,8 @@ def guarded(
         words = (defence.session_words, defence.step_words) if sends else (0, 0)
         try:
             with KeyStore(at.path, at.side) as store:
-                keys = guards.serve(store, GuardTask(session, record.k + MARGIN, *words))
+                task = GuardTask(session, end.instance, record.k, record.k + MARGIN, *words)
+                keys = guards.serve(store, task)
         except StoreError as error:
             raise UsageError(str(error)) from None
-    return Guarded(end, at.side, defence, session, keys, halt)
+    return Guarded(end, at.side, defence, end.instance, end.end_session, session, keys, halt)

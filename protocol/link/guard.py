@@ -26,7 +26,7 @@ from protocol.secret.tasks import Batch
 ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a message that is sent again has anew: no tag covers it."""
 
-_TAIL: Final = re.compile(rb',"guard":"(\d{1,9})/(\d{0,9})"(.*)\}$', re.DOTALL)
+_TAIL: Final = re.compile(rb',"guard":"(\d{1,16})/(\d{0,9})"(.*)\}$', re.DOTALL)
 _MAC: Final = re.compile(rb',"mac":"([0-9a-f]{8})"')
 
 
@@ -114,6 +114,11 @@ class Guard:
         """Let go of batches that have served."""
         for old in [n for n in self._batches if n < number]:
             del self._batches[old]
+
+    @property
+    def end(self) -> int:
+        """The first step after those that the batches held cover; 0 where there are none."""
+        return max((end for _, end, _ in self._batches.values()), default=0)
 
     def covers(self, k: int) -> int:
         """The batch that covers step ``k`` of what is sent; -1: none."""

@@ -13,7 +13,7 @@ from protocol.defence.base import Defence
 from protocol.link.events import Forged
 from protocol.link.guard import Guard, Opened, Promise
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Side
 from protocol.secret.tasks import Done, GuardKeys, GuardTask
@@ -23,6 +23,9 @@ AHEAD: Final = 96
 
 MARGIN: Final = 12
 """Steps from the present one on that a new batch leaves out: its keys take so long to come."""
+
+UNOPENED: Final = 64
+"""Messages in a row that do not open, after which keys count as gone."""
 
 AGAIN_S: Final = 0.1
 LACKING_S: Final = 1.0
@@ -68,6 +71,10 @@ class Guarded:
     side : {"controller", "plant"}
     defence : Defence
         That codes or tags.
+    instance : str
+        Random id of this process.
+    anew : callable
+        Ends the session, over a reason.
     session : str, optional
         The one that the end's journal is in.
     keys : GuardKeys, optional
@@ -81,17 +88,21 @@ class Guarded:
         end: Peer,
         side: Side,
         defence: Defence,
+        instance: str,
+        anew: Callable[[str], Actions],
         session: str | None = None,
         keys: GuardKeys | None = None,
         halt: Callable[[], Actions] | None = None,
     ) -> None:
         self.hears, self.says = end.hears, end.says
-        self._end, self._halt = end, halt
+        self._end, self._halt, self._anew = end, halt, anew
         self._said: type[Measurement] | type[Offer] = Measurement if side == "plant" else Offer
         self._heard: type[Measurement] | type[Offer] = Offer if side == "plant" else Measurement
         self._defence = defence
         self._out = Guard(defence, self._said.topic)
         self._in = Guard(defence, self._heard.topic)
+        self._instance, self._partner = instance, ""
+        self._doubtful, self._unopened = True, 0
         self._session = ""
         self._k = -1
         self._plain_k = -1
@@ -121,6 +132,8 @@ class Guarded:
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """A message came: it is opened, or refused, or waits for its key."""
+        if kind in (PlantHello, ControllerHello):
+            self._meet(payload)
         if kind is not self._heard or not self._in.on:
             return self._closed(self._end.receive(kind, payload, now), now)
         session, k = _place(payload)
@@ -134,7 +147,9 @@ class Guarded:
                 return Actions(keys=self._tasks(now))  # it comes again
             opened = self._in.without(k, payload, self._promise)
         if opened.plain is None:
-            return self._refused(k, opened)
+            return self._refused(k, opened, now)
+        self._unopened = 0
+        self._doubtful = self._doubtful and opened.number < 0
         tasks: tuple[GuardTask, ...] = ()
         if opened.number >= 0 and self._in.tags:
             before, self._promise = self._promise, self._promise.extended(k, opened.number)
@@ -214,12 +229,19 @@ class Guarded:
         """Another session begins, with keys of its own."""
         self._session = session
         self._k = self._plain_k = self._lacking = self._looked = self._looks = -1
+        self._unopened = 0
         self._promise, self._unsaid = Promise(), False
         self._out.begin()
         self._in.begin()
         self._again_at = -inf
 
     # --- keys -------------------------------------------------------------------------------------
+
+    def _meet(self, payload: bytes) -> None:
+        """The partner says hello: another process of its may have lost keys."""
+        partner = _process(payload)
+        if partner != self._partner:
+            self._partner, self._doubtful, self._unopened = partner, True, 0
 
     def _tasks(self, now: float) -> tuple[GuardTask, ...]:
         """What the keeper of keys must do now: look for what is lacking, set more aside."""
@@ -234,7 +256,9 @@ class Guarded:
         return (
             GuardTask(
                 self._session,
-                self._k + MARGIN,
+                self._instance,
+                max(0, self._k),
+                max(self._k + MARGIN, self._out.end),
                 0 if guards is None else guards.session_words,
                 0 if guards is None else guards.step_words,
                 self._out.newest,
@@ -257,13 +281,28 @@ class Guarded:
 
     # --- what is refused --------------------------------------------------------------------------
 
-    def _refused(self, k: int, opened: Opened) -> Actions:
-        """A message that is no message of the partner's, or that cannot be opened."""
-        if not opened.why:  # late, or coded under a key that is not here
-            return NOTHING_TO_DO
+    def _refused(self, k: int, opened: Opened, now: float) -> Actions:
+        """A message that is no message of the partner's, or that cannot be opened.
+
+        :data:`UNOPENED` of them in a row end the session where keys may have gone with a process:
+        from an end's beginning on, until a message opens. Else who can only forge would end it, to
+        be heard in the next one, which begins bare. A code alone refuses no bare message anyway.
+        """
+        self._unopened += 1
+        actions = NOTHING_TO_DO if not opened.why else self._forgery(k, opened.why)
+        if self._unopened < UNOPENED or (self._in.tags and not self._doubtful):
+            return actions
+        self._session, self._unopened = "", 0
+        ended = self._closed(self._anew("the keys that guard its messages are gone"), now)
+        return ended._replace(
+            events=(*actions.events, *ended.events),
+            notices=(*actions.notices, *ended.notices),
+        )
+
+    def _forgery(self, k: int, why: str) -> Actions:
         before = self._told
         self._told = before._replace(forged=before.forged + 1, forged_k=k)
-        event = Forged(self._session, k, self._heard.topic, opened.why)
+        event = Forged(self._session, k, self._heard.topic, why)
         # a step's repeats are told once
         events = (event,) if before.forged_k != k else ()
         actions = NOTHING_TO_DO if self._halt is None else self._halt()
@@ -271,6 +310,15 @@ class Guarded:
         return actions._replace(
             events=(*events, *actions.events), notices=(alarm, *actions.notices)
         )
+
+
+def _process(payload: bytes) -> str:
+    """The process that says a hello; nothing where it is none."""
+    try:
+        instance = from_json(payload)["instance"]
+    except (KeyError, TypeError, ValueError):
+        return ""
+    return instance if isinstance(instance, str) else ""
 
 
 def _place(payload: bytes) -> tuple[str, int]:

@@ -18,7 +18,7 @@ from protocol.messages.base import (
 )
 from protocol.vectors import FiniteVector
 
-Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,9}/[0-9]{0,9})?$")]
+Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,16}/[0-9]{0,9})?$")]
 Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
 Bits = Annotated[int, Field(ge=0, lt=2**64)]
 

@@ -67,6 +67,10 @@ class GuardTask(NamedTuple):
     """
 
     session: str
+    instance: str
+    """Random id of the process: what another has set aside serves no message of this one."""
+    k: int
+    """The step."""
     begins: int
     """The first step that a new batch may begin with."""
     session_words: int = 0

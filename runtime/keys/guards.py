@@ -1,9 +1,10 @@
 """Keys that guard messages: set aside by who sends, marked by who hears, bound to their steps here.
 
-A batch is all that is set aside at once; its use is "guard SESSION NUMBER RANDOM", and its number
-is what the messages name. Its first step is written beside it in the transaction in which it is
-given out, so no process of any life can put a second message under one of its words. Its bytes are
-erased once it has served.
+A batch is all that is set aside at once; its use is "guard SESSION NUMBER LIFE RANDOM", and its
+number is what the messages name: at least the step at which it was set aside, so that a new store
+counts on from one that was lost. It serves the process that set it aside, its LIFE, and no later
+one: a journal that was put back repeats steps with other states, and no word may serve both. Its
+bytes are erased once it has served.
 """
 
 import sqlite3
@@ -38,9 +39,7 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
     with store.transaction() as db:
         over = _over(db, task, uses)
         if over:
-            store.bury(db, [name for name, _ in over], GUARD)
-            notes = {(_note(use),) for _, use in over}
-            db.executemany("DELETE FROM meta WHERE name = ?", notes)
+            store.bury(db, over, GUARD)
         db.execute(
             "DELETE FROM asked WHERE use >= ? AND use < ? AND NOT (use >= ? AND use < ?)",
             (*_ANY, *uses),
@@ -53,12 +52,14 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
         asked = "FROM asked WHERE use >= ? AND use < ? AND refused"
         db.execute(f"DELETE {asked} IS NOT NULL", uses)
         pending = db.execute(f"SELECT 1 {asked} IS NULL LIMIT 1", uses).fetchone() is not None
-        sent, ends = [], -1
+        sent, begins = [], task.begins
         for number, use, keys in _batches(store, db, uses, own=1):
-            first = _first(store, use, max(task.begins, ends))
-            ends = first + slots(len(keys) * KEY_WORDS, task.session_words, task.step_words)
-            if number > task.sent_after:
-                sent.append(Batch(number, b"".join(key.key for key in keys), first))
+            if number <= task.sent_after:
+                continue
+            count = slots(len(keys) * KEY_WORDS, task.session_words, task.step_words)
+            first = begins if _instance(use) == task.instance else -count
+            begins = max(begins, first + count)
+            sent.append(Batch(number, b"".join(key.key for key in keys), first))
         heard = [
             Batch(number, b"".join(key.key for key in keys))
             for number, _, keys in _batches(store, db, uses, own=0)
@@ -68,14 +69,15 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
         half = (store.available() + 1) // 2  # the others are for other uses
         number = 0 if pending or not task.wants else min(MOST, half)
         if number:
-            use = new_use(GUARD, f"{task.session} {_next_number(db, uses):08d}")
+            newest = max(_next_number(db, uses), task.k)
+            use = new_use(GUARD, f"{task.session} {newest:016d} {task.instance}")
             store.set_aside_within(db, use, number)
     return GuardKeys(task.session, tuple(sent), tuple(heard), promise, pending or number > 0)
 
 
-def _over(db: sqlite3.Connection, task: GuardTask, uses: tuple[str, str]) -> list[tuple[str, str]]:
-    """Keys of other sessions, and of batches that have served; with their uses."""
-    found: list[tuple[str, str]] = []
+def _over(db: sqlite3.Connection, task: GuardTask, uses: tuple[str, str]) -> list[str]:
+    """Keys of other sessions, and of batches that have served."""
+    found: list[str] = []
     for column, taken in (("use", ""), ("there", "AND use IS NULL AND own = 0")):
         rows = db.execute(
             f"SELECT id, own, {column} FROM key WHERE {column} >= ? AND {column} < ? {taken} "
@@ -85,7 +87,7 @@ def _over(db: sqlite3.Connection, task: GuardTask, uses: tuple[str, str]) -> lis
         for name, own, use in rows:
             since = task.sent_from if own else task.heard_from
             if not uses[0] <= use < uses[1] or _number(use) < since:
-                found.append((name, use))
+                found.append(name)
     return found
 
 
@@ -107,15 +109,6 @@ def _batches(
     ]
 
 
-def _first(store: KeyStore, use: str, begins: int) -> int:
-    """The first step of a batch; chosen now if it was not."""
-    note = _note(use)
-    known = store.note(note)
-    if known is None:
-        store.set_note(note, str(begins))
-    return begins if known is None else int(known)
-
-
 def _promise(store: KeyStore, task: GuardTask) -> tuple[int, int]:
     """What the partner's tags have shown: as the end knows it, or as it was written down."""
     name = f"{GUARD} promise"
@@ -131,12 +124,12 @@ def _promise(store: KeyStore, task: GuardTask) -> tuple[int, int]:
     return first, newest
 
 
-def _note(use: str) -> str:
-    return f"first step of {use}"
-
-
 def _number(use: str) -> int:
     return int(use.split()[2])
+
+
+def _instance(use: str) -> str:
+    return use.split()[3]
 
 
 def _next_number(db: sqlite3.Connection, uses: tuple[str, str]) -> int:

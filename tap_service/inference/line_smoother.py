@@ -203,14 +203,14 @@ class LineSmoother:
         if not len(r):
             return None
         s, norm = slopes[p], (slopes[p] ** 2).sum(axis=1)
-        base = s * (off[r, p] / norm)[:, None]
-        along = np.stack([-s[:, 1], s[:, 0]], axis=1) / np.sqrt(norm)[:, None]
-        a, b = along @ self._rows.T, 1.0 - base @ self._rows.T
+        base = s.T * (off[r, p] / norm)
+        along = np.stack([-s[:, 1], s[:, 0]]) / np.sqrt(norm)
+        a, b = self._rows @ along, 1.0 - self._rows @ base  # a row of the support each
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = b / a
-        most = np.where(a > 1e-12, ratio, np.inf).min(axis=1)
-        least = np.where(a < -1e-12, ratio, -np.inf).max(axis=1)
-        length = np.where((np.abs(a) <= 1e-12) & (b < 0), -np.inf, 0.0).min(axis=1)
+        most = np.where(a > 1e-12, ratio, np.inf).min(axis=0)
+        least = np.where(a < -1e-12, ratio, -np.inf).max(axis=0)
+        length = np.where((np.abs(a) <= 1e-12) & (b < 0), -np.inf, 0.0).min(axis=0)
         length = np.maximum(most - least + length, 0.0)
         weights = v[r] * length / np.sqrt(norm)
         total = weights.sum()
@@ -220,7 +220,7 @@ class LineSmoother:
         picked = self._picked(weights, count)
         part = self._rng.random(count)
         t = least[picked] + part * (most - least)[picked]
-        x = C[r[picked]] + base[picked] + t[:, None] * along[picked]
+        x = C[r[picked]] + (base[:, picked] + t * along[:, picked]).T
         found = self._law.answers(x)
         ok = np.abs(found[:, program] - read[r[picked]]) <= self._exact
         w = ok * self._seen(x, state)

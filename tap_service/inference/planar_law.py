@@ -108,20 +108,26 @@ class PlanarLaw:
         """The programs' answers in states ``x``, shape (S, 2); returns shape (S, V)."""
         u: Array = x @ self.free.T
         if len(self.high):
-            most = (x @ self.high[:, :2].T + self.width * self.high[:, 2]).min(axis=1)
-            u = np.asarray(np.minimum(u, most[:, None]))
+            u = np.asarray(np.minimum(u, self._most(x)[:, None]))
         if len(self.low):
-            least = (x @ self.low[:, :2].T + self.width * self.low[:, 2]).max(axis=1)
-            u = np.asarray(np.maximum(u, least[:, None]))
+            u = np.asarray(np.maximum(u, self._least(x)[:, None]))
         return u
+
+    def _most(self, x: Array) -> Array:
+        """The largest input that the facets leave in states ``x``, shape (S,)."""
+        out: Array = (self.high[:, :2] @ x.T + self.width * self.high[:, 2:]).min(axis=0)
+        return out
+
+    def _least(self, x: Array) -> Array:
+        """The smallest, shape (S,)."""
+        out: Array = (self.low[:, :2] @ x.T + self.width * self.low[:, 2:]).max(axis=0)
+        return out
 
     def holds(self, x: Array) -> Flags:
         """Whether the facets leave an input in states ``x``, shape (S, 2)."""
         if not self.known:
             return np.ones(len(x), dtype=bool)
-        most = (x @ self.high[:, :2].T + self.width * self.high[:, 2]).min(axis=1)
-        least = (x @ self.low[:, :2].T + self.width * self.low[:, 2]).max(axis=1)
-        out: Flags = least <= most + CLIPPED
+        out: Flags = self._least(x) <= self._most(x) + CLIPPED
         return out
 
     def offsets(self) -> Array:

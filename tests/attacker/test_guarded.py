@@ -1,4 +1,4 @@
-"""`mac` and `coding` live, in lock-step: who rewrites the bus is refused, or seen."""
+"""`mac` and `coding` live: who rewrites the bus is refused, or seen."""
 
 import json
 import shutil
@@ -11,8 +11,16 @@ from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
 from protocol.scenario import Attack, Scenario, attack_of, parse_scenario
 from protocol.scenario.reading import ScenarioError
+from runtime.keys.store import KeyStore
 from runtime.recording import TraceReader
-from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_STATUS, PLANT_TRACE
+from runtime.run_folder import (
+    CONTROLLER_KEYS,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+    PLANT_KEYS,
+    PLANT_STATUS,
+    PLANT_TRACE,
+)
 from runtime.scenario_file import scenario_of
 from tests.campaigns.attacked import run
 from wyner.runs.resolve import Resolved
@@ -20,11 +28,13 @@ from wyner.runs.resolve import Resolved
 pytestmark = pytest.mark.slow
 
 FILLS = 1500
-"""Steps of an honest run until its keys serve; in lock-step beside other work it takes several."""
+"""Steps of an honest run until its keys serve; beside other work it takes several."""
 
+HELD = 24
+"""Keys that a filled run has left at each end, to guard the run that goes on from it."""
 
-AHEAD = 110
-"""Steps for which a filled run's plant has keys: the attack comes in 60 of them."""
+ONSET = 80
+"""Steps from there on to an attack: its process has keys of its own by then."""
 
 
 class Filled:
@@ -38,8 +48,9 @@ class Filled:
         self.steps = 0
         while not self._serve() and self.steps < 10 * FILLS:
             self.steps += FILLS
-            run(self.scenario, law, self.steps, self._folder)
-        self.onset = self.steps + 60
+            guarded = self.scenario.defence.guards
+            run(self.scenario, law, self.steps, self._folder, pace="x10" if guarded else "fast")
+        self.onset = self.steps + ONSET
 
     def _serve(self) -> bool:
         """Whether keys served in the last of the runs, at each end that takes some."""
@@ -51,16 +62,24 @@ class Filled:
         ]
         defence = self.scenario.defence
         guard = defence.guard(2, 4)
-        ahead = guard is None or (told[0]["guarded"] and told[1]["guard_ahead"] > AHEAD)
-        both = guard is None or not guard.tags or (told[1]["guarded"] and told[0]["guard_ahead"])
+        heard = guard is None or told[0]["guarded"]
+        both = guard is None or not guard.tags or told[1]["guarded"]
         coin = not defence.keyed or (told[0]["watched"] and told[0]["coin_keys"])
-        return bool(ahead and both and coin)
+        return bool(heard and both and coin) and (guard is None or min(self._held()) >= HELD)
+
+    def _held(self) -> list[int]:
+        """Keys that each end could give."""
+        found = []
+        for name, side in ((CONTROLLER_KEYS, "controller"), (PLANT_KEYS, "plant")):
+            with KeyStore(self._folder / name, side) as store:  # type: ignore[arg-type]
+                found.append(store.available())
+        return found
 
     def attacked(self, text: str, folder: Path, steps: int, seconds: float) -> dict[str, Any]:
         """What came of a copy under this attack."""
         shutil.copytree(self._folder, folder, dirs_exist_ok=True)
         attack = attack_of(text)
-        run(self.scenario, self._law, steps, folder, attack, seconds=seconds)
+        run(self.scenario, self._law, steps, folder, attack, pace="x3", seconds=seconds)
         return told(folder, attack)
 
 
@@ -87,6 +106,7 @@ def told(folder: Path, attack: Attack | None = None) -> dict[str, Any]:
         "last": max(e["k"] for e in steps),
         "away": max(away, default=0.0),
         "onset": onset,
+        "sessions": len({e["session"] for e in lines["plant"] if e["event"] == "session"}),
         "spoofed": sum(e.get("true_x_next", e["x_next"]) != e["x_next"] for e in steps),
     }
 
@@ -104,10 +124,13 @@ def test_without_a_guard_covert_is_never_seen(law: CandidateLaw, tmp_path: Path)
 
 
 def test_a_mac_stops_covert_before_the_plant_has_moved(law: CandidateLaw, tmp_path: Path) -> None:
-    """No rewritten offer is applied: in lock-step the loop stands still."""
+    """No rewritten offer is applied, and no session ends over it: every step is missed."""
     filled = Filled(tmp_path, law, {"messages": "mac"})
-    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 60, 8.0)
-    assert found["forged"] == {"plant": [(filled.onset, "offer")], "controller": []}
+    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 60, 15.0)
+    assert found["forged"]["controller"] == []
+    assert found["forged"]["plant"][0] == (filled.onset, "offer")
+    assert {message for _, message in found["forged"]["plant"]} == {"offer"}
+    assert found["sessions"] == 1
     assert found["last"] < filled.onset
     assert found["away"] == 0
 

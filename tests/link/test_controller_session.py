@@ -38,7 +38,7 @@ def test_a_session_is_served_only_by_who_was_asked() -> None:
 
 def test_a_session_is_dropped_only_where_it_goes_on_without_this_process() -> None:
     ends = {name for (_, name), row in TABLE.items() if row.answer.startswith("end and")}
-    assert ends == {"to another, in the session", "does not follow", "blocks differ"}
+    assert ends == {"to another, in the session", "does not follow", "blocks differ", "keys gone"}
     # Who never took it up keeps its journal: the plant may come back to it.
     assert TABLE["greeting", "to another, in the session"].answer == "step back"
 
@@ -57,10 +57,10 @@ def test_a_session_is_dropped_only_where_it_goes_on_without_this_process() -> No
         ({"session": NEW, "transitions": 1}, "asked, session unknown"),
         ({"session": T}, "asked, session unknown"),
         ({"controller": None}, "to anyone"),
-        ({"controller": None, "incarnation": 3}, "to anyone, of a later life"),
+        ({"controller": None, "incarnation": 3}, "to anyone, of a later incarnation"),
         ({"controller": None, "incarnation": 3, "session": NEW}, "to anyone"),
         ({"controller": B}, "to another, in the session"),
-        ({"controller": B, "incarnation": 1}, "to a former life"),
+        ({"controller": B, "incarnation": 1}, "to a former incarnation"),
         ({"controller": B, "incarnation": 1, "session": NEW}, "to another"),
         ({"instance": Q, "session": NEW}, "asked, new session"),
         ({"fingerprint": OTHER}, "another model"),

@@ -28,7 +28,7 @@ def test_only_who_was_asked_and_accepts_is_worked_with() -> None:
 def test_a_session_begins_only_where_nobody_works_in_it_or_its_controller_says_so() -> None:
     for (state, name), row in TABLE.items():
         if row.answer == "begin anew":
-            assert name in ("unknown session", "blocks differ")
+            assert name in ("unknown session", "blocks differ", "keys gone")
         if row.answer == "begin and ask":
             assert state in TO_ANYONE
 
@@ -44,8 +44,8 @@ def test_a_plant_begins_where_its_record_stands() -> None:
     [
         ({"instance": A}, "greeting of the one asked"),
         ({"instance": A, "session": T}, "greeting of the one asked"),
-        ({"instance": A, "incarnation": 1}, "greeting of a former life"),
-        ({"instance": B, "incarnation": 1}, "greeting of a former life"),
+        ({"instance": A, "incarnation": 1}, "greeting of a former incarnation"),
+        ({"instance": B, "incarnation": 1}, "greeting of a former incarnation"),
         ({"instance": B, "incarnation": 2}, "greeting in the session"),
         ({"instance": B, "incarnation": 3}, "greeting in the session"),
         ({"instance": B, "incarnation": 1, "session": T}, "greeting in another"),

@@ -1,6 +1,7 @@
 """Tagged and coded messages through both real ends and stores, through deaths; and wrong ones."""
 
 from collections.abc import Callable, Iterator
+from copy import deepcopy
 from random import Random
 
 import pytest
@@ -12,11 +13,15 @@ from protocol.defence.coding import Coding
 from protocol.defence.mac import Mac
 from protocol.link import guarded
 from protocol.link.guard import ANEW, Guard, Promise
+from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement
 from protocol.secret.tasks import Batch
+from runtime.keys import guards
 from runtime.keys.store import KeyStore
 from tests.secret.test_keyed_link import RULES, KeyedLink
-from tests.support.keyed_link import SIDES, World
+from tests.support.broken import broken
+from tests.support.copies import Copies
+from tests.support.keyed_link import SIDES, Side, World
 
 GUARDS: list[Callable[[int, int], Defence]] = [Mac, Coding]
 
@@ -79,7 +84,7 @@ def test_messages_are_guarded_through_deaths_and_no_slot_serves_two(
     world = shaken(guard, 3)
     sides = {side for side, _, _ in world.slots}
     assert sides == (set(SIDES) if guard.tags else {"plant"})
-    assert len(world.slots) > 100
+    assert len(world.slots) > 60
     assert world.deaths > 5
     for side in SIDES:
         uses = [use for use, _ in world.stores[side].uses().values() if use.startswith("guard ")]
@@ -87,14 +92,52 @@ def test_messages_are_guarded_through_deaths_and_no_slot_serves_two(
     world.close()
 
 
-def every_process_begins_anew(patch: pytest.MonkeyPatch) -> None:
-    """The first step of a batch is not written down."""
-    note = KeyStore.note
+def put_back(guard: Defence, side: Side, rounds: int, *, tampers: bool = False) -> World:
+    """A world in which one end's journal was put back by some steps, within one session."""
+    world = World(RULES, guard=guard)
+    world.tampers = tampers
+    world.well(300)
+    copy = deepcopy(world.journals[side])
+    before = copy.load()
+    world.well(rounds)
+    now = world.journals[side].load()
+    assert before is not None
+    assert now is not None
+    assert now.session == before.session
+    assert now.k > before.k
+    world.journals[side] = copy
+    # whose journal was put back says copy 0 of its steps once more, and counts them otherwise
+    world.copies, world.counted = Copies(), {s: {} for s in SIDES}
+    world.die(side)
+    world.well(200)
+    return world
 
-    def forgets(self: KeyStore, name: str) -> str | None:
-        return None if name.startswith("first step") else note(self, name)
 
-    patch.setattr(KeyStore, "note", forgets)
+@pytest.mark.parametrize("rounds", [8, 40])
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("made", GUARDS)
+def test_a_journal_that_was_put_back_puts_no_two_messages_under_one_word(
+    made: Callable[[int, int], Defence], side: Side, rounds: int
+) -> None:
+    world = put_back(made(1, 2), side, rounds)
+    before = len(world.slots)
+    world.well(60)
+    assert len(world.slots) > before, "nothing is guarded any more"
+    world.close()
+
+
+@pytest.mark.parametrize("made", GUARDS)
+def test_a_batch_of_an_earlier_process_would_put_two_messages_under_one_word(
+    made: Callable[[int, int], Defence],
+) -> None:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError, match="two messages"):
+        every_process_goes_on_with_the_batch(patch)
+        put_back(made(1, 2), "plant", 8, tampers=True)
+
+
+def every_process_goes_on_with_the_batch(patch: pytest.MonkeyPatch) -> None:
+    """A batch serves the next process too, from its first slot on."""
+    broken(patch, guards, "if _instance(use) == task.instance else -count", "if use else -count")
 
 
 def a_slot_serves_two_steps(patch: pytest.MonkeyPatch) -> None:
@@ -117,12 +160,40 @@ def no_farewell(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Guard, "closed", wrong)
 
 
-@pytest.mark.parametrize("wrong", [every_process_begins_anew, a_slot_serves_two_steps, no_farewell])
+@pytest.mark.parametrize(
+    "wrong", [every_process_goes_on_with_the_batch, a_slot_serves_two_steps, no_farewell]
+)
 def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
         wrong(patch)
         for seed in range(6):
             shaken(Mac(1, 2), seed).close()
+
+
+# --- keys that are gone ---------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize("made", GUARDS)
+def test_a_loop_goes_on_when_an_end_has_lost_its_keys(
+    made: Callable[[int, int], Defence], side: Side
+) -> None:
+    world = World(RULES, guard=made(1, 2))
+    world.well(300)
+    plant = world.journals["plant"].load()
+    assert isinstance(plant, ReceiverRecord)
+    world.tampers = True  # a message under a lost key is refused, and told
+    world.stores[side].close()
+    world.stores[side] = KeyStore(None, side)
+    world.die(side)
+    world.well(200)
+    later = world.journals["plant"].load()
+    assert isinstance(later, ReceiverRecord)
+    assert later.applied_k > plant.k, "the loop stands still"
+    before = len(world.slots)
+    world.well(400)
+    assert len(world.slots) > before, "nothing is guarded any more"
+    world.close()
 
 
 # --- one message ----------------------------------------------------------------------------------

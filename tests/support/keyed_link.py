@@ -186,16 +186,18 @@ class World:
             return ()
         return coins.held(self.stores[side], record.session)
 
-    def guarded(self, side: Side, end: Peer, guard: Defence) -> Guarded:
+    def guarded(self, side: Side, end: ControllerCore | PlantCore, guard: Defence) -> Guarded:
         """The end with its messages guarded by the keys that its store holds."""
         record = self.journals[side].load()
         keys = None
         if record is not None and record.session is not None:
             sends = side == "plant" or guard.tags
             words = (guard.session_words, guard.step_words) if sends else (0, 0)
-            task = GuardTask(record.session, record.k + guarded.MARGIN, *words)
+            begins = record.k + guarded.MARGIN
+            task = GuardTask(record.session, end.instance, record.k, begins, *words)
             keys = guards.serve(self.stores[side], task)
-        return Guarded(end, side, guard, None if keys is None else keys.session, keys)
+        session = None if keys is None else keys.session
+        return Guarded(end, side, guard, end.instance, end.end_session, session, keys)
 
     def carry_out(self, side: Side, actions: Actions) -> None:
         try:
