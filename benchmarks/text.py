@@ -25,7 +25,7 @@ def measure(progress: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
     from tap_service.capture.channel import View
     from tap_service.eavesdroppers.text import Text
 
-    rows = []
+    rows: list[dict[str, Any]] = []
     for loss in LOSSES:
         for seed in SEEDS:
             payload = SENTENCES[seed].encode("ascii")
