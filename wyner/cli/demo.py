@@ -262,6 +262,9 @@ def _unseen(
         away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
         if found.get("alarm_k", -1) >= 0:
             return f"{before[-1]}, and beside a tap that reads the key as well: that must not be."
+        if not found.get("watched"):
+            missed = f"{summary['missed']} of {summary['steps']} steps missed"
+            return f"{before[-1]}; beside a tap that hears all no key was there in time ({missed})."
         return (
             f"{before[-1]}, and never under one that the tap reads: the plant is then {away:.0f} "
             f"away while the screen shows {shown:.1f}."
