@@ -134,7 +134,7 @@ campaign: $(STAMPS)/dev
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
 	WYNER_MUTANTS=all $(BIN)/pytest tests/runs/check/test_mutants.py
 	WYNER_STEPS=long $(BIN)/pytest tests/simulate/test_engine_system.py tests/tap/test_text.py \
-	  -k "long or comes_true"
+	  -k "live_services or comes_true"
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all

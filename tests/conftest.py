@@ -25,7 +25,13 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
+def pytest_xdist_auto_num_workers() -> int:
+    """One more than there are cores: tests of live loops wait for most of their time."""
+    return (os.cpu_count() or 1) + 1
+
+
 LONGEST = (
+    *("system/test_medium.py", "campaigns/test_campaigns.py"),
     *("tap/test_text.py", "tap/test_particle_smoother.py", "tap/test_ladder.py"),
     *("runs/check/test_evidence.py", "cli/test_demo.py", "campaigns/test_exhaustive.py"),
     *("simulate/test_network.py", "simulate/test_engine_system.py", "runs/test_memory.py"),

@@ -22,13 +22,13 @@ STATES: Final[dict[State, str]] = {
 
 Heard = Literal[
     "to anyone",
-    "to anyone, of a later life",
+    "to anyone, of a later incarnation",
     "asked, session fits",
     "asked, session does not fit",
     "asked, new session",
     "asked, session unknown",
     "overtaken",
-    "to a former life",
+    "to a former incarnation",
     "to another, in the session",
     "to another",
     "second plant",
@@ -43,7 +43,7 @@ Heard = Literal[
 
 HEARD: Final[dict[Heard, str]] = {
     "to anyone": "A plant's hello names no controller.",
-    "to anyone, of a later life": "The same, and it knows a later life of this journal than this "
+    "to anyone, of a later incarnation": "The same, and it knows a later incarnation than this "
     "process takes itself for: the journal is an old copy.",
     "asked, session fits": "A hello asks this process to take up the session of its journal, and "
     "the plant has applied its last offer or the one before.",
@@ -53,7 +53,7 @@ HEARD: Final[dict[Heard, str]] = {
     "transitions that this journal does not know.",
     "overtaken": "A hello from before a transition that this journal has counted: from the plant "
     "served, or for somebody else.",
-    "to a former life": "A hello in the session asks a former process of this journal.",
+    "to a former incarnation": "A hello in the session asks a former process of this journal.",
     "to another, in the session": "A hello in the session asks another controller, which must "
     "have a copy of this journal.",
     "to another": "A hello of another session asks another controller.",
@@ -87,7 +87,7 @@ Answer = Literal[
 ANSWERS: Final[dict[Answer, str]] = {
     "nothing": "Nothing is said.",
     "greet": "The controller greets.",
-    "catch up and greet": "It counts its lives on from the plant's number, saves, and greets.",
+    "catch up and greet": "It counts incarnations on from the plant's number, saves, and greets.",
     "remind": "It greets, once in 0.1 s at most.",
     "serve": "It says that it accepts the session, and offers in it.",
     "adopt and serve": "It drops the session before, saves the new one, and accepts it. The frame "
@@ -111,13 +111,13 @@ class Row(NamedTuple):
 
 TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("greeting", "to anyone"): Row("greet", "greeting"),
-    ("greeting", "to anyone, of a later life"): Row("catch up and greet", "greeting"),
+    ("greeting", "to anyone, of a later incarnation"): Row("catch up and greet", "greeting"),
     ("greeting", "asked, session fits"): Row("serve", "serving"),
     ("greeting", "asked, session does not fit"): Row("refuse", "greeting"),
     ("greeting", "asked, new session"): Row("adopt and serve", "serving"),
     ("greeting", "asked, session unknown"): Row("refuse", "greeting"),
     ("greeting", "overtaken"): Row("nothing", "greeting"),
-    ("greeting", "to a former life"): Row("remind", "greeting"),
+    ("greeting", "to a former incarnation"): Row("remind", "greeting"),
     ("greeting", "to another, in the session"): Row("step back", "elsewhere"),
     ("greeting", "to another"): Row("step back", "elsewhere"),
     ("greeting", "second plant"): Row("nothing", "greeting"),
@@ -129,13 +129,13 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("greeting", "blocks differ"): Row("end and greet", "greeting"),
     ("greeting", "keys gone"): Row("end and greet", "greeting"),
     ("serving", "to anyone"): Row("greet", "serving"),
-    ("serving", "to anyone, of a later life"): Row("catch up and greet", "serving"),
+    ("serving", "to anyone, of a later incarnation"): Row("catch up and greet", "serving"),
     ("serving", "asked, session fits"): Row("serve", "serving"),
     ("serving", "asked, session does not fit"): Row("refuse", "serving"),
     ("serving", "asked, new session"): Row("adopt and serve", "serving"),
     ("serving", "asked, session unknown"): Row("refuse", "serving"),
     ("serving", "overtaken"): Row("nothing", "serving"),
-    ("serving", "to a former life"): Row("remind", "serving"),
+    ("serving", "to a former incarnation"): Row("remind", "serving"),
     ("serving", "to another, in the session"): Row("end and step back", "elsewhere"),
     ("serving", "to another"): Row("step back", "elsewhere"),
     ("serving", "second plant"): Row("log", "serving"),
@@ -147,13 +147,13 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("serving", "blocks differ"): Row("end and greet", "greeting"),
     ("serving", "keys gone"): Row("end and greet", "greeting"),
     ("elsewhere", "to anyone"): Row("greet", "greeting"),
-    ("elsewhere", "to anyone, of a later life"): Row("catch up and greet", "greeting"),
+    ("elsewhere", "to anyone, of a later incarnation"): Row("catch up and greet", "greeting"),
     ("elsewhere", "asked, session fits"): Row("serve", "serving"),
     ("elsewhere", "asked, session does not fit"): Row("refuse", "greeting"),
     ("elsewhere", "asked, new session"): Row("adopt and serve", "serving"),
     ("elsewhere", "asked, session unknown"): Row("refuse", "greeting"),
     ("elsewhere", "overtaken"): Row("nothing", "elsewhere"),
-    ("elsewhere", "to a former life"): Row("remind", "greeting"),
+    ("elsewhere", "to a former incarnation"): Row("remind", "greeting"),
     ("elsewhere", "to another, in the session"): Row("step back", "elsewhere"),
     ("elsewhere", "to another"): Row("step back", "elsewhere"),
     ("elsewhere", "second plant"): Row("nothing", "elsewhere"),
@@ -201,7 +201,7 @@ def heard(
         return "second plant"
     if hello.controller is None:
         later = in_session and hello.incarnation > record.incarnation
-        return "to anyone, of a later life" if later else "to anyone"
+        return "to anyone, of a later incarnation" if later else "to anyone"
     asked = hello.controller == instance
     past = in_session and hello.applied_k < record.applied_k
     if past and (not asked or hello.instance == plant):
@@ -216,4 +216,4 @@ def heard(
     if not in_session:
         return "to another"
     former = hello.incarnation < record.incarnation
-    return "to a former life" if former else "to another, in the session"
+    return "to a former incarnation" if former else "to another, in the session"

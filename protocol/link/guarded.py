@@ -71,7 +71,7 @@ class Guarded:
     side : {"controller", "plant"}
     defence : Defence
         That codes or tags.
-    life : str
+    instance : str
         Random id of this process.
     anew : callable
         Ends the session, over a reason.
@@ -88,7 +88,7 @@ class Guarded:
         end: Peer,
         side: Side,
         defence: Defence,
-        life: str,
+        instance: str,
         anew: Callable[[str], Actions],
         session: str | None = None,
         keys: GuardKeys | None = None,
@@ -101,7 +101,7 @@ class Guarded:
         self._defence = defence
         self._out = Guard(defence, self._said.topic)
         self._in = Guard(defence, self._heard.topic)
-        self._life, self._partner = life, ""
+        self._instance, self._partner = instance, ""
         self._doubtful, self._unopened = True, 0
         self._session = ""
         self._k = -1
@@ -256,7 +256,7 @@ class Guarded:
         return (
             GuardTask(
                 self._session,
-                self._life,
+                self._instance,
                 max(0, self._k),
                 max(self._k + MARGIN, self._out.end),
                 0 if guards is None else guards.session_words,

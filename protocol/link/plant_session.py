@@ -25,7 +25,7 @@ STATES: Final[dict[State, str]] = {
 
 Heard = Literal[
     "greeting of the one asked",
-    "greeting of a former life",
+    "greeting of a former incarnation",
     "greeting in the session",
     "greeting in another",
     "greeting, session unused",
@@ -43,7 +43,7 @@ Heard = Literal[
 
 HEARD: Final[dict[Heard, str]] = {
     "greeting of the one asked": "The controller process that was asked greets, in any session.",
-    "greeting of a former life": "A greeting names the session, and a life of its journal before "
+    "greeting of a former incarnation": "A greeting names the session, and an incarnation before "
     "the one that was asked last.",
     "greeting in the session": "Another process greets, and names the session.",
     "greeting in another": "Another process greets, and names another session or none.",
@@ -87,7 +87,7 @@ class Row(NamedTuple):
 
 TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("looking", "greeting of the one asked"): Row("nothing", "looking"),
-    ("looking", "greeting of a former life"): Row("nothing", "looking"),
+    ("looking", "greeting of a former incarnation"): Row("nothing", "looking"),
     ("looking", "greeting in the session"): Row("ask", "asked"),
     ("looking", "greeting in another"): Row("ask", "asked"),
     ("looking", "greeting, session unused"): Row("begin and ask", "asked"),
@@ -102,7 +102,7 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("looking", "blocks differ"): Row("begin anew", "looking"),
     ("looking", "keys gone"): Row("begin anew", "looking"),
     ("returned", "greeting of the one asked"): Row("nothing", "returned"),
-    ("returned", "greeting of a former life"): Row("nothing", "returned"),
+    ("returned", "greeting of a former incarnation"): Row("nothing", "returned"),
     ("returned", "greeting in the session"): Row("ask", "asked"),
     ("returned", "greeting in another"): Row("nothing", "returned"),
     ("returned", "greeting, session unused"): Row("nothing", "returned"),
@@ -117,7 +117,7 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("returned", "blocks differ"): Row("begin anew", "returned"),
     ("returned", "keys gone"): Row("begin anew", "returned"),
     ("asked", "greeting of the one asked"): Row("ask", "asked"),
-    ("asked", "greeting of a former life"): Row("say whose", "asked"),
+    ("asked", "greeting of a former incarnation"): Row("say whose", "asked"),
     ("asked", "greeting in the session"): Row("ask", "asked"),
     ("asked", "greeting in another"): Row("say whose", "asked"),
     ("asked", "greeting, session unused"): Row("say whose", "asked"),
@@ -132,7 +132,7 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("asked", "blocks differ"): Row("begin anew", "asked"),
     ("asked", "keys gone"): Row("begin anew", "asked"),
     ("unanswered", "greeting of the one asked"): Row("ask", "asked"),
-    ("unanswered", "greeting of a former life"): Row("say whose", "unanswered"),
+    ("unanswered", "greeting of a former incarnation"): Row("say whose", "unanswered"),
     ("unanswered", "greeting in the session"): Row("ask", "asked"),
     ("unanswered", "greeting in another"): Row("ask", "asked"),
     ("unanswered", "greeting, session unused"): Row("begin and ask", "asked"),
@@ -147,7 +147,7 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("unanswered", "blocks differ"): Row("begin anew", "unanswered"),
     ("unanswered", "keys gone"): Row("begin anew", "unanswered"),
     ("accepted", "greeting of the one asked"): Row("ask", "accepted"),
-    ("accepted", "greeting of a former life"): Row("say whose", "accepted"),
+    ("accepted", "greeting of a former incarnation"): Row("say whose", "accepted"),
     ("accepted", "greeting in the session"): Row("ask", "asked"),
     ("accepted", "greeting in another"): Row("say whose", "accepted"),
     ("accepted", "greeting, session unused"): Row("say whose", "accepted"),
@@ -162,7 +162,7 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("accepted", "blocks differ"): Row("begin anew", "asked"),
     ("accepted", "keys gone"): Row("begin anew", "asked"),
     ("silent", "greeting of the one asked"): Row("ask", "accepted"),
-    ("silent", "greeting of a former life"): Row("say whose", "silent"),
+    ("silent", "greeting of a former incarnation"): Row("say whose", "silent"),
     ("silent", "greeting in the session"): Row("ask", "asked"),
     ("silent", "greeting in another"): Row("ask", "asked"),
     ("silent", "greeting, session unused"): Row("begin and ask", "asked"),
@@ -211,7 +211,7 @@ def heard(
     instance, fingerprint : str
         The plant process's id, and its model's.
     asked : str, optional
-        The controller process that it asked last in its own life.
+        The controller process that this process asked last.
     met : bool
         Whether it ever met a controller of its own model.
     """
@@ -220,7 +220,7 @@ def heard(
     in_session = hello.session == record.session
     if hello.verdict == "greeting":
         if in_session and hello.incarnation < record.incarnation:
-            return "greeting of a former life"
+            return "greeting of a former incarnation"
         if hello.instance == asked:
             return "greeting of the one asked"
         if in_session:

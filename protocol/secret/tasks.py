@@ -67,7 +67,7 @@ class GuardTask(NamedTuple):
     """
 
     session: str
-    life: str
+    instance: str
     """Random id of the process: what another has set aside serves no message of this one."""
     k: int
     """The step."""

@@ -57,7 +57,7 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
             if number <= task.sent_after:
                 continue
             count = slots(len(keys) * KEY_WORDS, task.session_words, task.step_words)
-            first = begins if _life(use) == task.life else -count
+            first = begins if _instance(use) == task.instance else -count
             begins = max(begins, first + count)
             sent.append(Batch(number, b"".join(key.key for key in keys), first))
         heard = [
@@ -70,7 +70,7 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
         number = 0 if pending or not task.wants else min(MOST, half)
         if number:
             newest = max(_next_number(db, uses), task.k)
-            use = new_use(GUARD, f"{task.session} {newest:016d} {task.life}")
+            use = new_use(GUARD, f"{task.session} {newest:016d} {task.instance}")
             store.set_aside_within(db, use, number)
     return GuardKeys(task.session, tuple(sent), tuple(heard), promise, pending or number > 0)
 
@@ -128,7 +128,7 @@ def _number(use: str) -> int:
     return int(use.split()[2])
 
 
-def _life(use: str) -> str:
+def _instance(use: str) -> str:
     return use.split()[3]
 
 

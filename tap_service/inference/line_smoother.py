@@ -203,14 +203,14 @@ class LineSmoother:
         if not len(r):
             return None
         s, norm = slopes[p], (slopes[p] ** 2).sum(axis=1)
-        base = s * (off[r, p] / norm)[:, None]
-        along = np.stack([-s[:, 1], s[:, 0]], axis=1) / np.sqrt(norm)[:, None]
-        a, b = along @ self._rows.T, 1.0 - base @ self._rows.T
+        base = s.T * (off[r, p] / norm)
+        along = np.stack([-s[:, 1], s[:, 0]]) / np.sqrt(norm)
+        a, b = self._rows @ along, 1.0 - self._rows @ base  # a row of the support each
         with np.errstate(divide="ignore", invalid="ignore"):
             ratio = b / a
-        most = np.where(a > 1e-12, ratio, np.inf).min(axis=1)
-        least = np.where(a < -1e-12, ratio, -np.inf).max(axis=1)
-        length = np.where((np.abs(a) <= 1e-12) & (b < 0), -np.inf, 0.0).min(axis=1)
+        most = np.where(a > 1e-12, ratio, np.inf).min(axis=0)
+        least = np.where(a < -1e-12, ratio, -np.inf).max(axis=0)
+        length = np.where((np.abs(a) <= 1e-12) & (b < 0), -np.inf, 0.0).min(axis=0)
         length = np.maximum(most - least + length, 0.0)
         weights = v[r] * length / np.sqrt(norm)
         total = weights.sum()
@@ -220,7 +220,7 @@ class LineSmoother:
         picked = self._picked(weights, count)
         part = self._rng.random(count)
         t = least[picked] + part * (most - least)[picked]
-        x = C[r[picked]] + base[picked] + t[:, None] * along[picked]
+        x = C[r[picked]] + (base[:, picked] + t * along[:, picked]).T
         found = self._law.answers(x)
         ok = np.abs(found[:, program] - read[r[picked]]) <= self._exact
         w = ok * self._seen(x, state)
@@ -234,7 +234,7 @@ class LineSmoother:
                 w = w * (np.abs(off_q) <= self._exact)
         if not w.sum() > 0:
             return None
-        return self._thinned(x, w), float(np.log(total) + np.log(w.sum() / count))
+        return self._thinned(x, w), float(np.log(total) + np.log(w.sum()) - np.log(count))
 
     def _points(self, answers: Array) -> Array | None:
         """States in which two programs answered so, where their answers make two lines."""
@@ -379,12 +379,32 @@ class LineSmoother:
         for i in range(len(transitions) - 1, -1, -1):
             before, gauges = self._back(clouds[i], transitions[i], after)
             t = transitions[i]
-            sure = t.whole and not self._noise
-            steps.append(InferredStep(t, None if i in self._doubt and not sure else gauges))
+            kept: Array | None = gauges
+            if i in self._doubt and self._noise:
+                kept = self._alone(t)
+            elif i in self._doubt and not t.whole:
+                kept = None
+            steps.append(InferredStep(t, kept))
             after = before
             if i and transitions[i].x is not None and not self._noise:
                 after = clouds[i][0]
         return steps[::-1]
+
+    def _alone(self, t: Transition) -> Array | None:
+        """Gauges of a step that was heard whole through noise, by that alone, shape (S, M)."""
+        if t.x is None or t.candidates is None or t.x_next is None:
+            return None
+
+        def blurred(value: Sequence[float]) -> Array:
+            noise = self._rng.standard_normal((SAMPLES, len(value)))
+            return np.array(value) + self._noise * noise
+
+        u = blurred([candidate for (candidate,) in t.candidates])
+        predictions = (blurred(t.x) @ self._A.T)[:, None] + u[:, :, None] * self._b
+        d = blurred(t.x_next)[:, None] - predictions
+        inside = _largest(d, self._rows).min(axis=1) <= 1
+        out: Array = _largest(d[inside] if inside.any() else d, self._shape)
+        return out
 
     def _back(self, cloud: Cloud, t: Transition, after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, 2), and the gauges of that step, shape (S, M)."""

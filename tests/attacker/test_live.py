@@ -35,7 +35,6 @@ def attacked(run: Path, capsys: pytest.CaptureFixture[str], *options: str) -> di
         ("bias@30", "sensor"),
         ("covert@30", "bus"),
         ("stuck@30", "actuator"),
-        ("replay@30", "sensor"),
     ],
 )
 def test_an_attacked_run_passes_the_check_and_says_how_far_the_plant_is(
@@ -68,7 +67,7 @@ def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path
         "covert@100000",
         "--until-delivered",
         "--message",
-        "The old mill, at 9.",
+        "Hi",
     ]
     up = subprocess.Popen(
         [*command, "--headless", "--run-dir", str(run)],

@@ -18,7 +18,7 @@ from runtime import perform
 from runtime.perform import Ports
 from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
-from tests.campaigns.loop import SCHEMES, rules_of, short_keys
+from tests.campaigns.loop import rules_of, short_keys
 from tests.campaigns.space import SIDES, Space
 from tests.secret.test_keyed_coin import WRONG as WRONG_COINS
 from tests.support.broken import FIRST_COPY, broken
@@ -27,8 +27,9 @@ Patch = pytest.MonkeyPatch
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("acts", [False, True], ids=["computed", "acts"])
-@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize(
+    ("scheme", "acts"), [("switched", False), ("switched", True), ("pipelined", False)]
+)
 def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
     found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 2, 2, slice(-6, -1))
     assert not found.why, (found.why, found.path)
@@ -36,9 +37,7 @@ def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("scheme", "acts"), [("switched", False), ("switched", True), ("pipelined", False)]
-)
+@pytest.mark.parametrize(("scheme", "acts"), [("switched", True), ("pipelined", False)])
 def test_a_keyed_coin_serves_each_digit_once_and_alarms_no_honest_step(
     scheme: str, acts: bool
 ) -> None:

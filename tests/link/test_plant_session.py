@@ -44,8 +44,8 @@ def test_a_plant_begins_where_its_record_stands() -> None:
     [
         ({"instance": A}, "greeting of the one asked"),
         ({"instance": A, "session": T}, "greeting of the one asked"),
-        ({"instance": A, "incarnation": 1}, "greeting of a former life"),
-        ({"instance": B, "incarnation": 1}, "greeting of a former life"),
+        ({"instance": A, "incarnation": 1}, "greeting of a former incarnation"),
+        ({"instance": B, "incarnation": 1}, "greeting of a former incarnation"),
         ({"instance": B, "incarnation": 2}, "greeting in the session"),
         ({"instance": B, "incarnation": 3}, "greeting in the session"),
         ({"instance": B, "incarnation": 1, "session": T}, "greeting in another"),

@@ -111,7 +111,7 @@ class Link(RuleBasedStateMachine):
         self.forgot = (
             self.controllers > 1
         )  # one takes over from the other before it knows of a frame
-        self.late_hello = False  # a hello of a plant's former life may end a session
+        self.late_hello = False  # a hello of a former incarnation of the plant may end a session
         self.ever: list[bytes] = []
         self.plant_journal = self.plants_journal()
         self.plant_ports = CrashingPorts(PlantPorts(self))

@@ -127,17 +127,17 @@ def test_a_journal_that_was_put_back_puts_no_two_messages_under_one_word(
 
 
 @pytest.mark.parametrize("made", GUARDS)
-def test_a_batch_of_an_earlier_life_would_put_two_messages_under_one_word(
+def test_a_batch_of_an_earlier_process_would_put_two_messages_under_one_word(
     made: Callable[[int, int], Defence],
 ) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError, match="two messages"):
-        every_life_goes_on_with_the_batch(patch)
+        every_process_goes_on_with_the_batch(patch)
         put_back(made(1, 2), "plant", 8, tampers=True)
 
 
-def every_life_goes_on_with_the_batch(patch: pytest.MonkeyPatch) -> None:
+def every_process_goes_on_with_the_batch(patch: pytest.MonkeyPatch) -> None:
     """A batch serves the next process too, from its first slot on."""
-    broken(patch, guards, "if _life(use) == task.life else -count", "if use else -count")
+    broken(patch, guards, "if _instance(use) == task.instance else -count", "if use else -count")
 
 
 def a_slot_serves_two_steps(patch: pytest.MonkeyPatch) -> None:
@@ -161,7 +161,7 @@ def no_farewell(patch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    "wrong", [every_life_goes_on_with_the_batch, a_slot_serves_two_steps, no_farewell]
+    "wrong", [every_process_goes_on_with_the_batch, a_slot_serves_two_steps, no_farewell]
 )
 def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):

@@ -1,37 +1,18 @@
-"""What the tests of checks share: a law that is designed once, and a run that makes keys."""
+"""What the tests of checks share: a run that makes keys."""
 
 import fcntl
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 from uuid import uuid4
 
 import pytest
 
-from controller_service.laws import registry
 from runtime.run_folder import CAPTURE
 from wyner.cli.demo import SealedMessage
 from wyner.cli.up import run_session
 from wyner.deployment.one_machine import RunOptions
-
-
-@contextmanager
-def one_law() -> Iterator[None]:
-    """The design's law is made once meanwhile: it takes longer than a small run's check."""
-    patch = pytest.MonkeyPatch()
-    make, design = registry.make_law, registry.cached_design
-    designs = cache(design)
-    laws = cache(lambda scenario: make(scenario, designs(scenario)))
-    patch.setattr(registry, "cached_design", designs)
-    patch.setattr(registry, "make_law", lambda scenario, _design: laws(scenario))
-    try:
-        yield
-    finally:
-        patch.undo()
-
 
 SEALED: Final = b"The old mill, at nine."
 

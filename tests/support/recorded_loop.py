@@ -8,6 +8,7 @@ kill an end at any of its ports, spoil a file between two lives, and ask ``wyner
 import base64
 import logging
 import time
+import tomllib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -21,6 +22,7 @@ from plant_service.service import PlantConfig, open_plant
 from protocol.link.events import Event
 from protocol.link.peer import Actions, Peer
 from protocol.messages import FIELD, Message, Offer, SendCommand
+from protocol.scenario import parse_scenario
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
 from runtime.keys.asking import Asker
@@ -82,6 +84,8 @@ class _Ports(CrashingPorts):
 @dataclass
 class _End:
     endpoint: Peer
+    peer: Peer
+    """The same, or with its messages guarded."""
     files: Files
     ports: _Ports
     key_maker: KeyMaker | None
@@ -91,7 +95,7 @@ class _End:
 
 
 class RecordedLoop:
-    """One loop of the shipped scenario ``name`` whose run is kept in ``folder``.
+    """One loop whose run is kept in ``folder``: of the shipped scenario ``name`` and ``more``.
 
     Parameters
     ----------
@@ -99,19 +103,23 @@ class RecordedLoop:
         New, or that of a run to go on with.
     message : bytes
         The controller's first.
-    name : str
+    name, more : str
     """
 
-    def __init__(self, folder: Path, message: bytes = b"", name: str = "sustained") -> None:
+    def __init__(
+        self, folder: Path, message: bytes = b"", name: str = "sustained", more: str = ""
+    ) -> None:
         self.folder = folder
         self.now = 0.0
         self._steps = 0
         self.lives = dict.fromkeys(SIDES, 0)
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
-        self._scenario, self._law = law_of(name)
+        text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8") + more
+        self._scenario = parse_scenario(tomllib.loads(text), name)
+        self._law = law_of(name)[1]
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / SCENARIO).write_bytes((SCENARIOS / f"{name}.toml").read_bytes())
+        (folder / SCENARIO).write_text(text, encoding="utf-8")
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
         header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
@@ -138,7 +146,8 @@ class RecordedLoop:
                 clear_alarm=clear_alarm,
             )
             endpoint, files = open_controller(made)  # type: ignore[assignment]
-        publishers = {kind: _Publisher(self, side, kind) for kind in endpoint.says}
+        peer: Peer = files.guarded or endpoint
+        publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
         tasks: deque[Task] = deque()
         key_maker = None if files.key_maker is None else files.key_maker.open()
         health = HealthFiles(files.health, log)
@@ -150,8 +159,8 @@ class RecordedLoop:
             tasks.append,
         )
         asker = None if key_maker is None else Asker(SealedBook(key_maker.store))
-        self.ends[side] = _End(endpoint, files, _Ports(ports), key_maker, tasks, asker)
-        self._do(side, endpoint.start)
+        self.ends[side] = _End(endpoint, peer, files, _Ports(ports), key_maker, tasks, asker)
+        self._do(side, peer.start)
 
     def kill(self, side: Side) -> None:
         """As SIGKILL: what was written stays, what was on its way to it is lost."""
@@ -165,7 +174,7 @@ class RecordedLoop:
     def stop(self) -> None:
         """Let both ends say their last word."""
         for side, end in tuple(self.ends.items()):
-            self._do(side, end.endpoint.stop)
+            self._do(side, end.peer.stop)
             end.files.close()
             if end.key_maker is not None:
                 end.key_maker.store.close()
@@ -199,7 +208,7 @@ class RecordedLoop:
             self._capture.lines.append(line)
         partner: Side = "controller" if side == "plant" else "plant"
         end = self.ends.get(partner)
-        if end is not None and message.kind in end.endpoint.hears:
+        if end is not None and message.kind in end.peer.hears:
             self._mail[partner].append(message)
 
     @property
@@ -229,7 +238,7 @@ class RecordedLoop:
         """Let an end act; one that dies over it is started again at once."""
         end = self.ends[side]
         try:
-            perform(act(self.now), end.endpoint, end.ports)
+            perform(act(self.now), end.peer, end.ports)
         except Crashed:
             self.kill(side)
             self.start(side)
@@ -238,23 +247,24 @@ class RecordedLoop:
         """Deliver a message to each end, or let time pass."""
         quiet = True
         self._steps += 1
-        if self._scenario.defence.keyed and self._steps % ASK_EVERY == 0:
+        defence = self._scenario.defence
+        if (defence.keyed or defence.messages != "clear") and self._steps % ASK_EVERY == 0:
             self._ask()
         for side in SIDES:
             end = self.ends[side]
             if end.tasks and end.key_maker is not None:
                 done = work(end.key_maker, end.tasks.popleft())
-                self._do(side, lambda now, e=end, d=done: e.endpoint.key_task_done(d, now))  # type: ignore[misc]
+                self._do(side, lambda now, e=end, d=done: e.peer.key_task_done(d, now))  # type: ignore[misc]
                 quiet = False
             elif self._mail[side]:
                 kind, payload = self._mail[side].popleft()
-                self._do(side, lambda now, e=end, m=(kind, payload): e.endpoint.receive(*m, now))  # type: ignore[misc]
+                self._do(side, lambda now, e=end, m=(kind, payload): e.peer.receive(*m, now))  # type: ignore[misc]
                 quiet = False
         if quiet:
-            due = {side: end.endpoint.wake_at() for side, end in self.ends.items()}
+            due = {side: end.peer.wake_at() for side, end in self.ends.items()}
             side = min(due, key=lambda s: due[s])
             self.now = max(self.now, due[side])
-            self._do(side, self.ends[side].endpoint.wake)
+            self._do(side, self.ends[side].peer.wake)
 
     def _ask(self) -> None:
         """Each end asks the other what may be given, as it does beside the loop; time passes."""

@@ -273,7 +273,7 @@ def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path:
     """The controller comes first and waits; messages are sent to it while malformed flies."""
     by_hand.start("controller")
     by_hand.start("tap")
-    by_hand.start("plant", "--pace", "fast")
+    by_hand.start("plant", "--pace", "x50")
     management = ["--connect", f"management={by_hand.controller_management}"]
     sent = wyner("send", "first", *management)
     assert sent.returncode == 0, sent.stderr

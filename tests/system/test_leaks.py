@@ -176,7 +176,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     run, file = tmp_path / "run", tmp_path / "message"
     file.write_text(TEXT)
     arguments = ["--scenario", "keys", "--secret", "--message-file", str(file), "--pace", "fast"]
-    arguments += ["--steps", "700", "--eavesdropper", "nearest-centre", "--run-dir", str(run)]
+    arguments += ["--steps", "400", "--eavesdropper", "nearest-centre", "--run-dir", str(run)]
     process = subprocess.Popen(
         [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
         stdout=subprocess.DEVNULL,
@@ -245,6 +245,7 @@ def test_a_runs_secrets_are_in_its_traces_and_journals_alone(tmp_path: Path) -> 
         while process.poll() is None:
             if (run / MANIFEST).exists():
                 seen += [line for line in command_lines() if str(run).encode() in line]
+            time.sleep(0.05)
     finally:
         process.kill()
         process.wait()

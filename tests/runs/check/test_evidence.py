@@ -4,25 +4,19 @@ import json
 import os
 import shutil
 import sqlite3
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from runtime.run_folder import MANIFEST, SUMMARY
-from tests.support.checked_runs import keyed_run, one_law
+from tests.support.checked_runs import keyed_run
 from wyner.runs.check import check
 from wyner.runs.check.covered import KINDS, OTHER, evidence_below, kind_of
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.check.seal import broken
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_law() -> Iterator[None]:
-    with one_law():
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -1,4 +1,4 @@
-"""The check `guarded` on a live run whose messages are tagged, and on that run changed."""
+"""The check `guarded` on a run whose messages are tagged, and on that run changed."""
 
 import shutil
 from collections.abc import Callable
@@ -8,26 +8,21 @@ from typing import Any
 import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE
-from runtime.shipped import scenario_file_of
+from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import read_lines, write_lines
-from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
-pytestmark = [pytest.mark.slow, pytest.mark.integration]
-
-MAC = '[defence]\nmessages = "mac"\n'
+MAC = '\n[defence]\nmessages = "mac"\n'
 Lines = list[dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
 def tagged(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("runs")
-    scenario = folder / "tagged.toml"
-    scenario.write_text(f"{scenario_file_of('keys').read_text(encoding='utf-8')}\n{MAC}")
-    options = ["--pace", "x10", "--steps", "2000", "--json", "--run-dir", str(folder / "run")]
-    assert main(["up", "--scenario", str(scenario), *options]) == 0
-    return folder / "run"
+    loop = RecordedLoop(tmp_path_factory.mktemp("runs") / "run", name="keys", more=MAC)
+    loop.run(lambda: loop.transitions >= 900)
+    loop.stop()
+    return loop.folder
 
 
 def results(folder: Path) -> dict[str, str]:

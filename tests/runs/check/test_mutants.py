@@ -2,14 +2,12 @@
 
 import os
 import shutil
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
 from tests.runs.check.mutants import Mutant, mutants_of
-from tests.support.checked_runs import one_law
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
 from tests.support.small_run import read_lines, write_lines
@@ -23,12 +21,6 @@ STRIDE = 11
 
 ALL = os.environ.get("WYNER_MUTANTS") == "all"
 TRACES = (PLANT_TRACE, CONTROLLER_TRACE)
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_law() -> Iterator[None]:
-    with one_law():
-        yield
 
 
 @pytest.fixture(scope="module")

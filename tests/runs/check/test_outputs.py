@@ -7,19 +7,13 @@ from typing import Any
 
 import pytest
 
-from controller_service.laws import registry
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_loop import SIDES, RecordedLoop
-from tests.support.small_run import law_of, read_lines, write_lines
+from tests.support.small_run import read_lines, write_lines
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
 Line = dict[str, Any]
-
-
-@pytest.fixture(autouse=True)
-def _one_law(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(registry, "make_law", lambda scenario, _design: law_of(scenario.name)[1])
 
 
 @pytest.fixture(scope="module")

@@ -1,6 +1,5 @@
 """The second opinion: it agrees with honest runs, and sees what a replay cannot."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, predict
 from protocol.schemes.base import Carry
 from protocol.schemes.switched import State, Switched
-from tests.support.checked_runs import one_law
 from tests.support.small_run import SmallRun
 from wyner.runs.check import check
 from wyner.runs.check.base import Result
@@ -26,12 +24,6 @@ def key_symbols(*centres: tuple[float, float], x_next: tuple[float, float]) -> s
     one, of_one = np.array([x_next]), np.array([centres])
     keys = keys_of_scales(scale(*BOX, one, of_one), scale(*LARGE, one, of_one))
     return set(keys[0].tolist())
-
-
-@pytest.fixture(autouse=True)
-def _one_law() -> Iterator[None]:
-    with one_law():
-        yield
 
 
 def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> dict[str, Result]:

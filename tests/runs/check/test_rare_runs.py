@@ -1,6 +1,5 @@
 """Runs that seldom happen, and pass; and what is said where one of them is wrong."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -10,17 +9,10 @@ from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.ended_run import ended_run
-from tests.support.small_run import SmallRun, law_of, read_lines, write_lines
+from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.runs.check import check, evidence
 from wyner.runs.check.base import EDGE, Place, Result
 from wyner.runs.check.evidence import read_evidence
-
-
-@pytest.fixture(autouse=True)
-def _ready_laws(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The design's law takes longer than a small run's check."""
-    monkeypatch.setattr(registry, "make_law", lambda scenario, _design: law_of(scenario.name)[1])
-    yield
 
 
 def findings(folder: Path) -> dict[str, Result]:

@@ -9,14 +9,12 @@ import copy
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from controller_service.laws import registry
 from protocol.link.peer import Save
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.recording import part_path
@@ -40,16 +38,6 @@ WORDS = Path(__file__).with_name("words.txt")
 PLANT, CONTROLLER = PLANT_TRACE, CONTROLLER_TRACE
 Line = dict[str, Any]
 Edit = Callable[[Lines], object]
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _one_law() -> Iterator[None]:
-    """The design's law takes longer than a small run's check."""
-    with pytest.MonkeyPatch().context() as patch:
-        make = registry.make_law
-        laws = cache(lambda scenario: make(scenario, registry.cached_design(scenario)))
-        patch.setattr(registry, "make_law", lambda scenario, _design: laws(scenario))
-        yield
 
 
 @pytest.fixture(scope="module")
