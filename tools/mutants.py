@@ -42,7 +42,7 @@ SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "link": (
-        *_files("link", "tallies refusals keying events model fallback pacing timers"),
+        *_files("link", "tallies refusals keying events fallback pacing timers"),
         *_files("link", "transcripts meeting predictions session_machine appearances"),
         *_files("link", "last_keys plant_session controller_session session_tables"),
         *_files("runtime", "perform sealing"),

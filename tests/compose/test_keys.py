@@ -42,7 +42,7 @@ def keys(image: str) -> Iterator[Composition]:
 def in_use(system: Composition, application: str) -> list[str]:
     """The ids of the keys that an application has taken into use."""
     said = system.compose("logs", "--no-log-prefix", "--no-color", application).stdout
-    return re.findall(r"INFO ([0-9a-f-]{36}): the same at both ends, in use", said)
+    return re.findall(r"in use: ([0-9a-f-]{36})", said)
 
 
 def test_both_applications_use_the_same_fresh_keys(keys: Composition) -> None:

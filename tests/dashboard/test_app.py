@@ -489,7 +489,7 @@ def test_headless_lines_tell_the_story_without_control_codes(
         "an experiment, nothing here is secret",
         "plant running",
         "controller running",
-        "tap nearest-centre heard",
+        "tap nearest-centre listens",
         f'message 1 recovered at step 1163: "{MESSAGE_TEXT}"',
         "tap list-decoder holds the true message by step 1100, and is not sure yet: "
         f'"{MESSAGE_TEXT}"',
@@ -567,7 +567,7 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
         said += lines
     assert said == [
         "plant refused: another model",
-        "2 symbols decoded unlike b_r at step 20",
+        "2 wrong keys at step 20: not the input that the plant applied",
         "1 frames refused by their check at step 20",
         'message 1 recovered at step 20: "Hello"',
     ]

@@ -304,6 +304,8 @@ def test_a_silent_service_is_named() -> None:
     header = lines_of(state, 120, 24, PLAIN, late)[0].plain
     assert "plant silent" in header
     assert "controller silent" in header
+    over = with_controller(with_plant(state, phase="stopped"), phase="stopped")
+    assert "silent" not in lines_of(over, 120, 24, PLAIN, late)[0].plain.replace("tap silent", "")
 
 
 REASON = "x lies outside of every control set, by 12.5 in its first component; the input is 0 now"

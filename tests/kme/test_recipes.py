@@ -2,23 +2,25 @@
 
 import base64
 import os
+import re
 import shutil
-import signal
 import socket
 import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tests.support.key_sites import Sites, free_port
-from wyner.cli.main import main
 from wyner.kme.client import KeyClient, NoKey
 from wyner.kme.identity import tls_context
 
 pytest.importorskip("aiohttp")
+
+PROGRAM = Path(__file__).resolve().parents[2] / "examples" / "rotate_keys.py"
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +40,7 @@ def client(sites: Sites, side: str, name: str) -> KeyClient:
 
 
 class Ends:
-    """`wyner rotate` at both sites, each with the command that gets its keys."""
+    """`examples/rotate_keys.py` at both sites, each with the command that gets its keys."""
 
     def __init__(self, sites: Sites, logs: Path) -> None:
         self.sites, self.logs, self.port = sites, logs, free_port()
@@ -51,12 +53,9 @@ class Ends:
         }[name]
         command = [
             sys.executable,
-            "-m",
-            "wyner",
-            "rotate",
-            end,
-            "--partner-sae",
+            str(PROGRAM),
             partner,
+            end,
             "--kme",
             f"localhost:{self.sites.ports[side]}",
             "--tls",
@@ -64,23 +63,33 @@ class Ends:
             *more,
         ]
         with (self.logs / f"{name}.log").open("ab") as log:
-            self.processes[name] = subprocess.Popen(command, stderr=log)
+            self.processes[name] = subprocess.Popen(command, stdout=log, stderr=log)
 
     def log(self, name: str) -> str:
         return (self.logs / f"{name}.log").read_text()
 
     def ids(self, name: str) -> list[str]:
-        lines = [line for line in self.log(name).splitlines() if "in use" in line]
-        return [line.split("INFO ")[1].split(":")[0] for line in lines]
+        return re.findall(r"^in use: (\S+)$", self.log(name), re.MULTILINE)
 
-    def wait(self, name: str) -> int:
-        return self.processes[name].wait(30)
-
-    def until(self, name: str, text: str) -> None:
+    def until(self, name: str, text: str, times: int = 1) -> None:
         until = time.monotonic() + 20
-        while text not in self.log(name):
+        while self.log(name).count(text) < times:
             assert time.monotonic() < until, self.log(name)
             time.sleep(0.05)
+
+    def connection(self) -> socket.socket:
+        """To bob, once he listens."""
+        until = time.monotonic() + 20
+        while True:
+            try:
+                return socket.create_connection(("localhost", self.port), 1)
+            except OSError:
+                assert time.monotonic() < until
+                time.sleep(0.05)
+
+    def stop(self, name: str) -> None:
+        self.processes[name].kill()
+        self.processes[name].wait()
 
 
 @pytest.fixture
@@ -90,85 +99,68 @@ def ends(sites: Sites, tmp_path: Path) -> Iterator[Ends]:
     try:
         yield two
     finally:
-        for process in two.processes.values():
-            process.kill()
-            process.wait()
+        for name in two.processes:
+            two.stop(name)
 
 
 def appending(path: Path) -> str:
-    script = f'read key; echo "$WYNER_KEY_ID $key" >> {path}'
-    return f"sh -c '{script}'"
+    return f"tee -a {path}"
 
 
 @pytest.mark.slow
 def test_both_ends_hand_on_the_same_keys_under_the_same_ids(ends: Ends, tmp_path: Path) -> None:
     got = {name: tmp_path / name for name in ("alice", "bob")}
-    ends.start("bob", "--count", "3", "--run", appending(got["bob"]))
-    ends.start("alice", "--count", "3", "--every", "0.3", "--run", appending(got["alice"]))
-    assert (ends.wait("alice"), ends.wait("bob")) == (0, 0)
-    lines = got["alice"].read_text().splitlines()
-    assert lines == got["bob"].read_text().splitlines()
-    assert len({line.split()[0] for line in lines}) == len({line.split()[1] for line in lines}) == 3
-    assert ends.ids("alice") == ends.ids("bob") == [line.split()[0] for line in lines]
-    for name in got:
-        assert not any(line.split()[1] in ends.log(name) for line in lines)
+    ends.start("bob", "--run", appending(got["bob"]))
+    ends.start("alice", "--every", "0.3", "--run", appending(got["alice"]))
+    ends.until("alice", "in use", 3)
+    keys = got["alice"].read_text().splitlines()[:3]
+    assert keys == got["bob"].read_text().splitlines()[:3]
+    ids = ends.ids("alice")[:3]
+    assert len(set(ids)) == len(set(keys)) == 3
+    assert ids == ends.ids("bob")[:3]
 
 
 @pytest.mark.slow
 def test_while_the_partner_is_away_no_key_is_fetched_and_a_failure_is_made_good(
-    ends: Ends, sites: Sites, tmp_path: Path
+    ends: Ends, sites: Sites
 ) -> None:
     status = ("controller", "alice", "/api/v1/keys/bob/status")
     before = sites.ask(*status)[1]["stored_key_count"]
-    ends.start("alice", "--count", "1", "--every", "1")
-    ends.until("alice", "no new key: localhost:")
+    ends.start("alice", "--every", "60")
+    ends.until("alice", "no new key: ")
     assert sites.ask(*status)[1]["stored_key_count"] == before
     ends.start("bob", "--run", "false")
-    ends.until("alice", "no new key: bob: false: exit code 1")
-    ends.processes["bob"].send_signal(signal.SIGTERM)
-    assert ends.wait("bob") == 0
-    ends.start("bob", "--count", "1")
-    assert (ends.wait("alice"), ends.wait("bob")) == (0, 0)
+    ends.until("bob", "no new key: Command '['false']'")
+    ends.until("alice", "no new key: bob does not use ")
+    ends.stop("bob")
+    ends.start("bob")
+    ends.until("alice", "in use")
     assert ends.ids("alice") == ends.ids("bob")
 
 
+@pytest.mark.slow
+def test_silent_connections_by_the_hundred_hold_nobody_up(ends: Ends) -> None:
+    ends.start("bob")
+    with ExitStack() as opened:
+        for _ in range(128):
+            opened.enter_context(ends.connection())
+        began = time.monotonic()
+        ends.start("alice", "--every", "60")
+        ends.until("alice", "in use")
+        assert time.monotonic() - began < 4.5  # the silent ones have five seconds each
+
+
 def test_nobody_else_is_answered(ends: Ends, sites: Sites) -> None:
-    ends.start("bob", "--count", "1")
-    socket_is_there = time.monotonic() + 20
-    while True:
-        try:
-            plain = socket.create_connection(("localhost", ends.port), 1)
-            break
-        except OSError:
-            assert time.monotonic() < socket_is_there
-            time.sleep(0.05)
+    ends.start("bob")
     tls = tls_context(sites.folder / "certs" / "mallory", server=False)
-    with tls.wrap_socket(plain, server_hostname="localhost") as line:
-        line.sendall(b'{"key_ID": "x", "proof": "y"}\n')
+    with tls.wrap_socket(ends.connection(), server_hostname="localhost") as line:
+        line.sendall(b"x\n")
         assert line.recv(100) == b""
     ends.until("bob", "no new key: certificate: got 'mallory', expected 'alice'")
     with pytest.raises(NoKey, match="401 SAE 'mallory': not served by kme-plant"):
         client(sites, "plant", "mallory").dec_keys("alice", ["x"])
     with pytest.raises(NoKey, match="400 one or more keys"):
         client(sites, "plant", "bob").dec_keys("alice", ["x"])
-
-
-@pytest.mark.parametrize(
-    ("more", "expected"),
-    [
-        (["--kme", "here"], "--kme: got 'here', expected HOST:PORT"),
-        (["--every", "1"], "--every: got 1, expected more than 0, at most 86400, and with"),
-        (["--count", "0"], "--count: got 0, expected at least 1"),
-        (["--run", "'"], '--run: got "\'": No closing quotation'),
-        ([], "--tls: none: No such file or directory"),
-    ],
-)
-def test_wrong_use_is_one_line(
-    more: list[str], expected: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    use = ["--kme", "a:1", "--tls", "none", "--partner-sae", "b", "--listen", "a:2"]
-    assert main(["rotate", *use, *more]) == 2
-    assert capsys.readouterr().err.startswith(f"wyner: {expected}")
 
 
 # --- TLS 1.3 --------------------------------------------------------------------------------------
@@ -324,9 +316,9 @@ def test_wireguard_takes_a_rotated_key_at_both_ends_and_refuses_two_different_on
             tunnel.up()
         except subprocess.CalledProcessError as error:
             pytest.skip(f"no tunnel here: {error.stderr.strip()[-200:]}")
-        ends.start("bob", "--count", "2", "--run", tunnel.preshare(1))
-        ends.start("alice", "--count", "2", "--every", "0.5", "--run", tunnel.preshare(0))
-        assert (ends.wait("alice"), ends.wait("bob")) == (0, 0), ends.log("alice")
+        ends.start("bob", "--run", tunnel.preshare(1))
+        ends.start("alice", "--every", "3", "--run", tunnel.preshare(0))
+        ends.until("alice", "in use", 2)
         shown = [tunnel.inside(e, "wg", "show", tunnel.names[e], "preshared-keys") for e in (0, 1)]
         keys = [base64.b64decode(line.split()[1]) for line in shown]
         assert keys[0] == keys[1]

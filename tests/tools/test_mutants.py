@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from tools import sieve
-from tools.mutants import ROOMS, Mutant, changed, drawn, fates, generate, told
+from tools.mutants import ROOMS, SOURCES, Mutant, changed, drawn, fates, generate, told
 from tools.sieve import AFFORDED_S, afforded
 
 MUTANTS = [Mutant(f"room.m.x_f__mutmut_{i}", f"{i:016x}", "a", "b", 1, 1) for i in range(50)]
@@ -59,6 +59,11 @@ def test_every_quick_test_file_of_a_room_judges_it(room: str) -> None:
         "test_evidence.py",
     }
     assert there - judges <= slow
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_every_judge_and_every_source_of_a_room_is_there(room: str) -> None:
+    assert [path for path in (*ROOMS[room], *SOURCES[room]) if not Path(path).exists()] == []
 
 
 def test_a_mutant_is_judged_by_the_quickest_that_its_budget_is_enough_for() -> None:

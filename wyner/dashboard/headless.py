@@ -21,7 +21,7 @@ from wyner.dashboard.score import (
 from wyner.dashboard.secrecy_panel import attacker, contradictions, held, keys_right
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, duration, letters
+from wyner.dashboard.text import component, duration, in_words, letters
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
@@ -155,12 +155,12 @@ def _events(before: State, state: State) -> Iterator[str]:
     if plant is not None:
         yield from _session(before, plant, state.model)
         if was is None or was.phase != plant.phase:
-            yield f"plant {plant.phase}{_because(plant.detail)}"
+            yield f"{in_words('plant', plant.phase)}{_because(plant.detail)}"
         if plant.attack and (was is None or was.attack != plant.attack):
             yield f"attack: {plant.attack}"
         if was is not None and plant.symbol_errors > was.symbol_errors:
             more = plant.symbol_errors - was.symbol_errors
-            yield f"{more} symbols decoded unlike b_r at step {plant.k}"
+            yield f"{more} wrong keys at step {plant.k}: not the input that the plant applied"
         if was is not None and plant.frames_refused > was.frames_refused:
             more = plant.frames_refused - was.frames_refused
             yield f"{more} frames refused by their check at step {plant.k}"
@@ -173,7 +173,7 @@ def _events(before: State, state: State) -> Iterator[str]:
     if controller is not None and (
         was_controller is None or was_controller.phase != controller.phase
     ):
-        yield f"controller {controller.phase}{_because(controller.detail)}"
+        yield f"{in_words('controller', controller.phase)}{_because(controller.detail)}"
     for name, tap in state.taps.items():
         yield from _tap_events(printable(name), before, tap, state)
     yield from _key_events(before, state)
@@ -205,7 +205,7 @@ def _whole_at(plant: PlantStatus) -> int:
 def _tap_events(name: str, before: State, tap: TapState, state: State) -> Iterator[str]:
     was, text = before.taps.get(tap.status.name), tap.status.message
     if was is None:
-        yield f"tap {name} heard"
+        yield f"tap {name} listens"
     failed, before_it = tap.status.failed, "" if was is None else was.status.failed
     if failed and failed != before_it:
         yield f"tap {name} FAILED: {printable(failed)}"

@@ -10,7 +10,6 @@ from typing import Final
 from rich.cells import cell_len, set_cell_size
 from rich.console import RenderableType
 from rich.padding import Padding
-from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
@@ -172,19 +171,20 @@ class Panels:
     def _states(self, x: Sequence[float], width: int, rows: int) -> Table:
         """Each component with its history: one to a row, or where rows are short more.
 
-        Of an attacked plant the true one, t, stands beside the one that is reported, in one scale.
+        Of an attacked plant the true one stands beside the one that is reported, in one scale.
         """
         state, attacked = self.state, bool(self.state.true_states)
         entries = len(x) * (1 + attacked)
-        per_row = max(1, min(-(-entries // rows), (width - 1) // STATE_CELLS))
+        longer = len(" said") if attacked else 0
+        per_row = max(1, min(-(-entries // rows), (width - 1) // (STATE_CELLS + longer)))
         each = (width - 1) // per_row
-        bars = max(0, each - 14)
+        bars = max(0, each - 14 - longer)
         cells: list[Text] = []
         for i, value in enumerate(x):
             shown, true = _history(state.states, i, bars), _history(state.true_states, i, bars)
-            told = [(f"x{i + 1}", value, shown)]
+            told = [(f"x{i + 1} said" if attacked else f"x{i + 1}", value, shown)]
             if attacked:
-                told.append((f"t{i + 1}", true[-1] if true else nan, true))
+                told.append((f"x{i + 1} true", true[-1] if true else nan, true))
             for name, now, history in told:
                 bar = sparkline(history, self.glyphs.levels, [*shown, *true])
                 cells.append(line(f" {name} {component(now, '+'):>8}  {bar}"))
@@ -322,9 +322,12 @@ class Panels:
             told.append(f"{told[-1]}; {its.delivered} messages delivered, {its.queue} wait")
         words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
         grid = Table.grid(padding=(0, 2, 0, 0))
-        grid.add_column(width=min(BAR, max(5, self.width - VALUE_AT - 2 - len(words))))
+        room = min(BAR, max(5, self.width - VALUE_AT - 2 - len(words)))
+        grid.add_column(width=room)
         grid.add_column(no_wrap=True)
-        bar = ProgressBar(total=max(1, sent), completed=recovered)
+        done = room * min(recovered, sent) // max(1, sent)
+        bar = line(self.glyphs.levels[-1] * done, STYLES["good"])
+        bar.append(self.glyphs.faint * (room - done), STYLES["label"])
         grid.add_row(bar, line(words))
         return grid
 

@@ -115,6 +115,15 @@ def ranked(state: State) -> list[tuple[TapState, Score]]:
     return sorted(scored, key=strength)
 
 
+def _carried(state: State) -> int:
+    """Agreed keys that can be used: of the newest transition nobody has been told the result."""
+    if state.plant is None:
+        return 0
+    newest = max(state.truths, default=None)
+    unsaid = newest is not None and state.truths[newest].symbol >= 0
+    return state.plant.agreements - unsaid
+
+
 def left_by(state: State, tap: TapState, its: Score) -> Interval | None:
     """Bits that one tap leaves of the agreed keys; None where nobody knows.
 
@@ -125,7 +134,7 @@ def left_by(state: State, tap: TapState, its: Score) -> Interval | None:
         return Interval(0.0, 0.0, 0.0)
     if tap.status.failed:
         return None
-    keys = state.plant.agreements if state.plant is not None else 0
+    keys = _carried(state)
     if tap.status.bits_left is not None:
         told = tap.status.bits_left
         told = min(told, keys * math.log2(its.size)) if state.plant is not None else told
@@ -148,7 +157,7 @@ def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) 
 
     ``taps`` are those of `ranked` where it was called.
     """
-    symbols = state.plant.agreements if state.plant is not None else 0
+    symbols = _carried(state)
     transitions = state.plant.transitions if state.plant is not None else 0
     claimed = symbols * math.log2(state.candidates)
     widths = _hidden_widths(state.model)
@@ -178,14 +187,14 @@ def course(state: State, points: int) -> list[tuple[float, float | None]]:
     where the figure is her own account, which is known of the last moment alone. From the step on
     at which she was sure of a true message, nothing is left.
     """
-    agreed = [k for k in sorted(state.truths) if state.truths[k].symbol >= 0]
+    agreed = [k for k in sorted(state.truths)[:-1] if state.truths[k].symbol >= 0]
     its = secrecy(state)
     if not agreed or points < 1 or state.plant is None:
         return []
     tap = state.taps.get(its.strongest)
     size = state.candidates
     bits = math.log2(size)
-    before = max(0, state.plant.agreements - len(agreed))
+    before = max(0, _carried(state) - len(agreed))
     first, last = min(state.truths), max(state.truths)
     found: list[tuple[float, float | None]] = []
     scored, right = (tap.scored, tap.right) if tap is not None else (0, 0)

@@ -52,7 +52,7 @@ def verdict(its: SecrecyScore, width: int) -> Text:
 
 def explanation(its: SecrecyScore, width: int) -> Text:
     """What the verdict rests on, in words."""
-    when = f"when keys were agreed hides at most {its.when_bits:.0f} bit"
+    when = f"when keys were agreed may hide {its.when_bits:.0f} bit more"
     if its.left_bits is None:
         return Text(f" {when}")
     by = its.why or f"measured on {its.scored} agreed steps, 95 % however often one looks"

@@ -52,6 +52,18 @@ ASCII: Final = Glyphs("-", "_.:-=+*#", "|", ".", "*", ">")
 """For all others."""
 
 
+PHASES: Final[dict[tuple[str, str], str]] = {
+    ("plant", "greeting"): "plant looks for a controller",
+    ("controller", "greeting"): "controller looks for a plant",
+}
+"""What a service says of itself, in words."""
+
+
+def in_words(service: str, phase: str) -> str:
+    """A service's phase for people."""
+    return PHASES.get((service, phase), f"{service} {phase}")
+
+
 def longest(room: int, *texts: str) -> str:
     """The first of ``texts``, longest first, that fits into ``room`` cells; else nothing."""
     return next((text for text in texts if cell_len(text) <= room), "")

@@ -19,7 +19,7 @@ from wyner.dashboard.model import State
 from wyner.dashboard.panels import Panels, ViewState
 from wyner.dashboard.parts import InAscii, labelled, line, rule, titled
 from wyner.dashboard.secrecy_panel import curves, distilled, eavesdroppers, explanation, verdict
-from wyner.dashboard.text import count, drawn, longest, number
+from wyner.dashboard.text import count, drawn, in_words, longest, number
 
 __all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "ViewState", "screen"]
 
@@ -59,7 +59,7 @@ HELP: Final = (
     "sure of the text. bit/s is a count and her odds are her own: no interval. When",
     "keys were agreed may stay hidden: at most log2(2N + 1) bit in N steps.",
     "missed: steps whose input did not come in time. wrong keys: the ends differ.",
-    "x1: the state as it is reported; t1: the true one, where they may differ.",
+    "x1 said: the state as it is reported; x1 true: as it is, under an attack.",
     "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",
     "message. `wyner report` draws any step of a run that is over.",
 )
@@ -198,7 +198,8 @@ class _Page(Panels):
                     (4, f"pace {drawn(model.pace)}"),
                     (7, f"alpha {number(model.alpha)}"),
                 ]
-            phase = "plant stopped" if plant.phase == "stopped" else plant.phase
+            known = plant.phase in ("running", "refused")
+            phase = plant.phase if known else in_words("plant", plant.phase)
             parts += [(8, f"session {plant.session[:8]}"), (2, phase)]
             if model is not None and model.seeded:
                 parts.append((3, "SEEDED: no secret"))
@@ -210,7 +211,7 @@ class _Page(Panels):
                 parts.append((DETAIL_RANK, drawn(plant.detail)))
         controller = self.state.controller
         if controller is not None and controller.phase != "running":
-            parts.append((1, f"controller {controller.phase}"))
+            parts.append((1, in_words("controller", controller.phase)))
             if controller.detail:
                 parts.append((DETAIL_RANK, drawn(controller.detail)))
         if self.view.frozen:
@@ -219,10 +220,13 @@ class _Page(Panels):
         return parts + [(1, f"{name} silent") for name in self._silent()]
 
     def _silent(self) -> list[str]:
-        seen = {
-            "plant": self.state.plant_seen_ns if self.state.plant else None,
-            "controller": self.state.controller_seen_ns if self.state.controller else None,
-        }
+        """Who is not heard any more, and has not said that it stops."""
+        plant, controller = self.state.plant, self.state.controller
+        seen: dict[str, int | None] = {}
+        if plant is not None and plant.phase != "stopped":
+            seen["plant"] = self.state.plant_seen_ns
+        if controller is not None and controller.phase != "stopped":
+            seen["controller"] = self.state.controller_seen_ns
         if self.state.taps:
             seen["tap"] = max(tap.seen_ns for tap in self.state.taps.values())
         return [

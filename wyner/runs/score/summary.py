@@ -211,7 +211,7 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
     if summary["delivered"]:
         plant = f"had the message at step {summary['delivered_k']}"
     else:
-        plant = f"has not got the message in {summary['steps']} steps"
+        plant = f"has not got the message whole in {summary['steps']} steps"
     lines = [f"The plant  {plant}."]
     had = {name: tap["solved_k"] for name, tap in summary["taps"].items() if tap["messages_exact"]}
     if had:
