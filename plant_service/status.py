@@ -225,6 +225,7 @@ def _model(scenario: Scenario, pace: str, *, seeded: bool) -> PlantModel:
         eavesdropper_H=hers[0],
         eavesdropper_h=hers[1],
         keys_claim="" if scenario.keys is None else scenario.keys.assumption().sentence(),
+        keys_eps=0.0 if scenario.keys is None else scenario.keys.eps_sec,
     )
 
 

@@ -392,6 +392,29 @@ _SHARPEST: Final = 100
 # --- what guessing leaves -------------------------------------------------------------------------
 
 
+MISSTATED: Final = 0.04
+"""Of messages that a tap is sure of, the share that may be others: the measured share's upper limit
+(``docs/data``; a test holds it)."""
+
+
+def told_left(bits: float, most: float) -> Interval:
+    """Bits that one leaves who says herself how many, with limits.
+
+    Her account is right but for a share :data:`MISSTATED` of messages; of those all may be left.
+    Nothing says that a stronger one would not leave less: the lower limit is 0.
+
+    Parameters
+    ----------
+    bits : float
+        By her account: the entropy of the message, given all that she heard.
+    most : float
+        Bits that there are.
+    """
+    told, q = min(bits, most), MISSTATED
+    which = -q * log2(q) - (1 - q) * log2(1 - q)
+    return Interval(told, 0.0, min(most, (1 - q) * told + q * most + which))
+
+
 def bits_left(keys: int, size: int, guessed: Interval) -> Interval:
     """Bits that one leaves of ``keys`` symbols whom she guesses right with that probability.
 

@@ -20,7 +20,7 @@ SOURCES: Final = ("studies/corners.py", *LOOP_SOURCES, *TAP_SOURCES)
 RUNS, AT_ONCE, STEPS, SEED = 2000, 100, 500, 11
 TAPPED, TAPPED_STEPS = 10, 700
 MESSAGE: Final = b"We sail at dawn."
-TAPS: Final = ("nearest-centre", "list-decoder")
+TAPS: Final = ("nearest-centre", "list-decoder", "text")
 
 COLUMNS: Final = (
     "scenario",

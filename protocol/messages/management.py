@@ -251,6 +251,8 @@ class PlantModel(Message):
         D_e likewise where it has a shape of its own; else empty.
     keys_claim : str
         The claim under which keys are secret, in words; empty where none are made.
+    keys_eps : float
+        How far from perfect each key block that is begun may be; 0 where none are made.
     """
 
     topic: ClassVar[str] = "management/plant/model"
@@ -265,6 +267,7 @@ class PlantModel(Message):
     A: _Rows
     B: _Rows
     keys_claim: str = ""
+    keys_eps: float = 0.0
     eavesdropper_H: tuple[FiniteVector, ...] = ()
     eavesdropper_h: FiniteVector = ()
 

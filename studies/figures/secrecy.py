@@ -18,6 +18,7 @@ MARKS: Final = {
     "list-decoder": ("^", COLOURS[1]),
     "learning": ("D", COLOURS[2]),
     "smoother": ("v", COLOURS[3]),
+    "text": ("*", COLOURS[2]),
     "oracle": ("*", "k"),
 }
 """Marker and colour: told apart without colour too."""
@@ -99,14 +100,18 @@ def draw_alpha_bits(figure: Figure, data: Path) -> str:
 
 
 def draw_views(figure: Figure, data: Path) -> str:
-    """Message bits right under an imperfect view: list decoder and smoother."""
+    """Message bits right under an imperfect view, by tap."""
     rows = rows_of("view", data)
     conditions = list(dict.fromkeys(r["condition"] for r in rows))
     axes = figure.subplots()
-    for offset, tap, hatch in ((-0.15, "list-decoder", ""), (0.15, "smoother", "//")):
+    for offset, tap, hatch in (
+        (-0.27, "list-decoder", ""),
+        (0, "smoother", "//"),
+        (0.27, "text", ".."),
+    ):
         values, errors = heights(shares_of(rows, tap, conditions, "bits_right", "bits"))
         places = [i + offset for i in range(len(conditions))]
-        axes.bar(places, values, 0.28, yerr=errors, color=MARKS[tap][1], alpha=0.75, hatch=hatch,
+        axes.bar(places, values, 0.25, yerr=errors, color=MARKS[tap][1], alpha=0.75, hatch=hatch,
                  capsize=2, label=tap)  # fmt: skip
     axes.axhline(0.5, color="0.3", lw=0.8, ls=":")
     axes.grid(visible=False, axis="x")
@@ -114,7 +119,7 @@ def draw_views(figure: Figure, data: Path) -> str:
     axes.set_ylabel("message bits right")
     axes.set_ylim(0.4, 1.12)
     axes.set_yticks([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    axes.legend(loc="upper center", ncols=2)
+    axes.legend(loc="upper center", ncols=3)
     return note_of(rows)
 
 

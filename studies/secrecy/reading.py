@@ -17,7 +17,16 @@ from typing import Any, Final
 from studies import DATA
 from studies.secrecy.runs import simulate, text_of
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import SOURCES, append_rows, heard_by, offline, said_about
+from studies.secrecy.study import (
+    SOURCES,
+    STATED,
+    append_rows,
+    described,
+    heard_by,
+    offline,
+    said_about,
+    stated_by,
+)
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -36,16 +45,18 @@ FEW: Final = 20
 
 FIRST_SEED: Final = 1000
 
-RANDOM_BYTES: Final = 24
-"""Bytes of a message that is no text."""
+SOME: Final = 5
+"""Seeds of a condition that states no target."""
+
+RANDOM_BYTES: Final = {"packed": 24, "sustained": 8}
+"""Bytes of a message that is no text, by scenario."""
 
 ANY_BYTES: Final = "text, any bytes"
 """`text`, who expects no language: beside her on messages that have none."""
 
 COLUMNS: Final = (
     "task", "version", "condition", "tap", "seed", "steps", "keys", "keys_right", "bits",
-    "bits_right", "messages", "messages_exact", "probability", "likeliest_exact", "bits_left",
-    "message_bits", "cpu_s",
+    "bits_right", "messages", "messages_exact", *STATED,
 )  # fmt: skip
 
 
@@ -64,7 +75,8 @@ class Reading:
     @property
     def id(self) -> str:
         """A hash of what is measured and how."""
-        return hashlib.sha256(repr(self).encode()).hexdigest()[:12]
+        parts = (self.condition, self.tap, self.seed, self.scenario, self.steps, self.payload)
+        return hashlib.sha256(f"{parts!r} {described(self.view)}".encode()).hexdigest()[:12]
 
 
 PACKED: Final[dict[str, dict[str, Any]]] = {
@@ -79,6 +91,20 @@ SUSTAINED: Final[dict[str, dict[str, Any]]] = {
     "sustained, loss 10 %": {"loss": 0.1},
     "sustained, loss 30 %": {"loss": 0.3},
 }
+
+VIEWS: Final[dict[str, dict[str, Any]]] = {
+    "clear": {},
+    "loss 10 %": {"loss": 0.1},
+    "loss 30 %": {"loss": 0.3},
+    "loss 50 %": {"loss": 0.5},
+    "offers only": {"view": "offers"},
+    "noise 0.002": {"noise": 0.002},
+    "noise 0.01": {"noise": 0.01},
+    "noise 0.05": {"noise": 0.05},
+    "quantised 0.01": {"quantise": 0.01},
+    "quantised 0.1": {"quantise": 0.1},
+}
+"""Every view in which ciphertext is heard."""
 
 LONG: Final[dict[str, dict[str, Any]]] = {
     "packed, 600 steps, loss 10 %": {"loss": 0.1},
@@ -110,7 +136,17 @@ def readings(taps: Sequence[str] = ("text", "smoother")) -> Iterator[Reading]:
                 for condition, knobs in LONG.items():
                     view = View(seed=seed, **knobs)
                     yield Reading(condition, tap, seed, steps=600, view=view)
-            for name in OTHERS if i < FEW // 4 else ():
+            for view_name, knobs in VIEWS.items() if i < SOME else ():
+                view = View(seed=seed, **knobs)
+                name = f"packed, {view_name}"
+                if name not in PACKED:
+                    yield Reading(name, tap, seed, view=view)
+                if view_name != "loss 30 %":
+                    name = f"packed, random bytes, {view_name}"
+                    yield Reading(name, tap, seed, view=view, payload="bytes")
+                name = f"sustained, random bytes, {view_name}"
+                yield Reading(name, tap, seed, "sustained", 1000, view, "bytes")
+            for name in OTHERS if i < SOME else ():
                 view = View(seed=seed, loss=0.3)
                 yield Reading(f"{name}, loss 30 %", tap, seed, name, view=view)
 
@@ -119,7 +155,7 @@ def payload_of(reading: Reading) -> bytes:
     """Its message, by its seed."""
     rng = random.Random(f"reading {reading.scenario} {reading.payload} {reading.seed}")
     if reading.payload == "bytes":
-        return rng.randbytes(RANDOM_BYTES)
+        return rng.randbytes(RANDOM_BYTES[reading.scenario])
     if reading.payload == "short":
         return text_of(rng)
     return SENTENCES[(reading.seed - FIRST_SEED) % len(SENTENCES)].encode("ascii")
@@ -137,7 +173,6 @@ def measure(reading: Reading) -> dict[str, object]:
         tap = offline(named(reading.tap), knowledge)
     said = said_about(tap, heard_by(run, reading.view))
     scored = score(run.truth, said)
-    belief = said.belief
     return {
         "task": reading.id,
         "version": code_version(*SOURCES),
@@ -151,13 +186,7 @@ def measure(reading: Reading) -> dict[str, object]:
         "bits_right": f"{scored.bits.right:g}",
         "messages": scored.messages.of,
         "messages_exact": int(scored.messages.right),
-        "probability": f"{belief.confidence:.6g}",
-        "likeliest_exact": int(belief.message == payload),
-        "bits_left": ""
-        if belief.bits_left is None
-        else f"{min(belief.bits_left, 8 * len(payload)):.3f}",  # no message leaves more
-        "message_bits": 8 * len(payload),
-        "cpu_s": f"{time.process_time() - begun:.2f}",
+        **stated_by(said.belief, payload, begun),
     }
 
 

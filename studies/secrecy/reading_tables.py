@@ -4,20 +4,22 @@
 """
 
 import csv
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from protocol.statistics import wilson
+from protocol.statistics import CONFIDENCE, Interval, wilson
 from studies.secrecy.reading import FILE
-from studies.secrecy.tables import PAGE
+from studies.secrecy.tables import codes_of, put_on_page
+from studies.secrecy.tables import read_rows as read_view_rows
 
 Row = dict[str, str]
 
 HEAD: Final = (
     "condition", "tap", "runs", "keys right", "likeliest is it", "share", "claimed and it",
-    "bits left", "seconds of a core",
+    "bits left", "seconds of a core", "code",
 )  # fmt: skip
 STATED_HEAD: Final = ("stated", "messages", "stated on average", "right", "share right")
 
@@ -37,6 +39,11 @@ def read_rows(path: Path = FILE) -> list[Row]:
         return list(csv.DictReader(file))
 
 
+def views() -> list[Row]:
+    """The rows of the view study, which states how sure she was of its messages too."""
+    return read_view_rows("view")
+
+
 def _share(right: int, of: int) -> str:
     if not of:
         return "-"
@@ -45,6 +52,19 @@ def _share(right: int, of: int) -> str:
 
 def _median(values: Sequence[float]) -> float:
     return sorted(values)[len(values) // 2]
+
+
+def median(values: Sequence[float]) -> Interval:
+    """The median with its 95 % limits: those values between which it lies by the signs alone."""
+    ordered, count = sorted(values), len(values)
+    below = 0.0  # P[at most so many of count values are below the median]
+    for rank in range(count // 2 + 1):
+        below += math.comb(count, rank) / 2**count
+        if below > (1 - CONFIDENCE) / 2:
+            break
+    if rank == 0:  # too few values: none bounds it
+        return Interval(_median(values))
+    return Interval(_median(values), ordered[rank - 1], ordered[count - rank])
 
 
 def results(rows: Sequence[Row]) -> list[tuple[str, ...]]:
@@ -57,7 +77,7 @@ def results(rows: Sequence[Row]) -> list[tuple[str, ...]]:
         claimed = sum(int(r["messages_exact"]) > 0 for r in mine)
         left = [float(r["bits_left"]) for r in mine if r["bits_left"]]
         whole = _median([float(r["message_bits"]) for r in mine])
-        bits = f"{_median(left):.1f} of {whole:.0f}" if left else "-"
+        bits = f"{median(left).text('.1f')} of {whole:.0f}" if left else "-"
         cost = _median([float(r["cpu_s"]) for r in mine])
         lines.append(
             (
@@ -70,35 +90,57 @@ def results(rows: Sequence[Row]) -> list[tuple[str, ...]]:
                 str(claimed),
                 bits,
                 f"{cost:.0f}",
+                codes_of(mine),
             )
         )
     return lines
+
+
+def by_stated(rows: Sequence[Row]) -> Iterator[tuple[float, float, list[tuple[float, int]]]]:
+    """Classes of what `text` stated: from, to, and of each message the probability and whether it
+    was the one. A tap that hears no ciphertext symbol states nothing.
+    """
+    stated = [
+        (float(r["probability"]), int(r["likeliest_exact"]))
+        for r in rows
+        if r["tap"] == "text" and r["probability"] and "measurements" not in r["condition"]
+    ]
+    for low, high in pairwise(STATED):
+        mine = [(p, x) for p, x in stated if low <= p < high or (high == 1.0 and p >= low)]
+        if mine:
+            yield low, high, mine
 
 
 def reliability(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """How often what ``text`` states comes true, by what she states."""
     lines: list[tuple[str, ...]] = [STATED_HEAD]
-    # a tap that hears no ciphertext symbol states nothing
-    stated = [
-        (float(r["probability"]), int(r["likeliest_exact"]))
-        for r in rows
-        if r["tap"] == "text" and "measurements" not in r["condition"]
-    ]
-    for low, high in pairwise(STATED):
-        mine = [(p, x) for p, x in stated if low <= p < high or (high == 1.0 and p >= low)]
-        if not mine:
-            continue
+    for low, high, mine in by_stated(rows):
         right = sum(x for _, x in mine)
         lines.append(
             (
                 f"{low:g} to {high:g}",
                 str(len(mine)),
-                f"{sum(p for p, _ in mine) / len(mine):.3f}",
+                f"{sum(p for p, _ in mine) / len(mine):.4f}",
                 str(right),
                 _share(right, len(mine)),
             )
         )
     return lines
+
+
+def misstated(rows: Sequence[Row]) -> str:
+    """Of which classes the probability stated lies outside the interval of what came true."""
+    outside = []
+    for low, high, mine in by_stated(rows):
+        right, stated = sum(x for _, x in mine), sum(p for p, _ in mine) / len(mine)
+        limits = wilson(right, len(mine))
+        if not limits.low <= stated <= limits.high:
+            more = "more" if stated > limits.high else "less"
+            of = f"{right} of {len(mine)}"
+            outside.append(f"{low:g} to {high:g}: {stated:.4f} stated, {more} than {of} bears out")
+    if not outside:
+        return "In every class the mean stated lies within the interval of what came true."
+    return f"Outside the interval of what came true: {'; '.join(outside)}."
 
 
 def in_markdown(lines: Sequence[tuple[str, ...]]) -> str:
@@ -109,14 +151,14 @@ def in_markdown(lines: Sequence[tuple[str, ...]]) -> str:
 
 def write_tables() -> None:
     """Put the tables between their marks on the page."""
-    text, rows = PAGE.read_text(encoding="utf-8"), read_rows()
-    for name, lines in (("reading", results(rows)), ("reliability", reliability(rows))):
-        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
-        before, _, rest = text.partition(begin)
-        _, mark, after = rest.partition(end)
-        if mark:
-            text = f"{before}{begin}{in_markdown(lines)}\n{end}{after}"
-    PAGE.write_text(text, encoding="utf-8")
+    rows = read_rows()
+    put_on_page(
+        {
+            "reading": in_markdown(results(rows)),
+            "reliability": in_markdown(reliability([*rows, *views()])),
+            "misstated": misstated([*rows, *views()]),
+        }
+    )
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ import csv
 import hashlib
 import random
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -51,8 +52,16 @@ COLUMNS: Final = (
     "keys_right_reviewed", "early_keys", "early_right", "bits", "bits_right", "messages",
     "messages_exact", "whole_claimed", "list_peak", "candidates_left", "solved_k", "plant_k",
 )  # fmt: skip
+STATED: Final = ("probability", "likeliest_exact", "bits_left", "message_bits", "cpu_s")
+"""What is recorded besides of the views, where `text` states how sure she is."""
+
 EARLY: Final = 200
 """Steps after which a learner is expected to read nearly every separable step."""
+
+
+def described(view: View) -> str:
+    """A view by what the studies vary of it."""
+    return "View(" + ", ".join(f"{name}={getattr(view, name)!r}" for name in HEARD) + ")"
 
 
 class Identified(Protocol):
@@ -79,10 +88,9 @@ class Task:
     @property
     def id(self) -> str:
         """A hash of what is measured and how."""
-        heard = ", ".join(f"{name}={getattr(self.view, name)!r}" for name in HEARD)
         text = f"Task(study={self.study!r}, condition={self.condition!r}, tap={self.tap!r}"
         text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
-        text += f", view=View({heard}), raw={self.raw!r})"
+        text += f", view={described(self.view)}, raw={self.raw!r})"
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -158,6 +166,23 @@ def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOutpu
     return TapOutput(tap.name, session, live, reviewed, tap.belief())
 
 
+def columns_of(study: str) -> tuple[str, ...]:
+    """The columns of a study's file."""
+    return (*COLUMNS, *STATED) if study == "view" else COLUMNS
+
+
+def stated_by(belief: Belief, payload: bytes, begun: float) -> dict[str, object]:
+    """How sure she is of a message, what she says is left of it, and what it took her since."""
+    bits = 8 * len(payload)  # no message leaves more
+    return {
+        "probability": f"{belief.confidence:.6g}",
+        "likeliest_exact": int(belief.message == payload),
+        "bits_left": "" if belief.bits_left is None else f"{min(belief.bits_left, bits):.3f}",
+        "message_bits": bits,
+        "cpu_s": f"{time.process_time() - begun:.2f}",
+    }
+
+
 def measure(task: Task) -> dict[str, object]:
     """One row."""
     payloads = None
@@ -167,6 +192,7 @@ def measure(task: Task) -> dict[str, object]:
     run = simulate(task.steps, task.seed, alpha=task.alpha, payloads=payloads, raw=task.raw)
     kind = named(task.tap)
     knowledge = knowledge_for(run, kind, task.view)
+    begun = time.process_time()
     tap = ListDecoder(knowledge, framed=False) if task.raw else offline(kind, knowledge)
     said = said_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
@@ -179,7 +205,7 @@ def measure(task: Task) -> dict[str, object]:
         text = b" ".join(run.payloads)[: len(run.stream) // 8]
         exact, messages = float(said.belief.message == text), 1
     decoding = getattr(tap, "decoding", None)
-    return {
+    row = {
         "task": task.id,
         "version": code_version(*SOURCES),
         "study": task.study,
@@ -201,7 +227,9 @@ def measure(task: Task) -> dict[str, object]:
         "candidates_left": said.belief.candidates_left,
         "solved_k": said.belief.solved_k,
         "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,
+        **stated_by(said.belief, run.payloads[0], begun),
     }
+    return {column: row[column] for column in columns_of(task.study)}
 
 
 def append_rows(
@@ -246,6 +274,6 @@ def measure_study(study: str) -> Callable[[Path], None]:
 
     def add_rows(path: Path) -> None:
         mine = (t for t in tasks() if t.study == study)
-        append_rows(path, COLUMNS, mine, lambda todo: map(measure, todo))
+        append_rows(path, columns_of(study), mine, lambda todo: map(measure, todo))
 
     return add_rows

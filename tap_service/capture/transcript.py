@@ -86,6 +86,21 @@ def steps_in_a_row(transitions: Sequence[Transition]) -> Iterator[list[Transitio
         yield run
 
 
+def transitions_in_a_row(transitions: Sequence[Transition]) -> Iterator[list[Transition]]:
+    """Transitions in runs within which the scheme goes on: none was missed, no session began.
+
+    A step that the plant made without an offer is no transition, and ends none of these.
+    """
+    run: list[Transition] = []
+    for t in transitions:
+        if run and (t.start or t.gap or t.session != run[-1].session):
+            yield run
+            run = []
+        run.append(t)
+    if run:
+        yield run
+
+
 class Transcript:
     """Puts transitions together from the public messages of one loop."""
 

@@ -3,7 +3,9 @@
 She knows f_c and D_e (model 10), so t_e = 1 in units of D_e, and only t_c = 1 / alpha is hidden.
 Over N steps at most about N + 1 thresholds give different decodings. She keeps them all
 (:mod:`tap_service.inference.list_decoding`), and the frame's check picks the one: where there is no
-frame, English does. The key symbols are the nearest candidates', as for `nearest-centre`.
+frame, English does. The key symbols are the nearest candidates', as for `nearest-centre`. Where
+outputs alone are read and every transition agrees but a session's first, no threshold is hidden
+but how many those are: she keeps a decoding for each number.
 """
 
 from dataclasses import replace
@@ -14,6 +16,8 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Measuring, Model, even
 from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
+from tap_service.inference.opening import Opening
+from tap_service.inference.output_model import OutputModel
 
 
 class ListDecoder(Eavesdropper):
@@ -33,12 +37,14 @@ class ListDecoder(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        certain = self.certain and knowledge.C is None  # else not before an estimate has settled
-        self.decoding = ListDecoding(self.scheme, edge=1.0, framed=framed, certain=certain)
+        self._opening = opening_of(self._model, certain=self.certain)
+        self.decoding = ListDecoding(self.scheme, edge=1.0, framed=framed, certain=self.certain)
 
     def observe(self, transition: Transition) -> Guess:
         """Cut the list by this step's gauges; the nearest candidate is the guess."""
         t = transition
+        if self._opening is not None:
+            return self._observe_outputs(self._opening, t)
         if t.start or t.gap:
             self.decoding.restart()
         self.decoding.session = t.session
@@ -50,9 +56,33 @@ class ListDecoder(Eavesdropper):
         self.decoding.step(t.k, gauges, t.cipher)
         return Guess(t.k, nearest(gauges), agreed)
 
+    def _observe_outputs(self, opening: Opening, transition: Transition) -> Guess:
+        """Decode what she knows by now, under every number of steps that the ends lost at first."""
+        known, gauges = opening.take(transition)
+        for one in known:
+            t = one.transition
+            if t.start or t.gap:
+                self.decoding.restart()
+            self.decoding.session = t.session
+            if one.symbol is None or t.cipher is None:
+                self.decoding.step_missed(t.k, t.cipher)
+            elif one.doubtful:
+                self.decoding.step_doubtful(t.k, one.symbol, t.cipher)
+            else:
+                self.decoding.step(t.k, one.row(self.size), t.cipher)
+        if gauges is None:
+            return Guess(transition.k, self._even, 0.5)
+        return Guess(transition.k, nearest(gauges), 1.0 if self.decoding.testing() else 0.0)
+
     def belief(self) -> Belief:
         """The last message whose check held, else what the best decoding spells so far."""
         return belief_of(self.decoding, self._model)
+
+
+def opening_of(model: Measuring, *, certain: bool) -> Opening | None:
+    """What holds a session's first transitions; None where states are read, or none agrees for
+    sure."""
+    return Opening(model) if certain and isinstance(model, OutputModel) else None
 
 
 def nearest(gauges: list[float]) -> tuple[float, ...]:

@@ -7,7 +7,8 @@ largest nearest gauge so far, times a margin: the disturbance fills its set, so 
 grows towards the set's edge from inside. Under a law of which it is public that every transition
 agrees, *when* is no question, and she needs no threshold. Where the plant's sensors are noisy she
 measures along the one row of D_e that tells the candidates apart. Where outputs alone are read she
-measures readings, and takes none of a session's first steps for agreed: no estimate has settled.
+measures readings; where all agree but a session's first steps, she follows the scheme under every
+number of those, and takes the one whose frame has its check.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,10 @@ from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Following, Guess
+from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess
+from tap_service.eavesdroppers.list_decoder import nearest, opening_of
+from tap_service.inference.opening import Opening
+from tap_service.inference.output_model import LOST
 
 MARGIN = 1.1
 """Threshold over the largest nearest gauge seen: a defender's set is drawn with room to spare."""
@@ -32,6 +36,33 @@ class NearestCentre(Following):
         super().__init__(knowledge)
         self._largest = 0.0
         self.noisy = knowledge.noisy
+        self._opening = opening_of(self.model, certain=self.certain)
+        self._followers = [Follower(self.scheme) for _ in range(LOST)]
+
+    def observe(self, transition: Transition) -> Guess:
+        """Follow the scheme; what was not heard whole is guessed evenly."""
+        if self._opening is None:
+            return super().observe(transition)
+        return self._observe_outputs(self._opening, transition)
+
+    def _observe_outputs(self, opening: Opening, transition: Transition) -> Guess:
+        known, gauges = opening.take(transition)
+        for t, symbol, place in known:
+            for lost, follower in enumerate(self._followers, 1):
+                if t.start or t.gap:
+                    follower.restart()
+                follows = NO_SYMBOL if symbol is None or 0 <= place < lost else symbol
+                follower.step(t.k, follows, t.cipher)
+        if gauges is None:
+            return Guess(transition.k, self.even, 0.5)
+        return Guess(transition.k, nearest(gauges), float(self.model.settled))
+
+    def belief(self) -> Belief:
+        """The message that her verdicts spell; where outputs are read, of who has read most."""
+        if self._opening is None:
+            return super().belief()
+        best = max(self._followers, key=lambda follower: follower.whole_count)
+        return best.belief(self.model)
 
     def judged(
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector

@@ -6,7 +6,8 @@ weighs them together with English, the frame's length, the silence after it and 
 (:mod:`tap_service.inference.message_search`). She says how sure she is, and how many bits are left.
 She has to hear what came after before she can infer what was lost, so she reads all that she keeps
 anew each time she has heard twice as much as before and when a message should be over; where that
-cannot be told, when she has heard a quarter more.
+cannot be told, when she has heard a quarter more. Where outputs alone are read she infers nothing
+of what was missed, and weighs how many of a session's first steps the ends lost.
 """
 
 from collections.abc import Sequence
@@ -21,6 +22,8 @@ from tap_service.inference.front import Inference, Inferred
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.message_reader import SURE, Message, MessageReader, verdicts_of
 from tap_service.inference.message_search import BEAM
+from tap_service.inference.opening import inferred
+from tap_service.inference.output_model import OutputModel
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go."""
@@ -53,7 +56,6 @@ class Text(Eavesdropper):
     """
 
     name: ClassVar[str] = "text"
-    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(
@@ -68,8 +70,10 @@ class Text(Eavesdropper):
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
         self._inference = Inference(knowledge)
+        self._reads = self._model if isinstance(self._model, OutputModel) else None
+        self._sure = self.certain and self._reads is None  # else but for a session's first steps
         self._reader = MessageReader(
-            self.scheme, language or english(), certain=self.certain, beam=beam
+            self.scheme, language or english(), certain=self._sure, beam=beam
         )
         self._live = live
         self._kept: list[Transition] = []
@@ -107,7 +111,10 @@ class Text(Eavesdropper):
         self._decoded = self._heard
         more = min(int(self._heard * (GROWTH - 1)), KEPT // 2)
         self._next = self._heard + max(more, 1)
-        self._inferred = self._inference.infer(self._kept)
+        if self._reads is None:
+            self._inferred = self._inference.infer(self._kept)
+        else:
+            self._inferred = inferred(self._reads.anew(), self.size, self._kept)
         steps, among = self._inferred.steps, self._inferred.among
         self._open = []
         final_guesses = dict(self._after)
@@ -122,16 +129,16 @@ class Text(Eavesdropper):
                 if not message.whole and message.due_k >= 0:
                     due = min(self._heard // 2, message.due_k - self._kept[-1].k + SOON)
                 self._next = min(self._next, self._heard + max(due, SOON))
-        verdicts, _ = verdicts_of(steps, among, self.size, certain=self.certain)
+        verdicts, _ = verdicts_of(steps, among, self.size, certain=self._sure)
         for step, row in zip(steps, verdicts.tolist(), strict=True):
             if step.transition.k > final_guesses.get(step.transition.session, -1):
                 self._think(step.transition.session, step.transition.k, row)
         for stretch in self._reader.stretches:
-            for i, row in enumerate(stretch.verdicts.tolist()):
-                self._think(stretch.session, stretch.k + i, row)
+            for k, row in zip(stretch.ks, stretch.verdicts.tolist(), strict=True):
+                self._think(stretch.session, k, row)
             likeliest = stretch.symbols.argmax(axis=1)
-            for i, symbol in enumerate(likeliest.tolist()):
-                at = (stretch.session, stretch.k + i)
+            for k, symbol in zip(stretch.ks, likeliest.tolist(), strict=True):
+                at = (stretch.session, k)
                 self._symbols.pop(at, None)
                 if symbol:
                     self._symbols[at] = symbol - 1

@@ -27,6 +27,9 @@ ENOUGH: Final = 16
 EXPLAINED: Final = 1e-3
 """Over the spread of the answers: within this the law explains an offer."""
 
+BLURRED: Final = 3.0
+"""Standard deviations within which the law explains an offer that was read through noise."""
+
 MOST_ACTIVE_SHARE: Final = 0.6
 """Share of the offers that a law must explain."""
 
@@ -105,18 +108,17 @@ class Inference:
             return law if law.known and law.gap else None
         x = np.array([t.x for t in pairs])
         u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
-        spread = max(float(u.std()), 1e-9)
-        if not law.gap:
-            law = law.fitted(x, u)
-        slopes = np.abs(law.free).sum(axis=1).max()
-        room = EXPLAINED * spread + 3 * self._noise * (1 + slopes)
+        if self._noise:
+            law = law if law.gap else law.likeliest(x, u, self._noise)
+            near = law.explains(x, u) <= BLURRED * law.blur(x, self._noise)
+            return law if law.known and near.mean() >= MOST_ACTIVE_SHARE else None
+        room = EXPLAINED * max(float(u.std()), 1e-9)
+        law = law if law.gap else law.fitted(x, u)
         tried = [law] if law.known else []
-        if not self._noise and (not tried or (law.explains(x, u) <= room).mean() < 0.95):
+        if not tried or (law.explains(x, u) <= room).mean() < 0.95:
             tried.append(learned_law(law, x, u))
         shares = [float((one.explains(x, u) <= room).mean()) for one in tried]
-        if not shares or max(shares) < MOST_ACTIVE_SHARE:
-            return None
-        return tried[int(np.argmax(shares))]
+        return None if max(shares) < MOST_ACTIVE_SHARE else tried[int(np.argmax(shares))]
 
     def _by_states(self, law: PlanarLaw, kept: Sequence[Transition]) -> PlanarLaw | None:
         """The likeliest width, where states alone were heard: the least that explains most."""

@@ -234,7 +234,7 @@ class LineSmoother:
                 w = w * (np.abs(off_q) <= self._exact)
         if not w.sum() > 0:
             return None
-        return self._thinned(x, w), float(np.log(total) + np.log(w.sum() / count))
+        return self._thinned(x, w), float(np.log(total) + np.log(w.sum()) - np.log(count))
 
     def _points(self, answers: Array) -> Array | None:
         """States in which two programs answered so, where their answers make two lines."""
@@ -379,12 +379,32 @@ class LineSmoother:
         for i in range(len(transitions) - 1, -1, -1):
             before, gauges = self._back(clouds[i], transitions[i], after)
             t = transitions[i]
-            sure = t.whole and not self._noise
-            steps.append(InferredStep(t, None if i in self._doubt and not sure else gauges))
+            kept: Array | None = gauges
+            if i in self._doubt and self._noise:
+                kept = self._alone(t)
+            elif i in self._doubt and not t.whole:
+                kept = None
+            steps.append(InferredStep(t, kept))
             after = before
             if i and transitions[i].x is not None and not self._noise:
                 after = clouds[i][0]
         return steps[::-1]
+
+    def _alone(self, t: Transition) -> Array | None:
+        """Gauges of a step that was heard whole through noise, by that alone, shape (S, M)."""
+        if t.x is None or t.candidates is None or t.x_next is None:
+            return None
+
+        def blurred(value: Sequence[float]) -> Array:
+            noise = self._rng.standard_normal((SAMPLES, len(value)))
+            return np.array(value) + self._noise * noise
+
+        u = blurred([candidate for (candidate,) in t.candidates])
+        predictions = (blurred(t.x) @ self._A.T)[:, None] + u[:, :, None] * self._b
+        d = blurred(t.x_next)[:, None] - predictions
+        inside = _largest(d, self._rows).min(axis=1) <= 1
+        out: Array = _largest(d[inside] if inside.any() else d, self._shape)
+        return out
 
     def _back(self, cloud: Cloud, t: Transition, after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, 2), and the gauges of that step, shape (S, M)."""

@@ -105,6 +105,9 @@ class ListDecoding:
         """A new session: scheme and frame from the start; what is known of t_c, t_e is kept."""
         self._commit()
         self.paths.forget_trunk()
+        if self.certain:  # those that lost more or fewer steps are one again
+            self.beam.keep(np.array([self.beam.best]))
+            self.beam.lo[0] = 0.0
         everyone = slice(0, self.beam.n)
         self.beam.state[everyone] = 0
         self._frames.begin(everyone)
@@ -139,6 +142,18 @@ class ListDecoding:
         if outside.any():
             h.score[: h.n][outside] += OUTSIDE
         verdicts = np.where(agreed, gauges.index(nearest), NO_SYMBOL)
+        self._advance(k, verdicts, self._values(cipher))
+
+    def step_doubtful(self, k: int, symbol: int, cipher: int) -> None:
+        """Count one of the first transitions of a session in which all agree from some one on.
+
+        A hypothesis that has not begun to agree goes on as one that begins here, and one that does
+        not; ``lo`` says which has.
+        """
+        h = self.beam
+        begins = h.copy(np.flatnonzero(h.lo[: h.n] == 0.0))
+        h.lo[begins] = 1.0
+        verdicts = np.where(h.lo[: h.n] > 0.0, symbol, NO_SYMBOL)
         self._advance(k, verdicts, self._values(cipher))
 
     def restrict(self, lo: float, hi: float, edge_lo: float, edge_hi: float) -> None:

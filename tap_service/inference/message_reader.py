@@ -17,7 +17,7 @@ from protocol.arrays import Array, Integers
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import START, encode_frame
 from protocol.schemes.table import StateTable
-from tap_service.capture.transcript import steps_in_a_row
+from tap_service.capture.transcript import transitions_in_a_row
 from tap_service.inference.alignment import align
 from tap_service.inference.english import AnyBytes, English
 from tap_service.inference.gap_smoother import InferredStep
@@ -95,13 +95,13 @@ class Message:
 
 @dataclass(frozen=True)
 class Stretch:
-    """Steps in a row as she reads them.
+    """Transitions in a row as she reads them.
 
     Parameters
     ----------
     session : str
-    k : int
-        The first step.
+    ks : list of int
+        Their steps.
     verdicts : array, shape (K, 1 + M)
         Probability of each step's verdict (none, symbol 0, 1, ...), the messages known.
     symbols : array, shape (K, 1 + M)
@@ -109,7 +109,7 @@ class Stretch:
     """
 
     session: str
-    k: int
+    ks: list[int]
     verdicts: Array
     symbols: Array
 
@@ -288,7 +288,7 @@ class MessageReader:
         self.stretches = []
         by_step = {id(s.transition): s for s in steps}
         out: list[Message] = []
-        for run in steps_in_a_row([s.transition for s in steps]):
+        for run in transitions_in_a_row([s.transition for s in steps]):
             last = after.get(run[0].session, -1)
             part = [by_step[id(t)] for t in run if t.k > last]
             if len(part) < 2 or all(s.transition.cipher is None for s in part):
@@ -300,7 +300,7 @@ class MessageReader:
     def _stretch(
         self, steps: Sequence[InferredStep], among: tuple[float, float], *, fresh: bool
     ) -> list[Message]:
-        """The messages of steps in a row, the scheme in its initial state if ``fresh``."""
+        """The messages of transitions in a row, the scheme in its initial state if ``fresh``."""
         alone, after = verdicts_of(steps, among, self._size, certain=self._certain)
         # a state that holds a key holds that of the step before
         pads = self._table.pad[: self._states]
@@ -318,11 +318,11 @@ class MessageReader:
         with np.errstate(divide="ignore"):
             begin[0] = np.log(entry)
         out: list[Message] = []
-        first, session = steps[0].transition.k, steps[0].transition.session
+        ks, session = [s.transition.k for s in steps], steps[0].transition.session
         for _ in range(MOST_MESSAGES):
             if search.silent(begin):
                 break
-            read = self._next(search, lattice, begin, session, first)
+            read = self._next(search, lattice, begin, session, ks)
             if read is None:
                 break
             message, begin = read
@@ -333,7 +333,7 @@ class MessageReader:
         stream, waits = self._stream(out)
         aligned = align(self._table, verdicts, ciphers, entry, stream, waits)
         if aligned is not None:
-            self.stretches.append(Stretch(session, first, *aligned))
+            self.stretches.append(Stretch(session, ks, *aligned))
         return out
 
     def _stream(self, messages: Sequence[Message]) -> tuple[Array, Integers]:
@@ -356,7 +356,7 @@ class MessageReader:
         return np.concatenate(parts), np.array(waits)
 
     def _next(
-        self, search: MessageSearch, lattice: Lattice, begin: Array, session: str, first: int
+        self, search: MessageSearch, lattice: Lattice, begin: Array, session: str, ks: Sequence[int]
     ) -> tuple[Message, Array] | None:
         """The message that comes next and where it ends, or None where there is likely none.
 
@@ -367,7 +367,7 @@ class MessageReader:
             return None
 
         def judged(*founds: Found) -> _Judged | None:
-            return self._judge(search, lattice, begin, founds, session, first)
+            return self._judge(search, lattice, begin, founds, session, ks)
 
         read = judged(found)
         for wider in WIDER:
@@ -393,7 +393,7 @@ class MessageReader:
         begin: Array,
         founds: Sequence[Found],
         session: str,
-        first: int,
+        ks: Sequence[int],
     ) -> _Judged | None:
         """What was found as a message, or None where there is likely none.
 
@@ -434,8 +434,9 @@ class MessageReader:
         else:
             payload, ends = likeliest.under_way, likeliest.ends
             whole, due = False, likeliest.missing
-        at, last = ends.max(axis=1), first + lattice.steps - 1
-        k = first + (int(at.argmax()) if np.isfinite(at).any() else lattice.steps) - 1
+        at, last = ends.max(axis=1), ks[-1]
+        place = int(at.argmax()) if np.isfinite(at).any() else lattice.steps
+        k = ks[place - 1] if place else ks[0] - 1
         message = Message(
             session,
             k if whole else last,

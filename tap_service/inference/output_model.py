@@ -1,16 +1,20 @@
-"""Her model where some outputs alone are read, y = C x + n: an estimate of the state as she goes.
+"""Her model where some outputs alone are read, y = C x + n: what may have been applied, followed.
 
-She knows f_c, C and D_e, and neither D_c nor N. Her estimate is a Kalman filter's that takes the
-sensors for nearly exact. It goes on with the candidate whose reading is nearest to the one heard.
+She knows f_c, C and D_e, and neither D_c nor N. A Kalman filter that takes the sensors for nearly
+exact goes along the likeliest sequences of candidates: what was applied shows some readings later.
+
+Both ends begin with a box as wide as the plant's bounds, and agree on nothing until it tells the
+candidates apart. From then on it does at every step, so all that is hidden of a session is how many
+of its first steps they lost: 1 to 8 in 400 runs of the scenario ``encoder``.
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Final
 
 import numpy as np
 
-from protocol.agreement import predict
-from protocol.arrays import Array
+from protocol.arrays import Array, Integers
 from protocol.box_observer import BoxObserver
 from protocol.vectors import Matrix, Vector
 
@@ -20,8 +24,20 @@ SENSOR: Final = 1e-3
 STEPS: Final = 500
 """Of the filter's equations, until the gain has settled."""
 
-ANYWHERE: Final = 1e6
-"""Half-width of the box before the first reading, in units of D_e."""
+ANYWHERE: Final = 1e4
+"""Deviation of the state before the first reading, in units of D_e."""
+
+LATER: Final = 12
+"""Readings after which she decides what was applied before them."""
+
+SETTLING: Final = 64
+"""Readings in a row from which the filter's gain is the settled one."""
+
+LOST: Final = 16
+"""Steps at a session's beginning, one of which is the first that the ends agreed on."""
+
+PATHS: Final = 64
+"""Sequences of candidates that she follows at once."""
 
 
 class OutputModel:
@@ -38,22 +54,41 @@ class OutputModel:
 
     def __init__(self, A: Matrix, B: Matrix, C: Matrix, widths: Vector) -> None:
         self.A, self.B = A, B
+        self._A, self._B, self._C = np.array(A), np.array(B), np.array(C)
         nothing = (0.0,) * len(C)
         bounds = tuple(ANYWHERE * w for w in widths)
         observer = BoxObserver(A, B, C, widths, nothing, bounds)
-        self._read = observer.read
         E = observer.quiet()
         box = observer.begin(nothing)._replace(low=tuple(-e for e in E), high=E)
-        self._reach = observer.reach(box)
-        self._gain = _gain(np.array(A), np.array(C), np.array(widths))
-        self._x = np.zeros(len(A))
+        self._reach = np.array(observer.reach(box))
+        self._Q = np.diag(np.square(widths))
+        self._R = np.diag((SENSOR * np.abs(self._C) @ widths) ** 2)
+        self._far = np.diag(np.square(bounds))
+        self._settled = self._settled_spread()
+        self._means: Array
+        self._spread: Array
+        self._cost: Array
+        self._applied: Integers
         self._last: Vector = ()
-        self._readings = 0
+        self.readings = 0
+        """Readings in a row."""
+        self._begin(nothing)
+
+    def anew(self) -> "OutputModel":
+        """The same, with nothing heard."""
+        made = copy(self)
+        made._last = ()
+        return made
 
     @property
     def settled(self) -> bool:
         """Whether as many readings in a row were heard as there are states."""
-        return self._readings > len(self.A)
+        return self.readings > len(self.A)
+
+    @property
+    def applied(self) -> list[int]:
+        """The candidates of the likeliest sequence, in the last steps that came in a row."""
+        return [int(c) for c in self._applied[int(self._cost.argmin())]]
 
     def gauges(
         self,
@@ -62,42 +97,53 @@ class OutputModel:
         x_next: Sequence[float],
         predictions: Sequence[Sequence[float]] = (),
     ) -> list[float]:
-        """How far the reading is from each candidate's, in what D_e allows; follows the nearest."""
+        """How far the reading is from each candidate's on the likeliest way, in what D_e allows."""
         assert not predictions, "outputs go with a linear f_c"
         if tuple(x) != self._last:  # some steps were missed
-            self._corrected(tuple(self._x.tolist()), x)
-            self._readings = 1
-        estimate = tuple(self._x.tolist())
-        centres = [predict(self.A, self.B, estimate, u) for u in candidates]
-        found = []
-        for centre in centres:
-            away = zip(x_next, self._read(centre), self._reach, strict=True)
-            found.append(max(abs(y - c) / r for y, c, r in away))
-        self._corrected(centres[found.index(min(found))], x_next)
+            self._begin(x)
+        gain, inverse = self._gain()
+        pushes = np.array(candidates) @ self._B.T
+        centres = (self._means @ self._A.T)[:, None] + pushes
+        surprise = np.array(x_next) - centres @ self._C.T
+        likeliest = int(self._cost.argmin())
+        found: list[float] = (np.abs(surprise[likeliest]) / self._reach).max(axis=1).tolist()
+        cost = self._cost[:, None] + np.einsum("hmr,rs,hms->hm", surprise, inverse, surprise)
+        best = np.argsort(cost, axis=None, kind="stable")[:PATHS]
+        way, candidate = np.unravel_index(best, cost.shape)
+        self._means = centres[way, candidate] + surprise[way, candidate] @ gain.T
+        self._cost = cost[way, candidate] - cost.min()
+        self._applied = np.column_stack((self._applied[way][:, -LATER:], candidate))
         self._last = tuple(x_next)
-        self._readings += 1
+        self.readings += 1
         return found
 
     along_the_widest = gauges
     """The readings are the widest there is."""
 
-    def _corrected(self, expected: Vector, y: Sequence[float]) -> None:
-        surprise = np.array(y) - np.array(self._read(expected))
-        self._x = np.array(expected) + self._gain @ surprise
+    def _begin(self, y: Sequence[float]) -> None:
+        """Nothing is known but one reading."""
+        gain = self._far @ self._C.T @ np.linalg.inv(self._C @ self._far @ self._C.T + self._R)
+        self._spread = (np.eye(len(self._A)) - gain @ self._C) @ self._far
+        self._means = (gain @ np.array(y))[None]
+        self._cost = np.zeros(1)
+        self._applied = np.zeros((1, 0), int)
+        self.readings = 1
 
+    def _gain(self) -> tuple[Array, Array]:
+        """The filter's gain, and the inverse spread of what a reading may differ by."""
+        spread = self._settled
+        if self.readings <= SETTLING:
+            spread = self._A @ self._spread @ self._A.T + self._Q
+        inverse = np.linalg.inv(self._C @ spread @ self._C.T + self._R)
+        gain = spread @ self._C.T @ inverse
+        self._spread = (np.eye(len(self._A)) - gain @ self._C) @ spread
+        return gain, inverse
 
-def _gain(
-    A: Array,
-    C: Array,
-    widths: Array,
-) -> Array:
-    """The settled gain of the filter, shape (n, r)."""
-    Q = np.diag(widths**2)
-    R = np.diag((SENSOR * np.abs(C) @ widths) ** 2)
-    P = Q.copy()
-    gain = np.zeros((len(A), len(C)))
-    for _ in range(STEPS):
-        P = A @ P @ A.T + Q
-        gain = P @ C.T @ np.linalg.inv(C @ P @ C.T + R)
-        P = (np.eye(len(A)) - gain @ C) @ P
-    return gain
+    def _settled_spread(self) -> Array:
+        """Spread of the state before a reading, in the end; shape (n, n)."""
+        spread = self._Q
+        for _ in range(STEPS):
+            gain = spread @ self._C.T @ np.linalg.inv(self._C @ spread @ self._C.T + self._R)
+            spread = (np.eye(len(self._A)) - gain @ self._C) @ spread
+            spread = self._A @ spread @ self._A.T + self._Q
+        return spread

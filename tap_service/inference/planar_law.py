@@ -23,6 +23,15 @@ CLIPPED: Final = 1e-7
 ENOUGH: Final = 12
 """Pairs of a state and its offer from which facets are learned."""
 
+MOST_PAIRS: Final = 500
+"""Blurred pairs by which a width is looked for."""
+
+STATES: Final = 64
+"""States drawn about each that was heard blurred."""
+
+UNEXPLAINED: Final = -30.0
+"""Log likelihood of an offer that a width does not explain."""
+
 
 @dataclass(frozen=True)
 class PlanarLaw:
@@ -149,6 +158,22 @@ class PlanarLaw:
         missed: Array = np.abs(self.answers(x) - u).max(axis=1)
         return missed
 
+    def blur(self, x: Array, noise: float) -> Array:
+        """By how much an answer may be off where states ``x`` are read through noise, shape (S,).
+
+        The standard deviation of the steepest piece that answers there, and of reading the answer.
+        """
+        slopes = np.repeat(np.linalg.norm(self.free, axis=1)[None], len(x), axis=0)
+        u = x @ self.free.T
+        for facets, side in ((self.high, 1), (self.low, -1)):
+            if len(facets):
+                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
+                steep = np.linalg.norm(facets[limits.argmin(axis=1), :2], axis=1)
+                clips = side * u > limits.min(axis=1)[:, None]
+                slopes = np.where(clips, steep[:, None], slopes)
+        out: Array = noise * np.sqrt(1 + slopes.max(axis=1) ** 2)
+        return out
+
     def fitted(self, x: Array, u: Array) -> "PlanarLaw":
         """The width under which the law explains answers ``u`` in states ``x`` best."""
         if not self.scaled or not self.known:
@@ -166,6 +191,36 @@ class PlanarLaw:
         found = (u[:, :1] - x @ facets[:, :2].T) / facets[:, 2]
         near = found[np.abs(found / width - 1) < 3e-4]
         return self.of_width(float(np.median(near)) if len(near) > 3 else width)
+
+    def likeliest(self, x: Array, u: Array, noise: float) -> "PlanarLaw":
+        """The likeliest width, given answers ``u`` in states ``x``, both read through noise.
+
+        A steep facet makes of a little noise in the state much in the answer, and the tightest of
+        several blurred facets lies too low. So states are drawn about each that was heard, and the
+        likelihood of its answers averaged over them.
+        """
+        if not self.scaled or not self.known:
+            return self
+        x, u = x[:MOST_PAIRS], u[:MOST_PAIRS]
+        rng = np.random.default_rng(0)
+        at = (x[:, None] + noise * rng.standard_normal((len(x), STATES, 2))).reshape(-1, 2)
+        free, read = at @ self.free.T, np.repeat(u, STATES, axis=0)
+        most, least = at @ self.high[:, :2].T, at @ self.low[:, :2].T
+
+        def likelihood(width: float) -> float:
+            above = (most + width * self.high[:, 2]).min(axis=1)
+            below = (least + width * self.low[:, 2]).max(axis=1)
+            answers = np.maximum(np.minimum(free, above[:, None]), below[:, None])
+            by_state = -0.5 * (((read - answers) / noise) ** 2).sum(axis=1)
+            by_state = np.maximum(by_state, UNEXPLAINED).reshape(len(x), STATES)
+            return float(np.log(np.exp(by_state).mean(axis=1)).sum())
+
+        width, ratio = 1 / 8, 8.0
+        while ratio > 1 + 1e-3:
+            widths = {min(w, 1.0) for w in (width * np.geomspace(1 / ratio, ratio, 17)).tolist()}
+            width = max(sorted(widths), key=likelihood)
+            ratio = ratio ** (1 / 4)
+        return self.of_width(width)
 
 
 def learned_law(law: PlanarLaw, x: Array, u: Array) -> PlanarLaw:

@@ -20,7 +20,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
@@ -206,6 +206,21 @@ def table(results: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
     return rows
 
 
+def merged(
+    recorded: Sequence[Mapping[str, Any]], rows: Sequence[Mapping[str, Any]]
+) -> list[Mapping[str, Any]]:
+    """Rows on record, and new ones in place of those of the same runs that rest on no more runs."""
+
+    def of(row: Mapping[str, Any]) -> tuple[str, str, int]:
+        return row["scenario"], row["coin"], int(row["candidates"])
+
+    known = {of(row): int(row["runs"]) for row in recorded}
+    newer = {of(row) for row in rows if int(row["runs"]) >= known.get(of(row), 0)}
+    kept = [row for row in recorded if of(row) not in newer]
+    kept += [row for row in rows if of(row) in newer]
+    return sorted(kept, key=lambda row: (row["coin"] == "keyed", *of(row), int(row["steps"])))
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run what is left, or write the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -221,7 +236,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     lines = args.results.read_text().splitlines() if args.results.exists() else []
     results = [json.loads(line) for line in lines]
     if args.table:
-        rows = table(results)
+        with DATA.open(newline="", encoding="utf-8") as file:
+            rows = merged(list(csv.DictReader(file)), table(results))
         with DATA.open("w", newline="", encoding="utf-8") as file:
             writer = csv.DictWriter(file, list(rows[0]), lineterminator="\n")
             writer.writeheader()

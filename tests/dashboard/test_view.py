@@ -811,6 +811,19 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
     assert "STOPPED at the controller: no pad is left" in shown(partners, 120, 40)
 
 
+def test_what_all_blocks_begun_may_cost_is_added_up_on_the_screen() -> None:
+    """Void and aborted ones too: a jammer may void each of which she missed enough."""
+    claim = "secret only from a tap that misses 30 % of first copies or more"
+    state = with_model(state_after(700), keys_claim=claim, keys_eps=1e-12)
+    made = with_plant(state, keys_made=63, key_blocks_begun=1700, key_blocks_lost=1690)
+    for width, height in ((80, 24), (120, 40)):
+        text = shown(made, width, height)
+        assert " blocks begun " in text
+        assert "1.7e-09 from perfect keys at most" in text
+        assert all(cell_len(row) <= width for row in text.splitlines())
+        assert "blocks begun" not in shown(with_plant(made, key_blocks_begun=0), width, height)
+
+
 def with_attacker(state: State, **fields: object) -> State:
     """A tap that goes for the keys is heard."""
     tap = next(iter(state.taps.values()))

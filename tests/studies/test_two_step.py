@@ -1,7 +1,9 @@
 """Codes over two steps: each one found is checked point by point, apart from the search."""
 
 import csv
+import itertools
 import math
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -67,6 +69,46 @@ def test_five_keys_stand_on_a_grid_of_thirds(found: dict[float, TwoStepCode]) ->
     assert abs(a * d - b * c) == pytest.approx(200 / 9)
     with pytest.raises(AssertionError):
         check(code, 7 / 3 - 0.01)
+
+
+def test_five_keys_are_agreed_always_from_seven_thirds_on_exactly() -> None:
+    """In integers, a 30th of a half-length each: other keys' points are 2 away, so the defender
+    tells them apart; and from anywhere in a point's box each key has a point within 7/3, no nearer.
+
+    The farthest place is a corner of the cells in which one point is the nearest; all lie on the
+    grid: they are where x or y is halfway between two points, or x + y and x - y are.
+    """
+    unit = 30
+    periods = np.array([(140, 20), (-20, 140)])  # (14, 2) / 3 and (-2, 14) / 3
+    shifts = [k * (periods[0] + 2 * periods[1]) // 5 for k in range(5)]
+    lattice = np.array(list(itertools.product(range(-3, 4), repeat=2))) @ periods
+    box = np.array(list(itertools.product(range(-unit, unit + 1), repeat=2)))
+    nearest, farthest = [], []
+    for own, other in itertools.permutations(shifts, 2):
+        points = lattice + other - own
+        nearest.append(int(np.abs(points).max(axis=1).min()))
+        farthest.append(int(np.abs(box[:, None] - points).max(axis=2).min(axis=1).max()))
+    assert min(nearest) == 2 * unit
+    assert Fraction(max(farthest), unit) == Fraction(7, 3)
+    assert most_keys(7 / 3, 2) == 5  # the volume allows no sixth
+
+
+@pytest.mark.parametrize(
+    ("keys", "begin", "end"), [(4, 2.0, 5), (5, 7 / 3, 6), (9, 3.0, 10), (16, 4.0, 17)]
+)
+def test_codes_of_two_steps_are_the_best_up_to_where_the_volume_allows_another(
+    keys: int, begin: float, end: int
+) -> None:
+    """The data's codes on [2, 5**.5), [7/3, 6**.5), [3, 10**.5) and [4, 17**.5)."""
+    text = (ROOT / "docs" / "data" / "two-step.csv").read_text(encoding="utf-8")
+    found = [
+        (float(row["alpha"]), int(row["two_step"])) for row in csv.DictReader(text.splitlines())
+    ]
+    mine = [count for alpha, count in found if begin <= alpha < end**0.5]
+    assert mine
+    assert set(mine) == {keys}
+    assert most_keys(begin, 2) == most_keys(end**0.5 - 1e-6, 2) == keys
+    assert most_keys(end**0.5 + 1e-6, 2) == keys + 1
 
 
 def test_no_code_has_more_keys_than_the_volume_allows() -> None:

@@ -5,7 +5,6 @@ import itertools
 import lzma
 import os
 import random
-import time
 import tracemalloc
 
 import numpy as np
@@ -24,6 +23,7 @@ from studies.secrecy.study import heard_by, said_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import text
+from tap_service.eavesdroppers.smoother import Smoother
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.alignment import align
 from tap_service.inference.english import (
@@ -371,6 +371,44 @@ def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_
     assert min(said) > 0.005  # never sure of another one
 
 
+@pytest.mark.parametrize(("noise", "off", "loss"), [(0.002, 0.01, 0.04), (0.05, 0.1, 0.35)])
+def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_state_was(
+    noise: float, off: float, loss: float
+) -> None:
+    """Its steep facets make much of little noise: no reason to go without it.
+
+    ``loss`` is in bits a step. Without the law it is .26 and 1.3, for then the set is anything from
+    as wide as the disturbance to three times that; with all verdicts as likely it is 1.6.
+    """
+    run = simulate(400, 0)
+    view = View(seed=0, noise=noise)
+    steps = heard_by(run, view)
+    inferred = Inference(view.told(run.scenario.knowledge())).infer(steps)
+    width = 1 / run.scenario.secrecy.alpha
+    low, high = inferred.among
+    assert abs((low + high) / 2 / width - 1) < off
+    assert high < 1.15 * low
+    clear = Inference(run.scenario.knowledge()).infer(heard_by(run, View()))
+    true, _ = verdicts_of(clear.steps, (width, width * (1 + 1e-9)), 2, certain=False)
+    said, _ = verdicts_of(inferred.steps, inferred.among, 2, certain=False)
+    right = said[np.arange(len(said)), true.argmax(axis=1)]
+    assert -np.log2(right).mean() < loss
+
+
+@pytest.mark.slow
+def test_through_noise_she_is_not_below_the_smoother() -> None:
+    run = simulate(1000, 1)
+    view = View(seed=1, noise=0.05)
+    heard = heard_by(run, view)
+    told = view.told(run.scenario.knowledge())
+    best, rung = (
+        score(run.truth, said_about(tap, heard)) for tap in (Text(told, live=False), Smoother(told))
+    )
+    assert best.messages.right == 1
+    assert best.keys_reviewed.right >= rung.keys_reviewed.right
+    assert best.bits.right > 0.97 * best.bits.of
+
+
 def test_no_message_is_none() -> None:
     steps = stretch(b"x", 4, "pipelined", 4, missed=0.2, agree=1.0)[:9]
     reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=100)
@@ -473,16 +511,14 @@ def test_what_she_states_comes_true() -> None:
 
 
 @pytest.mark.slow
-def test_she_reads_a_sentence_of_which_a_third_was_missed_as_a_live_loop_affords_it() -> None:
-    """Ten steps a second: its processor time, and that she has it soon after the plant."""
+def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant() -> None:
+    """What a step costs her is `wyner bench text`'s."""
     payload = b"Nobody may enter the control room without a red badge"
     run = simulate(320, 3, name="packed", payloads=[payload])
     (over, _), *_ = run.truth.whole
     view = View(seed=3, loss=0.3)
     tap, heard = Text(view.told(run.scenario.knowledge())), heard_by(run, view)
-    begun = time.process_time()
     said = said_about(tap, heard)
-    assert time.process_time() - begun < 0.1 * len(heard)
     assert over < said.belief.solved_k < over + 40
     assert said.belief.whole == (payload,)
     assert said.belief.confidence > 0.9

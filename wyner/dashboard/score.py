@@ -11,7 +11,14 @@ from typing import Final
 
 from protocol.agreement import Gauge
 from protocol.messages import PlantModel
-from protocol.statistics import CONFIDENCE, Interval, better_than, bits_left, confidence_sequence
+from protocol.statistics import (
+    CONFIDENCE,
+    Interval,
+    better_than,
+    bits_left,
+    confidence_sequence,
+    told_left,
+)
 from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
 from wyner.dashboard.text import letters, number
 
@@ -136,9 +143,8 @@ def left_by(state: State, tap: TapState, its: Score) -> Interval | None:
         return None
     keys = _carried(state)
     if tap.status.bits_left is not None:
-        told = tap.status.bits_left
-        told = min(told, keys * math.log2(its.size)) if state.plant is not None else told
-        return Interval(told, told, told)
+        bits = tap.status.bits_left
+        return told_left(bits, keys * math.log2(its.size) if state.plant is not None else bits)
     if not its.scored:
         return None
     return bits_left(keys, its.size, its.guessed)

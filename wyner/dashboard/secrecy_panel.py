@@ -66,7 +66,8 @@ def explanation(its: SecrecyScore, width: int) -> Text:
 
 
 def distilled(state: State, width: int) -> list[Row]:
-    """Keys made of nonces and what she holds of them; then the claim, and what contradicts it.
+    """Keys made of nonces and what she holds of them; then the claim, and what contradicts it;
+    then what all blocks that were begun may cost.
 
     Nothing where the scenario makes none.
     """
@@ -97,14 +98,25 @@ def distilled(state: State, width: int) -> list[Row]:
         against.insert(0, f"STOPPED at the controller: {drawn(state.controller.keys_stopped)}")
     if refused:
         against.insert(0, f"refused: {refused}")
+    rests_on = line(claim)
     if against:
         heads = [text.partition(":")[0] for text in against]
         fewer = ("; ".join(heads[:most]) for most in range(len(heads), 0, -1))
         red = longest(room, "; ".join(against), *fewer)
         left = room - cell_len(red)
-        second = line().append(red, style=STYLES["bad"]).append(longest(left, f"; {claim}"))
-        return [keys, ("assumption", second)]
-    return [keys, ("assumption", line(claim))]
+        rests_on = line().append(red, style=STYLES["bad"]).append(longest(left, f"; {claim}"))
+    rows: list[Row] = [keys, ("assumption", rests_on)]
+    if plant.key_blocks_begun and not refused:
+        begun = count(plant.key_blocks_begun)
+        distance = f"{model.keys_eps * plant.key_blocks_begun:.2g} from perfect keys"
+        text = longest(
+            room,
+            f"{begun}, void and aborted ones too: together {distance} at most",
+            f"{begun}: together {distance} at most",
+            begun,
+        )
+        rows.append(("blocks begun", line(text)))
+    return rows
 
 
 def attacker(state: State) -> TapStatus | None:

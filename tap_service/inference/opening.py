@@ -1,0 +1,105 @@
+"""Transitions where outputs alone are read: held until the readings show what was applied."""
+
+from collections import deque
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from protocol.arrays import Array
+from tap_service.capture.transcript import Transition, steps_in_a_row
+from tap_service.inference.front import Inferred
+from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.output_model import LATER, LOST, OutputModel
+
+TRAJECTORIES: Final = 64
+"""Numbers of lost steps that `text` weighs, as equally likely ones."""
+
+
+class Known(NamedTuple):
+    """A transition, the candidate applied (None: not heard), and its place in its session.
+
+    ``place`` is -1 where the session's beginning was not heard.
+    """
+
+    transition: Transition
+    symbol: int | None
+    place: int
+
+    @property
+    def doubtful(self) -> bool:
+        """Whether the two ends may have lost it."""
+        return 0 <= self.place < LOST
+
+    def row(self, size: int) -> list[float]:
+        """Gauges of M candidates that say as much."""
+        return [0.0 if i == self.symbol else 1.0 for i in range(size)]
+
+
+class Opening:
+    """Takes transitions, and gives them out once she knows what was applied.
+
+    Parameters
+    ----------
+    model : OutputModel
+    """
+
+    def __init__(self, model: OutputModel) -> None:
+        self._model = model
+        self._held: deque[Transition] = deque()
+        self._place = -1
+
+    def take(self, t: Transition) -> tuple[list[Known], list[float] | None]:
+        """The transitions that are known by this one, in order; and its gauges at first sight."""
+        given: list[Known] = []
+        if t.start or t.gap:
+            given = self.flush()
+            self._place = 0 if t.start else -1
+        if t.x is None or t.candidates is None or t.x_next is None:
+            return [*given, *self.flush(), self._known(t, None)], None
+        if self._held and self._held[-1].x_next != t.x:
+            given += self.flush()
+        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
+        self._held.append(t)
+        if len(self._held) > LATER:
+            given.append(self._known(self._held.popleft(), self._model.applied[0]))
+        return given, gauges
+
+    def flush(self) -> list[Known]:
+        """What is held, with what she knows by now."""
+        held = list(self._held)
+        self._held.clear()
+        applied = self._model.applied[-len(held) :] if held else []
+        return [self._known(t, symbol) for t, symbol in zip(held, applied, strict=True)]
+
+    def _known(self, t: Transition, symbol: int | None) -> Known:
+        place = self._place
+        if place >= 0:
+            self._place += 1
+        return Known(t, symbol, place)
+
+
+def inferred(model: OutputModel, size: int, transitions: Sequence[Transition]) -> Inferred:
+    """A transcript as `text` reads it: how many first steps were lost is a trajectory of 64.
+
+    Half of them lose one step, a quarter two, and so on.
+    """
+    lost = np.minimum(1 + np.floor(-np.log2((np.arange(TRAJECTORIES) + 0.5) / TRAJECTORIES)), LOST)
+    steps = []
+    for run in steps_in_a_row(transitions):
+        opening = Opening(model)
+        known = [one for t in run for one in opening.take(t)[0]] + opening.flush()
+        steps += [InferredStep(one.transition, _samples(one, size, lost)) for one in known]
+    return Inferred(steps, (0.0, 1.0))
+
+
+def _samples(one: Known, size: int, lost: Array) -> Array | None:
+    """Gauges that agree for all thresholds between 0 and 1, or for none."""
+    if one.symbol is None:
+        return None
+    agrees = np.array([one.row(size)])
+    if not one.doubtful:
+        return agrees
+    out = np.repeat(agrees, len(lost), axis=0)
+    out[lost > one.place] = 1.0
+    return out

@@ -1,0 +1,135 @@
+"""Eavesdroppers where an encoder alone is read: a session's first steps are no refuge."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array
+from protocol.scenario import Scenario, parse_scenario
+from protocol.schemes.registry import make_scheme
+from studies.corners import at_the_corners
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers.base import Model
+from tap_service.inference.list_decoding import ListDecoding
+from tap_service.inference.opening import Known, Opening, inferred
+from tap_service.inference.output_model import LATER, LOST, OutputModel
+from tests.support.small_run import law_of
+from wyner.simulate.engine import Runs, simulate_runs, transfer
+from wyner.simulate.engine.link import Transfer
+from wyner.simulate.engine.taps import listen, transcript
+
+MESSAGE = b"We sail at dawn."
+STEPS = 400
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    """d and n in the corners of what both ends assume."""
+    return at_the_corners("encoder")
+
+
+@pytest.fixture(scope="module")
+def runs(scenario: Scenario) -> Runs:
+    law = law_of("encoder")[1]
+    return simulate_runs(scenario, law, seed=3, runs=range(8), steps=STEPS, record=True)
+
+
+@pytest.fixture(scope="module")
+def link(runs: Runs) -> Transfer:
+    return transfer(runs, payloads=[MESSAGE])
+
+
+def model_of(scenario: Scenario) -> OutputModel:
+    model = Model.of(scenario.knowledge(), "a test")
+    assert isinstance(model, OutputModel)
+    return model
+
+
+def known(model: OutputModel, heard: Sequence[Transition]) -> list[Known]:
+    opening = Opening(model)
+    return [one for t in heard for one in opening.take(t)[0]] + opening.flush()
+
+
+def test_the_ends_lose_a_session_s_first_steps_and_no_other(runs: Runs) -> None:
+    """What every listener here takes for granted."""
+    lost = runs.symbol == NO_SYMBOL
+    first = np.argmin(lost, axis=0)
+    assert lost.sum() == first.sum()
+    assert (first >= 1).all()
+    assert (first < LOST).all()
+    assert len(set(first.tolist())) > 1
+
+
+def test_some_readings_later_she_knows_every_candidate_that_was_applied(
+    scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    model = model_of(scenario)
+    for place in range(8):
+        found = known(model, list(transcript(runs, link, place)))
+        assert [one.place for one in found] == list(range(STEPS))
+        wrong = [one.place for one in found if one.symbol != runs.coin[one.place, place]]
+        assert all(place == 0 or place > STEPS - LATER for place in wrong)
+
+
+def test_what_was_missed_is_given_out_as_unknown_and_the_rest_goes_on(
+    scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    whole = list(transcript(runs, link, 0))
+    heard = [*whole[:50], Transition("simulated", 50, None, None, 1, None), *whole[51:]]
+    found = known(model_of(scenario), heard)
+    assert [one.transition.k for one in found] == list(range(STEPS))
+    assert [one.place for one in found if one.symbol is None] == [50]
+    later = [one for one in found if 60 < one.place < STEPS - LATER]
+    assert all(one.symbol == runs.coin[one.place, 0] for one in later)
+
+
+def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Transfer) -> None:
+    names = ["nearest-centre", "list-decoder"]
+    for place in range(8):
+        for found in listen(runs, link, names, place):
+            assert (found.delivered, found.read) == (1, 1)
+            assert found.right > 0.97 * found.agreements
+
+
+def test_text_reads_it_and_is_sure(runs: Runs, link: Transfer) -> None:
+    (found,) = listen(runs, link, ["text"], 0)
+    assert (found.delivered, found.read) == (1, 1)
+
+
+def test_each_number_of_lost_steps_is_a_decoding_of_its_own() -> None:
+    decoding = ListDecoding(make_scheme("switched", 2), edge=1.0, certain=True)
+    for k in range(LOST):
+        assert decoding.hypotheses == k + 1
+        decoding.step_doubtful(k, 1, 0)
+    decoding.step(LOST, [0.0, 1.0], 0)
+    assert decoding.hypotheses == LOST + 1
+    decoding.restart()
+    assert decoding.hypotheses == 1
+
+
+def test_what_text_weighs_begins_to_agree_at_one_step_of_each_trajectory(
+    scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    steps = inferred(model_of(scenario), 2, list(transcript(runs, link, 0))).steps
+    agrees: Array = np.array([(s.samples.min(axis=1) < 0.5).tolist() for s in steps[:LOST]])  # type: ignore[union-attr]
+    assert not agrees[0].any()
+    assert (np.diff(agrees.astype(int), axis=0) >= 0).all()
+    assert agrees[1].mean() == pytest.approx(0.5, abs=0.05)
+    assert steps[LOST].samples is not None
+    assert len(steps[LOST].samples) == 1
+
+
+def test_steps_that_a_network_takes_break_no_message_for_text() -> None:
+    """A missed step is no transition: for who reads messages it is as if it were not there."""
+    base, law = law_of("packed")
+    tables = base.model_dump(mode="json", exclude_none=True)
+    tables["network"] = {"to_plant": {"loss": 0.5}}
+    runs = simulate_runs(
+        parse_scenario(tables, "lossy"), law, seed=4, runs=range(1), steps=400, record=True
+    )
+    assert runs.missed is not None
+    assert runs.missed.sum() > 10
+    (found,) = listen(runs, transfer(runs, payloads=[MESSAGE]), ["text"], 0)
+    assert (found.delivered, found.read) == (1, 1)
