@@ -161,7 +161,7 @@ def draw_blocks(figure: Figure, data: Path) -> str:
         label="finite offers, certain at their ends too",
     )
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("bits a step that the paper claims; true secrecy 0")
+    axes.set_ylabel("bits a step by the paper's rule; true: 0")
     axes.set_title("Keys of the applied inputs: the limit, and codes that reach it")
     axes.set_ylim(0, 3.3)
     axes.legend(fontsize=7, loc="upper left")

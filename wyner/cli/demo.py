@@ -1,6 +1,6 @@
 """``wyner demo``: the whole story in five short runs on one screen.
 
-The paper's channel at its limit, read by the tap as it is spoken; a sealed message under distilled
+The law `packed` at its limit, read by the tap as it is spoken; a sealed message under distilled
 keys beside a tap that misses three messages of ten; the control, a tap that hears all; and a sensor
 that is spoofed, under a key that is secret and under one that the tap reads.
 """
@@ -51,7 +51,7 @@ TITLES: Final = {
     "unseen": "4/4 attacked, key read",
 }
 ABOUT: Final = {
-    "spoken": "a message over the paper's channel, beside a tap that hears all",
+    "spoken": "a message that the loop itself carries, beside a tap that hears all",
     "sealed": "one under keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
     "caught": "a sensor spoofed by who misses 30 %, under keys distilled from that",
@@ -262,6 +262,9 @@ def _unseen(
         away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
         if found.get("alarm_k", -1) >= 0:
             return f"{before[-1]}, and beside a tap that reads the key as well: that must not be."
+        if not found.get("watched"):
+            missed = f"{summary['missed']} of {summary['steps']} steps missed"
+            return f"{before[-1]}; beside a tap that hears all no key was there in time ({missed})."
         return (
             f"{before[-1]}, and never under one that the tap reads: the plant is then {away:.0f} "
             f"away while the screen shows {shown:.1f}."

@@ -329,4 +329,5 @@ input = 1.0
 
 [secrecy]
 alpha = 8.0                      # D_e = alpha D_c, the set that she is said to know
+scheme = "switched"              # the paper's; or pipelined, or your own: FILE.py:CLASS
 """

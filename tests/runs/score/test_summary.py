@@ -47,7 +47,7 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     assert any(line.endswith("100.0 % of bits, whole") for line in lines)
     assert any(line.endswith("100.0 % of bits, not whole") for line in lines)
     # each symbol of the message is right, and others stand between them: no frame fits
-    assert any(line.endswith("100.0 % of bits, 1234 too many") for line in lines)
+    assert any(line.endswith("100.0 % of bits, 1234 stray symbols") for line in lines)
     assert any(line.endswith("guesses at no symbol of the loop") for line in lines)
     assert any(line.endswith("17 steps were not looked at: wyner score --decode") for line in lines)
     early = render(summary | {"messages": 0}).splitlines()

@@ -259,7 +259,7 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
         whole = "none was whole yet"
     elif not tap["messages_exact"] and tap["stray_steps"]:
         # each of the message's symbols may be right: others stand between them, and no frame fits
-        whole = f"{tap['stray_steps']} too many"
+        whole = f"{tap['stray_steps']} stray symbols"
     return (
         f"{share(tap['symbol_accuracy'])} of keys, "
         f"{share(tap['message_bit_accuracy'])} of bits, {whole}"
