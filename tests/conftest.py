@@ -31,11 +31,14 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 LONGEST = (
-    *("system/test_medium.py", "campaigns/test_campaigns.py"),
-    *("tap/test_text.py", "tap/test_particle_smoother.py", "tap/test_ladder.py"),
-    *("runs/check/test_evidence.py", "cli/test_demo.py", "campaigns/test_exhaustive.py"),
+    *("system/test_medium.py", "campaigns/test_campaigns.py", "tap/test_text.py"),
+    *("tap/test_particle_smoother.py", "kme/test_kme.py", "campaigns/test_exhaustive.py"),
+    *("cli/test_demo.py", "studies/test_figures.py", "system/test_integration.py"),
+    *("system/test_services.py", "tap/test_ladder.py", "link/test_session_machine.py"),
     *("simulate/test_network.py", "simulate/test_engine_system.py", "runs/test_memory.py"),
-    *("system/test_leaks.py", "kme/test_kme.py", "adapters/test_device.py"),
+    *("system/test_leaks.py", "adapters/test_device.py", "attacker/test_live.py"),
+    *("examples/test_examples.py", "sweeps/test_sweep.py", "runs/check/test_evidence.py"),
+    *("benchmarks/test_pace.py", "runtime/test_fleet.py", "system/test_network_table.py"),
 )
 """Files that take longest go first: at the end no process then waits for another one's file."""
 

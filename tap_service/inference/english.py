@@ -102,7 +102,10 @@ class Level:
         strength: float = STRENGTH,
         below: Array | None = None,
     ) -> None:
-        order = np.lexsort((following, contexts))
+        packed = contexts
+        if contexts.max() >= _MASK // _BASE:  # hashes leave no room for the class beside them
+            packed = np.unique(contexts, return_inverse=True)[1]
+        order = np.argsort(packed * _BASE + following, kind="stable")
         c, f = contexts[order], following[order]
         first = np.ones(len(c), dtype=bool)
         first[1:] = (c[1:] != c[:-1]) | (f[1:] != f[:-1])
@@ -262,24 +265,22 @@ class Spellings:
     """
 
     def __init__(self, words: Sequence[str]) -> None:
-        so_far, following, share, size = [], [], [], []
-        endings = [(ord(c) - _FIRST, p) for c, p in ENDINGS]
-        for spelt in words:
-            word = 0
-            for letter in map(ord, spelt):
-                so_far.append(word)
-                following.append(letter - _FIRST)
-                share.append(1.0)
-                word = (word * _PRIME + letter + 1) & _MASK
-            for c, p in endings:
-                so_far.append(word)
-                following.append(c)
-                share.append(p)
-            size.append(len(spelt) + len(endings))
-        self.so_far, self.following = np.array(so_far), np.array(following)
-        self.share, self.size = np.array(share), np.array(size)
+        lengths = np.array([len(word) for word in words])
+        endings = np.array([ord(c) - _FIRST for c, _ in ENDINGS])
+        self.size = lengths + len(endings)
         self.begin = np.cumsum(self.size) - self.size
-        self.whole = self.so_far[self.begin + self.size - 1]
+        rows = np.arange(self.size.sum())
+        place = rows - np.repeat(self.begin, self.size)  # in its word
+        ending = place - np.repeat(lengths, self.size)  # 0, 1, ... after the last letter
+        inside = ending < 0
+        letters = np.frombuffer("".join(words).encode("ascii"), dtype=np.uint8).astype(np.int64)
+        self.following = endings[np.maximum(ending, 0)]
+        self.following[inside] = letters - _FIRST
+        self.share = np.array([p for _, p in ENDINGS])[np.maximum(ending, 0)]
+        self.share[inside] = 1.0
+        self.so_far = _so_far(self.following + _FIRST, np.where(ending <= 0, place, 0))
+        self.whole = self.so_far[self.begin + lengths]
+        self.so_far[~inside] = np.repeat(self.whole, len(endings))
         """Each word as a number."""
 
     def rows(self, words: Indices) -> Indices:
@@ -342,21 +343,31 @@ def _word_levels(listed: bytes, pairs: bytes) -> tuple[Level, Level]:
     return alone, Level(contexts, spelt.following[rows], weights, below=below)
 
 
+def _so_far(letters: Codes, place: Indices) -> Codes:
+    """The word so far, as a number, where so many letters of it were before."""
+    out = np.zeros(len(letters), dtype=np.int64)
+    for count in range(1, int(place.max()) + 1):
+        rows = np.flatnonzero(place == count)
+        out[rows] = (out[rows - 1] * _PRIME + letters[rows - 1] + 1) & _MASK
+    return out
+
+
+def _last(where: Flags) -> Indices:
+    """The last place before each one at which it holds, or -1."""
+    places = np.where(where, np.arange(len(where)), -1)
+    out: Indices = np.append(-1, np.maximum.accumulate(places)[:-1])
+    return out
+
+
 def _words(codes: Codes) -> tuple[Codes, Codes]:
     """The word so far and the word before, as numbers, where each character stands."""
-    letters, stops = _letters()[codes].tolist(), _stops()[codes].tolist()
-    words, befores = [], []
-    word, before = 0, SENTENCE
-    for c, letter, stop in zip(codes.tolist(), letters, stops, strict=True):
-        words.append(word)
-        befores.append(before)
-        if letter >= 0:
-            word = (word * _PRIME + letter + 1) & _MASK
-            continue
-        before, word = word or before, 0
-        if c != SPACE:
-            before = SENTENCE if stop else NO_WORD
-    return np.array(words, dtype=np.int64), np.array(befores, dtype=np.int64)
+    letters = _letters()[codes]
+    between = letters < 0
+    words = _so_far(letters, np.arange(len(codes)) - 1 - _last(between))
+    space = codes == SPACE
+    after = np.where(space, words, np.where(_stops()[codes], SENTENCE, NO_WORD))
+    known = _last(between & ~(space & (words == 0)))  # a space after a mark says nothing new
+    return words, np.where(known < 0, SENTENCE, after[known])
 
 
 @cache

@@ -154,11 +154,10 @@ def test_the_legend_of_a_design_names_what_is_in_sight_and_covers_none_of_it(
 
 @pytest.mark.slow
 def test_the_design_is_drawn(tmp_path: Path) -> None:
-    for name in ("sustained", "quadruple-tank"):
-        for kind in ("png", "pdf"):
-            path = tmp_path / f"{name}.{kind}"
-            assert main(["design", name, "--plot", str(path)]) == 0
-            assert path.stat().st_size > 10_000
+    for name, kind in (("sustained", "png"), ("quadruple-tank", "pdf")):
+        path = tmp_path / f"{name}.{kind}"
+        assert main(["design", name, "--plot", str(path)]) == 0
+        assert path.stat().st_size > 10_000
     assert main(["design", "sustained", "--plot", str(tmp_path / "a.txt")]) == 2
 
 

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 
-from runtime.run_folder import BELIEFS
+from runtime.run_folder import BELIEFS, SUMMARY
 from tests.support.bare_figures import bare_figures
+from tests.support.checked_runs import keyed_run
 from tests.support.small_run import SmallRun
 from tools.rehearsal import Rehearsal
 from wyner.cli.main import main
@@ -92,11 +93,10 @@ def test_of_a_sweep_of_few_runs_and_of_enough(
 @pytest.mark.slow
 @pytest.mark.integration
 def test_of_a_live_run_and_of_what_looks_at_it(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    run = str(tmp_path / "run")
-    live = ("up", "--scenario", "keys", "--pace", "fast", "--steps", "200", "--run-dir", run)
-    summary = said(capsys, *live, "--seed", "3")
+    run = str(shutil.copytree(keyed_run(tmp_path_factory), tmp_path / "run"))
+    summary = json.loads((Path(run) / SUMMARY).read_text(encoding="utf-8"))
     assert summary["taps"]
     assert summary["keys"] is not None
     again = [str(shutil.copytree(run, tmp_path / f"run-{i}")) for i in range(5)]

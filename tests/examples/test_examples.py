@@ -3,6 +3,7 @@
 import json
 import re
 import runpy
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -90,8 +91,12 @@ def test_a_notebook(path: Path) -> None:
 
 @pytest.mark.slow
 def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
-    path = ROOT / "examples" / "alpha.toml"
-    assert main(["sweep", str(path), "--output", str(tmp_path / "alpha.csv")]) == 0
+    text = (ROOT / "examples" / "alpha.toml").read_text(encoding="utf-8")
+    assert "\nruns = 20\n" in text
+    (tmp_path / "few.toml").write_text(text.replace("runs = 20", "runs = 4"), encoding="utf-8")
+    shutil.copy(ROOT / "examples" / "own_eavesdropper.py", tmp_path)
+    options = ["--output", str(tmp_path / "alpha.csv")]
+    assert main(["sweep", str(tmp_path / "few.toml"), *options]) == 0
     rates = (tmp_path / "alpha-rates.csv").read_text(encoding="utf-8")
     assert "speed-watcher keys right" in rates
     assert len(rates.splitlines()) == 4

@@ -406,14 +406,14 @@ TestDeadlines = Deadlines.TestCase
 TestTwoControllers = pytest.mark.slow(TwoControllers.TestCase)
 TestPipelinedLink = pytest.mark.slow(PipelinedLink.TestCase)
 TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = settings(
-    max_examples=60,
+    max_examples=40,
     stateful_step_count=60,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
 TestPipelinedLink.settings = TestLink.settings
 TestOnDisk = pytest.mark.slow(OnDisk.TestCase)
-TestOnDisk.settings = settings(TestLink.settings, max_examples=20)
+TestOnDisk.settings = settings(TestLink.settings, max_examples=12)
 TestActing = Acting.TestCase
 TestActingAtOnce = pytest.mark.slow(ActingAtOnce.TestCase)
 TestActing.settings = TestActingAtOnce.settings = TestLink.settings

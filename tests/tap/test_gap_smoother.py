@@ -1,5 +1,7 @@
 """Lost states and offers: the law's pieces, and what they and the dynamics give back."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -25,9 +27,13 @@ def law(x: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.array([column.reshape(2, 2) for column in out])
 
 
+RUN = (800, 21)
+"""Steps and seed."""
+
+
 @pytest.fixture(scope="module")
 def run() -> Run:
-    return simulate(800, 21)
+    return simulate(*RUN)
 
 
 def shape_of(run: Run) -> NDArray[np.float64]:
@@ -47,8 +53,13 @@ def without(run: Run, *lost: tuple[type, int]) -> list[Transition]:
     return [t for m in kept for t in transcript.hear(m)] + transcript.flush()
 
 
+@cache
+def heard_whole() -> dict[int, Transition]:
+    return {t.k: t for t in heard_by(simulate(*RUN), View())}
+
+
 def true_gauges(run: Run, k: int) -> np.ndarray:
-    (t,) = [t for t in heard_by(run, View()) if t.k == k]
+    t = heard_whole()[k]
     assert t.x_next is not None
     A, B = np.array(run.scenario.A), np.array(run.scenario.B)
     residual = np.array(t.x_next) - A @ np.array(t.x) - np.array(t.candidates) @ B.T

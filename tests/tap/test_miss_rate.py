@@ -58,8 +58,8 @@ def test_an_honest_run_is_refuted_no_more_often_than_stated_though_looked_at_alw
 
 @pytest.mark.slow
 def test_independent_misses_are_called_bursts_no_more_often_than_stated() -> None:
-    """12 looks a run at all distances together, 3,000 runs."""
-    draw, runs = random.Random(5), 3000
+    """12 looks a run at all distances together, 1,500 runs."""
+    draw, runs = random.Random(5), 1500
     flagged = 0
     for _ in range(runs):
         misses = Misses(0.3, LEVEL)
