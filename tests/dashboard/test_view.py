@@ -735,6 +735,8 @@ def test_a_long_line_at_the_end_of_a_run_is_broken_and_not_cut(width: int) -> No
     text = shown(state_after(3000), width, 24, view)
     told = text.partition("What this run shows")[2].partition("\n")[2]
     assert " ".join(told.split()).startswith(" ".join(f"{point} second line".split()))
+    first, second = told.splitlines()[:2]  # what goes on stands below the text, not the label
+    assert second.index(second.strip()) == first.index("16.9")
 
 
 @pytest.mark.parametrize("value", [0, 1e-9, 0.00123, 0.5, 12.345, 999.9, 1e5, -2.5e-7, 1e12])
