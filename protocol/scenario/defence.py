@@ -125,6 +125,10 @@ class DefenceTable(ScenarioTable):
         """What the scenario lacks for this, a line each."""
         for field, name in (("kind", self.kind), ("messages", self.messages)):
             shipped = TESTS if field == "kind" else (CLEAR,)
+            unfit = () if name in shipped else tuple(self._unfit(field, name, states, candidates))
+            if unfit:
+                yield from unfit
+                continue
             taken = name not in ("residual", CLEAR) and (field == "messages" or self.keyed)
             if taken and keys is None:
                 yield f"defence.{field}: {name} takes distilled keys, and there is no table keys"
@@ -133,8 +137,6 @@ class DefenceTable(ScenarioTable):
                     f"defence.{field}: {name} takes distilled keys, and under keys.eps_E = "
                     f"{keys.eps_E:g} none is made"
                 )
-            if name not in shipped:
-                yield from self._unfit(field, name, states, candidates)
         if self.on_alarm == "safe" and link.watchdog_s is None:
             yield (
                 "defence.on_alarm: safe ends the offers, so that the watchdog bites: expected "

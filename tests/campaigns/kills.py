@@ -10,7 +10,8 @@ set so, and lives on a machine of its own as far as the monotonic clock goes: in
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays, blocks of keys are signed in every other run, and every other
 message is sealed. With ``--watched`` the coin is keyed and the loop is in lock-step: no honest step
-may alarm.
+may alarm. With ``--guarded`` messages are tagged in every other run and coded in the others: none
+may be refused, and no slot of a key may serve two.
 """
 
 import argparse
@@ -42,6 +43,7 @@ KINDS: Final = {
     "tls": "campaign-tls.json",
     "keys": "campaign-kills-keys.json",
     "watched": "campaign-kills-watched.json",
+    "guarded": "campaign-kills-guarded.json",
 }
 """Kinds of campaign, and where their results go."""
 
@@ -108,7 +110,8 @@ def one_run(
     keys = kind == "keys"
     text = plain_text(draw, 200)
     watched = kind == "watched"
-    pace = "fast" if watched else "x20" if keys else draw.choice(PACES)
+    guard = ("mac", "coding")[seed % 2] if kind == "guarded" else None
+    pace = "fast" if watched else "x20" if keys or guard else draw.choice(PACES)
     relay = RELAY if keys else None
     signed = keys and seed % 2 == 0
     loop = LiveLoop(
@@ -121,6 +124,7 @@ def one_run(
         secret=signed,
         boots=draw if kind == "apart" else None,
         scenario="watched" if watched else "keys",
+        guard=guard,
     )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
@@ -152,6 +156,7 @@ def main(argv: list[str] | None = None) -> int:
         ("tls", "a router that asks for certificates"),
         ("keys", "a relay, sealed messages"),
         ("watched", "the coin is keyed"),
+        ("guarded", "messages are tagged or coded"),
     ):
         kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
     parser.set_defaults(kind="kills")
