@@ -86,7 +86,8 @@ def distilled(state: State, width: int) -> list[Row]:
     rate = 256 * plant.keys_of_block / seconds if seconds else 0.0
     n = plant.key_blocks_lost
     lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
-    made = f"{count(plant.keys_made)} keys, {rate:.0f} bit/s; {lost}"
+    of = "key" if plant.keys_made == 1 else "keys"
+    made = f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {lost}"
     told_of = line(made)
     hers, style = held(state, room - cell_len(made))
     told_of.append(hers, style=STYLES[style])

@@ -4,6 +4,7 @@ The panels are regions of rich's `Layout`, each of a height that is known before
 whole from 80x24 on. On a smaller one whole panels go, in the order of `DROPPED_FIRST`.
 """
 
+import re
 from textwrap import wrap
 from typing import Final
 
@@ -63,6 +64,16 @@ HELP: Final = (
     "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",
     "message. `wyner report` draws any step of a run that is over.",
 )
+
+
+_LABEL: Final = re.compile(r" +|\S+(?: \S+)? {2,}")
+"""What stands before the text of a line: spaces, or what it is about."""
+
+
+def _indent(line: str) -> str:
+    """What a line goes on below: its text where it has a label."""
+    label = _LABEL.match(line)
+    return " " * (len(label[0]) if label else 3)
 
 
 def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) -> RenderableType:
@@ -147,7 +158,7 @@ class _Page(Panels):
         return [
             row
             for line in self.view.caption[1:]
-            for row in wrap(drawn(line), self.width - 2, subsequent_indent="   ")
+            for row in wrap(drawn(line), self.width - 2, subsequent_indent=_indent(line))
         ]
 
     def _caption_rows(self) -> int:

@@ -290,8 +290,9 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
     if refused is not None and not keys["blocks"]:
         return [f"Keys       none: {refused}"]
     held = "an unknown number of" if keys["held_by_tap_bits"] is None else keys["held_by_tap_bits"]
+    made = f"{keys['made']} {'key' if keys['made'] == 1 else 'keys'}"
     lines = [
-        f"Keys       {keys['made']} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s, "
+        f"Keys       {made} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s, "
         f"counted. Eve holds {held} bits of them.",
         f"           {keys['assumption']}",
     ]
