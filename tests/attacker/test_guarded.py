@@ -30,10 +30,10 @@ pytestmark = pytest.mark.slow
 FILLS = 1500
 """Steps of an honest run until its keys serve; beside other work it takes several."""
 
-HELD = 24
+HELD = 48
 """Keys that a filled run has left at each end, to guard the run that goes on from it."""
 
-ONSET = 80
+ONSET = 160
 """Steps from there on to an attack: its process has keys of its own by then."""
 
 
