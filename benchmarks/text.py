@@ -17,7 +17,7 @@ STEPS: Final = 320
 LOSSES: Final = (0.1, 0.3, 0.5)
 
 
-def measure(progress: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
+def measure(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
     """Follow each run; see :data:`MOST_MS`."""
     from studies.secrecy.runs import simulate
     from studies.secrecy.sentences import SENTENCES
@@ -46,7 +46,9 @@ def measure(progress: Callable[[str], None] = lambda _: None) -> dict[str, Any]:
                     "she_had_it_at": had.solved_k if payload in had.whole else None,
                 }
             )
-            progress(f"{loss:.0%} missed, seed {seed}: {rows[-1]['ms_a_step']:.1f} ms a step")
+            if progress is not None:
+                cost = rows[-1]["ms_a_step"]
+                progress(f"{loss:.0%} missed, seed {seed}: {cost:.1f} ms a step")
     return {
         "rows": rows,
         "steps": STEPS,

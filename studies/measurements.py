@@ -46,6 +46,8 @@ TAP_SOURCES: Final = (
     "tap_service/inference/list_decoding.py",
     "tap_service/inference/hypotheses.py",
     "tap_service/inference/frame_scores.py",
+    "tap_service/inference/opening.py",
+    "tap_service/inference/output_model.py",
     "tap_service/inference/symbol_paths.py",
     "tap_service/inference/language_model.py",
     "tap_service/capture/transcript.py",

@@ -18,11 +18,11 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
 from tap_service.eavesdroppers.list_decoder import nearest
 from tap_service.inference.english import AnyBytes, English, english
+from tap_service.inference.from_outputs import inferred
 from tap_service.inference.front import Inference, Inferred
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.message_reader import SURE, Message, MessageReader, verdicts_of
 from tap_service.inference.message_search import BEAM
-from tap_service.inference.opening import inferred
 from tap_service.inference.output_model import OutputModel
 
 KEPT: Final = 4096

@@ -12,8 +12,9 @@ from protocol.schemes.registry import make_scheme
 from studies.corners import at_the_corners
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Model
+from tap_service.inference.from_outputs import inferred
 from tap_service.inference.list_decoding import ListDecoding
-from tap_service.inference.opening import Known, Opening, inferred
+from tap_service.inference.opening import Known, Opening
 from tap_service.inference.output_model import LATER, LOST, OutputModel
 from tests.support.small_run import law_of
 from wyner.simulate.engine import Runs, simulate_runs, transfer
