@@ -9,7 +9,7 @@ from abc import ABC, abstractmethod
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Final, Protocol
+from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 
 from pydantic import BaseModel, ConfigDict
 
@@ -23,6 +23,9 @@ from protocol.schemes.registry import make_scheme
 from protocol.vectors import Matrix, Vector
 from tap_service.capture.transcript import Transition
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
+
+if TYPE_CHECKING:
+    from tap_service.inference.opening import Opening
 
 IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
@@ -467,3 +470,21 @@ class Following(Eavesdropper):
     def belief(self) -> Belief:
         """The message that her verdicts spell."""
         return self.follower.belief(self.model)
+
+
+def opening_of(model: Measuring, *, certain: bool) -> "Opening | None":
+    """What holds a session's first transitions; None where states are read, or none agrees for
+    sure."""
+    if not certain or isinstance(model, Model):
+        return None
+    from tap_service.inference.opening import Opening
+    from tap_service.inference.output_model import OutputModel
+
+    return Opening(model) if isinstance(model, OutputModel) else None
+
+
+def nearest(gauges: list[float]) -> tuple[float, ...]:
+    """All probability on the nearest candidate; shared among equals."""
+    smallest = min(gauges)
+    share = 1.0 / gauges.count(smallest)
+    return tuple(share if g == smallest else 0.0 for g in gauges)

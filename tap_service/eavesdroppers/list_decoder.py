@@ -13,11 +13,19 @@ from typing import ClassVar
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Measuring, Model, even
+from tap_service.eavesdroppers.base import (
+    Belief,
+    Eavesdropper,
+    Guess,
+    Measuring,
+    Model,
+    even,
+    nearest,
+    opening_of,
+)
 from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.opening import Opening
-from tap_service.inference.output_model import OutputModel
 
 
 class ListDecoder(Eavesdropper):
@@ -77,19 +85,6 @@ class ListDecoder(Eavesdropper):
     def belief(self) -> Belief:
         """The last message whose check held, else what the best decoding spells so far."""
         return belief_of(self.decoding, self._model)
-
-
-def opening_of(model: Measuring, *, certain: bool) -> Opening | None:
-    """What holds a session's first transitions; None where states are read, or none agrees for
-    sure."""
-    return Opening(model) if certain and isinstance(model, OutputModel) else None
-
-
-def nearest(gauges: list[float]) -> tuple[float, ...]:
-    """All probability on the nearest candidate; shared among equals."""
-    smallest = min(gauges)
-    share = 1.0 / gauges.count(smallest)
-    return tuple(share if g == smallest else 0.0 for g in gauges)
 
 
 def agreement_probability(decoding: ListDecoding, gauges: list[float]) -> float:

@@ -12,16 +12,23 @@ number of those, and takes the one whose frame has its check.
 """
 
 from collections.abc import Sequence
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from protocol.agreement import NO_SYMBOL
 from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess
-from tap_service.eavesdroppers.list_decoder import nearest, opening_of
-from tap_service.inference.opening import Opening
-from tap_service.inference.output_model import LOST
+from tap_service.eavesdroppers.base import (
+    Belief,
+    Follower,
+    Following,
+    Guess,
+    nearest,
+    opening_of,
+)
+
+if TYPE_CHECKING:
+    from tap_service.inference.opening import Opening
 
 MARGIN = 1.1
 """Threshold over the largest nearest gauge seen: a defender's set is drawn with room to spare."""
@@ -37,7 +44,8 @@ class NearestCentre(Following):
         self._largest = 0.0
         self.noisy = knowledge.noisy
         self._opening = opening_of(self.model, certain=self.certain)
-        self._followers = [Follower(self.scheme) for _ in range(LOST)]
+        lost = () if self._opening is None else self._opening.lost
+        self._followers = {number: Follower(self.scheme) for number in lost}
 
     def observe(self, transition: Transition) -> Guess:
         """Follow the scheme; what was not heard whole is guessed evenly."""
@@ -45,10 +53,10 @@ class NearestCentre(Following):
             return super().observe(transition)
         return self._observe_outputs(self._opening, transition)
 
-    def _observe_outputs(self, opening: Opening, transition: Transition) -> Guess:
+    def _observe_outputs(self, opening: "Opening", transition: Transition) -> Guess:
         known, gauges = opening.take(transition)
         for t, symbol, place in known:
-            for lost, follower in enumerate(self._followers, 1):
+            for lost, follower in self._followers.items():
                 if t.start or t.gap:
                     follower.restart()
                 follows = NO_SYMBOL if symbol is None or 0 <= place < lost else symbol
@@ -61,7 +69,7 @@ class NearestCentre(Following):
         """The message that her verdicts spell; where outputs are read, of who has read most."""
         if self._opening is None:
             return super().belief()
-        best = max(self._followers, key=lambda follower: follower.whole_count)
+        best = max(self._followers.values(), key=lambda follower: follower.whole_count)
         return best.belief(self.model)
 
     def judged(

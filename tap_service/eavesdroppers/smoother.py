@@ -15,8 +15,8 @@ import numpy as np
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
-from tap_service.eavesdroppers.list_decoder import Collected, nearest
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even, nearest
+from tap_service.eavesdroppers.list_decoder import Collected
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.list_decoding import ListDecoding

@@ -15,8 +15,7 @@ from typing import ClassVar, Final
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
-from tap_service.eavesdroppers.list_decoder import nearest
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even, nearest
 from tap_service.inference.english import AnyBytes, English, english
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.front import Inference, Inferred

@@ -35,6 +35,9 @@ class Opening:
     model : OutputModel
     """
 
+    lost = range(1, LOST + 1)
+    """Numbers of first steps that the two ends may have lost."""
+
     def __init__(self, model: OutputModel) -> None:
         self._model = model
         self._held: deque[Transition] = deque()
