@@ -27,6 +27,7 @@ from studies.secrecy.study import (
     said_about,
     stated_by,
 )
+from studies.secrecy.study import VIEWS as ALL_VIEWS
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
@@ -92,18 +93,7 @@ SUSTAINED: Final[dict[str, dict[str, Any]]] = {
     "sustained, loss 30 %": {"loss": 0.3},
 }
 
-VIEWS: Final[dict[str, dict[str, Any]]] = {
-    "clear": {},
-    "loss 10 %": {"loss": 0.1},
-    "loss 30 %": {"loss": 0.3},
-    "loss 50 %": {"loss": 0.5},
-    "offers only": {"view": "offers"},
-    "noise 0.002": {"noise": 0.002},
-    "noise 0.01": {"noise": 0.01},
-    "noise 0.05": {"noise": 0.05},
-    "quantised 0.01": {"quantise": 0.01},
-    "quantised 0.1": {"quantise": 0.1},
-}
+VIEWS: Final = {name: knobs for name, knobs in ALL_VIEWS.items() if name != "measurements only"}
 """Every view in which ciphertext is heard."""
 
 LONG: Final[dict[str, dict[str, Any]]] = {

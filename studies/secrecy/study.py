@@ -59,6 +59,22 @@ EARLY: Final = 200
 """Steps after which a learner is expected to read nearly every separable step."""
 
 
+VIEWS: Final[dict[str, dict[str, Any]]] = {
+    "clear": {},
+    "loss 10 %": {"loss": 0.1},
+    "loss 30 %": {"loss": 0.3},
+    "loss 50 %": {"loss": 0.5},
+    "measurements only": {"view": "measurements"},
+    "offers only": {"view": "offers"},
+    "noise 0.002": {"noise": 0.002},
+    "noise 0.01": {"noise": 0.01},
+    "noise 0.05": {"noise": 0.05},
+    "quantised 0.01": {"quantise": 0.01},
+    "quantised 0.1": {"quantise": 0.1},
+}
+"""What she hears, by name."""
+
+
 def described(view: View) -> str:
     """A view by what the studies vary of it."""
     return "View(" + ", ".join(f"{name}={getattr(view, name)!r}" for name in HEARD) + ")"
@@ -112,20 +128,7 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
             yield Task("learning", condition, "learning", seed, steps=2000, view=view)
             early = f"{condition}, {EARLY} steps"
             yield Task("learning", early, "learning", seed, steps=EARLY, view=view)
-    views: dict[str, dict[str, Any]] = {
-        "clear": {},
-        "loss 10 %": {"loss": 0.1},
-        "loss 30 %": {"loss": 0.3},
-        "loss 50 %": {"loss": 0.5},
-        "measurements only": {"view": "measurements"},
-        "offers only": {"view": "offers"},
-        "noise 0.002": {"noise": 0.002},
-        "noise 0.01": {"noise": 0.01},
-        "noise 0.05": {"noise": 0.05},
-        "quantised 0.01": {"quantise": 0.01},
-        "quantised 0.1": {"quantise": 0.1},
-    }
-    for condition, knobs in views.items():
+    for condition, knobs in VIEWS.items():
         for seed in range(few):
             for tap in ("list-decoder", "smoother", "text"):
                 yield Task("view", condition, tap, seed, view=View(seed=seed, **knobs))

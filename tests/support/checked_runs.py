@@ -13,8 +13,15 @@ from runtime.run_folder import CAPTURE
 from wyner.cli.demo import SealedMessage
 from wyner.cli.up import run_session
 from wyner.deployment.one_machine import RunOptions
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 
 SEALED: Final = b"The old mill, at nine."
+
+
+def failed(folder: Path) -> set[str]:
+    """Names of the checks that a run does not pass."""
+    return {found.check.name for found in check(read_evidence(folder)) if found.result == "FAIL"}
 
 
 def keyed_run(factory: pytest.TempPathFactory) -> Path:

@@ -10,10 +10,8 @@ from pathlib import Path
 import pytest
 
 from runtime.run_folder import MANIFEST, SUMMARY
-from tests.support.checked_runs import keyed_run
-from wyner.runs.check import check
+from tests.support.checked_runs import failed, keyed_run
 from wyner.runs.check.covered import KINDS, OTHER, evidence_below, kind_of
-from wyner.runs.check.evidence import read_evidence
 from wyner.runs.check.seal import broken
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
@@ -37,10 +35,6 @@ def unsealed(copied: Path) -> Path:
     del manifest["files"], manifest["manifest"]
     (copied / MANIFEST).write_text(json.dumps(manifest))
     return copied
-
-
-def failed(folder: Path) -> set[str]:
-    return {f.check.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
 def passes(folder: Path) -> bool:

@@ -18,9 +18,8 @@ from runtime.run_folder import (
     PLANT_TRACE,
 )
 from tests.runs.check.mutants import Mutant, of_kind
-from tests.support.checked_runs import SEALED, keyed_run
+from tests.support.checked_runs import SEALED, failed, keyed_run
 from wyner.cli.main import main
-from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.run import Run
 from wyner.runs.score.keys import audit_keys
@@ -38,10 +37,6 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def copied(run: Path, tmp_path: Path) -> Path:
     return Path(shutil.copytree(run, tmp_path / "run"))
-
-
-def failed(folder: Path) -> set[str]:
-    return {f.check.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
 @pytest.mark.slow

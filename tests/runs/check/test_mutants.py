@@ -8,6 +8,7 @@ import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE, SCENARIO
 from tests.runs.check.mutants import Mutant, mutants_of
+from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
 from tests.support.small_run import read_lines, write_lines
@@ -36,10 +37,6 @@ def killed(ended: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name in (*TRACES, CAPTURE):
         unmark(folder / name)
     return folder
-
-
-def failed(folder: Path) -> set[str]:
-    return {f.check.name for f in check(read_evidence(folder)) if f.result == "FAIL"}
 
 
 NAMED: dict[tuple[str, str], set[str]] = {

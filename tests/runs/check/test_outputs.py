@@ -8,10 +8,9 @@ from typing import Any
 import pytest
 
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.checked_runs import failed
 from tests.support.recorded_loop import SIDES, RecordedLoop
 from tests.support.small_run import read_lines, write_lines
-from wyner.runs.check import check
-from wyner.runs.check.evidence import read_evidence
 
 Line = dict[str, Any]
 
@@ -28,11 +27,6 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
     loop.run(lambda: loop.transitions >= 120)
     loop.stop()
     return loop.folder
-
-
-def failed(folder: Path) -> set[str]:
-    found = check(read_evidence(folder))
-    return {one.check.name for one in found if one.result == "FAIL"}
 
 
 def test_a_clean_run_passes(clean: Path) -> None:

@@ -34,6 +34,7 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import load_scenario
 from tests.runs.check.mutants import ALTERATIONS
+from tests.support.checked_runs import failed
 from tests.support.giving import deliver
 from wyner.cli.main import main
 from wyner.runs.check import check
@@ -80,10 +81,6 @@ def run(sealed: Path, tmp_path: Path) -> Path:
 def wrong(run: Path) -> dict[str, str]:
     manifest = json.loads((run / MANIFEST).read_bytes()) if (run / MANIFEST).exists() else None
     return {name: text for name, text in broken(run, manifest) if text}
-
-
-def failed(run: Path) -> set[str]:
-    return {f.check.name for f in check(read_evidence(run)) if f.result == "FAIL"}
 
 
 def fields(value: Any) -> Iterator[tuple[Any, Any]]:

@@ -14,6 +14,7 @@ from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
+from tests.support.checked_runs import failed
 from tests.support.recorded_loop import SIDES, RecordedLoop
 from tests.support.small_run import Lines, read_lines, write_lines
 from wyner.cli.main import main
@@ -22,10 +23,6 @@ from wyner.runs.check.evidence import read_evidence
 
 STEPS = 1400
 """Of M = 4: eleven keys."""
-
-
-def failed(folder: Path) -> set[str]:
-    return {r.check.name for r in check(read_evidence(folder)) if r.result == "FAIL"}
 
 
 def transitions(folder: Path, trace: Path) -> Lines:
