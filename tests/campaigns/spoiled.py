@@ -18,7 +18,8 @@ from typing import Final
 
 from runtime.errors import Failure, UsageError
 from tests.campaigns.resumable import Results, options, seeds
-from tests.support.recorded_loop import SIDES, RecordedLoop, Side
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES, Side
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 

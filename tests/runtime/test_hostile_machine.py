@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from runtime.errors import Failure
-from tests.support.recorded_loop import SIDES, RecordedLoop, Side
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES, Side
 
 MESSAGE = b"a"
 
