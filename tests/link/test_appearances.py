@@ -7,9 +7,10 @@ import pytest
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
+from protocol.secret.records import Side
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
-from tests.support.two_ends import SIDES, Side
+from tests.support.two_ends import SIDES, Name
 
 CLAIM = Assumption(0.7, appearances=2)
 
@@ -18,10 +19,10 @@ class Watched(KeyedEnds):
     """A world that notes which copies its ends send first, by side."""
 
     def __init__(self) -> None:
-        self.sent: dict[Side, list[int]] = {side: [] for side in SIDES}
+        self.sent: dict[Name, list[int]] = {side: [] for side in SIDES}
         super().__init__(keyed_rules(schedule=schedule_of(CLAIM)), period_s=0.3)
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         if message.kind in (Measurement, Offer):
             said = message.kind.model_validate_json(message.payload)
             assert isinstance(said, Measurement | Offer)

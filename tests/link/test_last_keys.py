@@ -7,7 +7,7 @@ from protocol.messages import BlockAnnouncement
 from runtime.errors import DONE
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
-from tests.support.two_ends import SIDES, Side
+from tests.support.two_ends import SIDES, Name
 
 STEPS = 40
 
@@ -17,7 +17,7 @@ class Ending(KeyedEnds):
 
     deaf = False
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         if not (self.deaf and message.kind is BlockAnnouncement):
             super().said(side, message)
 

@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
+from protocol.secret.records import Side
 from runtime.errors import Failure
 from tests.support.recorded_loop import RecordedLoop
-from tests.support.two_ends import SIDES, Side
+from tests.support.two_ends import SIDES
 
 MESSAGE = b"a"
 

@@ -14,6 +14,7 @@ from protocol.link import guarded
 from protocol.link.guard import ANEW, Guard, Promise
 from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement
+from protocol.secret.records import Side
 from protocol.secret.tasks import Batch
 from runtime.keys import guards
 from runtime.keys.store import KeyStore
@@ -22,7 +23,7 @@ from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.broken import broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.once import Copies
-from tests.support.two_ends import SIDES, Side
+from tests.support.two_ends import SIDES
 
 GUARDS: list[Callable[[int, int], Defence]] = [Mac, Coding]
 

@@ -19,12 +19,12 @@ from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
 from protocol.link.records import Step
 from protocol.secret.nonces import Contribution, contribution_of
-from protocol.secret.records import WHOLE, Share, StoreError, TooFewKeys
+from protocol.secret.records import WHOLE, Share, Side, StoreError, TooFewKeys
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
-from tests.support.two_ends import SIDES, Side
+from tests.support.two_ends import SIDES
 
 SIDE = st.sampled_from(SIDES)
 POINTS: tuple[CrashPoint, ...] = ("writing", "publishing", "tracing", "keeping")

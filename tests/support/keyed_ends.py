@@ -10,12 +10,12 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import BlockResult, Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.records import Key, TooFewKeys, UnknownKeys
+from protocol.secret.records import Key, Side, TooFewKeys, UnknownKeys
 from tests.support.giving import deliver, deliver_named
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
 from tests.support.once import Copies, Digits
-from tests.support.two_ends import OTHER, SIDES, LineEnds, Side
+from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
 """Blocks of three transitions and then six, so that keys come all the time."""
@@ -41,9 +41,9 @@ class KeyedEnds(LineEnds):
 
     def __init__(self, rules: Rules, **more: Any) -> None:
         self.copies, self.digits = Copies(), Digits()
-        self.counted: dict[Side, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
+        self.counted: dict[Name, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
-        self.slots: dict[tuple[Side, str, str], bytes] = {}
+        self.slots: dict[tuple[Name, str, str], bytes] = {}
         self.tampers = False
         super().__init__(rules, **more)
 
@@ -69,7 +69,7 @@ class KeyedEnds(LineEnds):
             raise AssertionError("a key was given that the partner does not have") from None
         assert same == key, "the two ends gave different keys under one id"
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         super().said(side, message)
         if message.kind not in (Measurement, Offer):
             return
@@ -81,7 +81,7 @@ class KeyedEnds(LineEnds):
             plain = ANEW.sub(b"", message.payload, 1)
             assert self.slots.setdefault(at, plain) == plain, "a slot served two messages"
 
-    def traced(self, side: Side, event: Event) -> None:
+    def traced(self, side: Name, event: Event) -> None:
         if isinstance(event, BlockResult):
             assert event.what == "confirmed", "the ends hold different blocks"
         assert not isinstance(event, Alarm), "an honest step made an alarm"

@@ -30,7 +30,7 @@ from tap_service.capture.recording import mirror_line
 from tests.support.mail import Mail, mail
 from tests.support.small_run import SCENARIOS, kill, law_of
 from tests.support.traces import read_trace
-from tests.support.two_ends import SIDES, Alive, MortalPorts, Side, TwoEnds
+from tests.support.two_ends import SIDES, Alive, MortalPorts, Name, TwoEnds
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
@@ -42,7 +42,7 @@ class _Publisher:
     """Puts what an end says into the other's mail, and on record."""
 
     loop: "RecordedLoop"
-    side: Side
+    side: Name
     kind: type[Message]
 
     def put(self, payload: bytes) -> None:
@@ -105,12 +105,12 @@ class RecordedLoop(TwoEnds):
 
     # --- lives ------------------------------------------------------------------------------------
 
-    def start(self, side: Side, *, clear_alarm: bool = False) -> None:
+    def start(self, side: Name, *, clear_alarm: bool = False) -> None:
         """Begin a life of one end, from what its files hold."""
         self._clear_alarm = clear_alarm
         super().start(side)
 
-    def open(self, side: Side) -> Alive:
+    def open(self, side: Name) -> Alive:
         core: Any
         if side == "plant":
             plant = PlantConfig(self.scenario, self.folder, "loop", self._pace, attack=self._attack)
@@ -139,19 +139,19 @@ class RecordedLoop(TwoEnds):
         )
         return Alive(core, peer, MortalPorts(ports), key_maker, files, tasks)
 
-    def die(self, side: Side) -> None:
+    def die(self, side: Name) -> None:
         """It is killed, and comes back at once."""
         self.kill(side)
         super().die(side)
 
-    def kill(self, side: Side) -> None:
+    def kill(self, side: Name) -> None:
         """As SIGKILL: what was written stays, what was on its way to it is lost."""
         end = self.ends.pop(side)
         kill(end.files.trace)
         end.files.journal.close()
         if end.key_maker is not None:
             end.key_maker.store.close()
-        self.mail[side].clear()
+        self.mail["plant" if side == "plant" else "controller"].clear()
 
     def stop(self) -> None:
         """Let both ends say their last word."""
@@ -169,7 +169,7 @@ class RecordedLoop(TwoEnds):
 
     # --- what happens -----------------------------------------------------------------------------
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         """A message on its way: the tap hears it, and the other end if it is for it."""
         if message.kind is Offer:
             self._one_cipher(Offer.model_validate_json(message.payload))

@@ -19,6 +19,7 @@ from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import inf
 from typing import Any, Final, Literal
 
@@ -32,7 +33,7 @@ from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
-from protocol.secret.records import Key
+from protocol.secret.records import Key, Side
 from protocol.secret.tasks import Done, GuardTask, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
@@ -43,15 +44,24 @@ from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
-from tests.support.acting_line import ActingLine, LineDevice, acting_plant
 from tests.support.giving import ask
-from tests.support.line_ends import LinePlant, Reports, line_controller, line_plant
+from tests.support.line_ends import (
+    ActingLine,
+    LineDevice,
+    LinePlant,
+    Reports,
+    acting_plant,
+    line_controller,
+    line_plant,
+)
 from tests.support.mail import Mail, mail
 from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
-Side = Literal["controller", "plant"]
+Name = Literal["plant", "controller", "rival"]
+"""An end; the rival is a second controller on the same loop."""
+
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
-OTHER: Final[dict[Side, Side]] = {"controller": "plant", "plant": "controller"}
+OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
 HEARS: Final = {"controller": ControllerCore.hears, "plant": PlantCore.hears}
 Performer = Callable[[Actions, Peer, Ports], None]
 
@@ -125,16 +135,16 @@ class TwoEnds(ABC):
     def __init__(self) -> None:
         self.now = 0.0
         self.mail: dict[Side, list[Mail]] = {side: [] for side in SIDES}
-        self.ends: dict[Side, Alive] = {}
-        self.lives: dict[Side, int] = dict.fromkeys(SIDES, 0)
+        self.ends: dict[Name, Alive] = {}
+        self.lives: dict[Name, int] = dict.fromkeys(OTHER, 0)
         self._happened = 0
         self._loses = False
 
     @abstractmethod
-    def open(self, side: Side) -> Alive:
+    def open(self, side: Name) -> Alive:
         """A new process of an end, as its journal has it; nothing is said yet."""
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         """A message leaves: the network has it for the other side, if it is for it."""
         if message.kind in HEARS[OTHER[side]]:
             bag = self.mail[OTHER[side]]
@@ -143,13 +153,13 @@ class TwoEnds(ABC):
 
     # --- lives and deaths -------------------------------------------------------------------------
 
-    def start(self, side: Side) -> None:
+    def start(self, side: Name) -> None:
         """A life of one end begins."""
         self.lives[side] += 1
         self.ends[side] = self.open(side)
         self.do(side, self.ends[side].peer.start)
 
-    def die(self, side: Side) -> None:
+    def die(self, side: Name) -> None:
         """A process is killed, and comes back at once."""
         if self._loses:
             self._lose_mail()
@@ -160,7 +170,7 @@ class TwoEnds(ABC):
             bag.clear()
 
     def crash_at(
-        self, side: Side, before: CrashPoint | None = None, after: int = -1, since: str = ""
+        self, side: Name, before: CrashPoint | None = None, after: int = -1, since: str = ""
     ) -> None:
         """Let a process die, of which something is asked.
 
@@ -189,7 +199,7 @@ class TwoEnds(ABC):
 
     # --- what may happen --------------------------------------------------------------------------
 
-    def do(self, side: Side, act: Callable[[float], Actions]) -> None:
+    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
         """An end acts; one that dies over it begins anew at once."""
         end = self.ends[side]
         try:
@@ -197,7 +207,7 @@ class TwoEnds(ABC):
         except Crashed:
             self.die(side)
 
-    def hear(self, side: Side, message: Mail) -> None:
+    def hear(self, side: Name, message: Mail) -> None:
         """A message arrives, for the first time or once more."""
         self.do(side, lambda now: self.ends[side].peer.receive(*message, now))
 
@@ -256,7 +266,7 @@ class TwoEnds(ABC):
             self._wake_next()
 
     def _wake_next(self) -> None:
-        due = {side: end.peer.wake_at() for side, end in self.ends.items()}
+        due = {side: self.ends[side].peer.wake_at() for side in SIDES}
         side = min(due, key=lambda s: due[s])
         askers = [end.asker for end in self.ends.values() if end.asker is not None]
         asks_at = min((a.wake_at() for a in askers if self.asks == "timed"), default=inf)
@@ -308,7 +318,7 @@ class Covers:
 class _Ports:
     """What one end does to the world."""
 
-    def __init__(self, world: "LineEnds", side: Side, tasks: deque[Task]) -> None:
+    def __init__(self, world: "LineEnds", side: Name, tasks: deque[Task]) -> None:
         self._world, self._side = world, side
         self._reports = Reports()
         self.submit_key_task = tasks.append
@@ -339,8 +349,8 @@ class LineEnds(TwoEnds):
         With a schedule each end has a key store.
     period_s : float, optional
         Between two steps; None for lock-step.
-    payloads : sequence of bytes
-        The controller's messages.
+    payloads, rivals : sequence of bytes
+        The controller's messages; those of a second one, which is there if they are given.
     on_disk : bool
         Journals have twins on disk.
     acts : bool
@@ -350,8 +360,7 @@ class LineEnds(TwoEnds):
     steps : int, optional
         The plant's last step.
     fresh : SymbolSource, optional
-    propose : callable, optional
-        The candidates at a state; two at 1.5 to either side of the origin if not given.
+        Of covers.
 
     Attributes
     ----------
@@ -372,13 +381,12 @@ class LineEnds(TwoEnds):
         guard: Defence | None = None,
         steps: int | None = None,
         fresh: SymbolSource | None = None,
-        propose: Callable[[Vector], tuple[Vector, ...]] | None = None,
+        rivals: Sequence[bytes] | None = None,
     ) -> None:
         super().__init__()
         self.rules, self.guard = rules, guard
         self.period_s, self.steps = period_s, steps
         self.fresh = fresh or Covers()
-        self.propose = propose or (lambda x: ((-x[0] - 1.5,), (-x[0] + 1.5,)))
         self.names = 0
         self.device = LineDevice() if acts else None
         self.stores: dict[Side, KeyStore] = {}
@@ -386,13 +394,14 @@ class LineEnds(TwoEnds):
             self.stores = {side: KeyStore(None, side) for side in SIDES}
         if rules.keyed or guard is not None:
             self.asks = "always"
-        self.journals: dict[Side, MemoryControllerJournal | MemoryPlantJournal] = {
-            "controller": (TwinControllerJournal if on_disk else MemoryControllerJournal)(
-                *payloads
-            ),
+        queue = TwinControllerJournal if on_disk else MemoryControllerJournal
+        self.journals: dict[Name, MemoryControllerJournal | MemoryPlantJournal] = {
             "plant": TwinPlantJournal() if on_disk else MemoryPlantJournal(),
+            "controller": queue(*payloads),
         }
-        for side in SIDES:
+        if rivals is not None:
+            self.journals["rival"] = queue(*rivals)
+        for side in self.journals:
             self.start(side)
 
     def close(self) -> None:
@@ -400,11 +409,16 @@ class LineEnds(TwoEnds):
         for kept in (*self.stores.values(), *self.journals.values()):
             kept.close()
 
-    def wrote(self, side: Side, write: Write) -> None:
+    def propose(self, side: Name, x: Vector) -> tuple[Vector, ...]:
+        """The candidates of a controller: around the origin, 3 apart."""
+        M = self.rules.size
+        return tuple([(-x[0] + (2 * i - M + 1) * 1.5,) for i in range(M)])
+
+    def wrote(self, side: Name, write: Write) -> None:
         """An end writes into its journal."""
         self.journals[side].write(write)
 
-    def traced(self, side: Side, event: Event) -> None:
+    def traced(self, side: Name, event: Event) -> None:
         """An end traces an event."""
 
     def name(self) -> str:
@@ -412,20 +426,26 @@ class LineEnds(TwoEnds):
         self.names += 1
         return f"{self.names:016x}"
 
-    def open(self, side: Side) -> Alive:
+    def open(self, side: Name) -> Alive:
         tasks = deque[Task]()
         ports = MortalPorts(_Ports(self, side, tasks))
-        end = self._controller() if side == "controller" else self._plant(ports)
+        end = self._plant(ports) if side == "plant" else self._controller(side)
+        if side == "rival" or not self.stores:
+            return Alive(end, end, ports, tasks=tasks)
         peer: Peer = end if self.guard is None else self._guarded(side, end, self.guard)
-        key_maker = KeyMaker(self.stores[side]) if self.stores else None
-        return Alive(end, peer, ports, key_maker, tasks=tasks)
+        return Alive(end, peer, ports, KeyMaker(self.stores[side]), tasks=tasks)
 
-    def _controller(self) -> ControllerCore:
-        journal = self.journals["controller"]
+    def _controller(self, side: Name) -> ControllerCore:
+        journal = self.journals[side]
         assert isinstance(journal, MemoryControllerJournal)
         keys = self._coin_keys("controller", journal.load())
         return line_controller(
-            self.rules, self.propose, journal, self.fresh, self.name(), coin_keys=keys
+            self.rules,
+            partial(self.propose, side),
+            journal,
+            self.fresh,
+            self.name(),
+            coin_keys=keys,
         )
 
     def _plant(self, ports: CrashingPorts) -> PlantCore:

@@ -20,7 +20,7 @@ from tests.support.giving import sealed_by
 from tests.support.held_memory import kept
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
-from tests.support.two_ends import Side
+from tests.support.two_ends import Name
 
 CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
@@ -36,7 +36,7 @@ class Recorded(KeyedEnds):
         self._lose = lose
         super().__init__(keyed_rules(schedule=schedule_of(claim)), period_s=0.3)
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         if message.kind in (Measurement, Offer):
             said = message.kind.model_validate_json(message.payload)
             assert isinstance(said, Measurement | Offer)

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
+from protocol.secret.records import Side
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from tests.support.traces import read_trace
-from tests.support.two_ends import Side
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
