@@ -36,7 +36,6 @@ from tests.support.line_ends import (
     LineDevice,
     LinePlant,
     Reports,
-    acting_plant,
     line_controller,
     line_plant,
 )
@@ -184,12 +183,9 @@ class End:
         else:
             step_s = STEP_S if self.timed else None
             common = self.new_session, instance, self.now, step_s, self.nonce, REPEATS
-            if self.device is None:
-                self.endpoint, self.line = line_plant(self.rules, self.journal, *common, keys)
-            else:
-                self.endpoint, self.line = acting_plant(
-                    self.rules, self.journal, self.device, *common, keys
-                )
+            self.endpoint, self.line = line_plant(
+                self.rules, self.journal, *common, keys, device=self.device
+            )
         self._perform(self.endpoint.start(self.now))
         self._starting = False
 

@@ -27,7 +27,7 @@ from protocol.defence import key_digits
 from protocol.link import coins
 from protocol.link.events import Alarm, Event, Interrupted, Missed
 from protocol.link.session import CountedTransition
-from protocol.messages import ControllerHello, Measurement, Message, Offer
+from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Network, Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
@@ -36,6 +36,7 @@ from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint
 from tests.support.giving import agree
+from tests.support.line_ends import disowned
 from tests.support.once import Copies, Digits
 from tests.support.safety import violations
 from tests.support.small_run import law_of
@@ -228,17 +229,8 @@ class Watched(Simulation):
         end = self.ends["plant"]
         if end.endpoint is None or self.plant.controller is None:
             return
-        receiver = self.plant
-        word = ControllerHello(
-            instance=receiver.controller or "",
-            incarnation=receiver.record.incarnation,
-            fingerprint=receiver.rules.fingerprint,
-            verdict="unknown-session",
-            session=receiver.record.session,
-            answers=receiver.instance,
-        )
         self.history.amnesias += 1
-        self.deliver("plant", word)
+        self.deliver("plant", disowned(self.plant))
 
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""

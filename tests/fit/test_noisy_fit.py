@@ -8,10 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plant_service.adapters import Operated
-from plant_service.adapters.registry import open_plant
-from protocol.scenario import Scenario, ScenarioError
-from tests.fit.test_fit import CART, DYNAMICS, law
+from protocol.scenario import ScenarioError
+from tests.fit.test_fit import CART, DYNAMICS, law, opened
 from wyner.api import design, run
 from wyner.cli.main import main
 from wyner.fit.conformal import session_score
@@ -39,13 +37,6 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (path / "cart.py").write_text(DYNAMICS)
     (path / "cart.toml").write_text(as_toml(NOISY, "A cart with air drag, read through noise."))
     return path
-
-
-def opened(folder: Path) -> Any:
-    def open_(scenario: Scenario) -> Operated:
-        return open_plant(scenario, folder)
-
-    return open_
 
 
 @pytest.fixture(scope="module", params=["stated", "fitted"])

@@ -20,10 +20,10 @@ from protocol.link.events import Event, FrameRefused, SessionBegan
 from protocol.link.peer import Actions, Save, Write
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
-from protocol.messages import ControllerHello, Offer, PlantHello
+from protocol.messages import Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
 from runtime.perform import CrashPoint
-from tests.support.line_ends import line_rules
+from tests.support.line_ends import disowned, line_rules
 from tests.support.mail import Mail, mail
 from tests.support.two_ends import MEMORY, LineEnds, Name
 
@@ -239,16 +239,8 @@ class Link(RuleBasedStateMachine):
     def the_controller_knows_no_session(self, dies: CrashPoint | None) -> None:
         """As one does that was misled: whatever the plant is doing, its session is over."""
         self.ends.forgot = True
-        plant = self.ends.plant
-        word = ControllerHello(
-            instance=plant.controller or "",
-            incarnation=plant.record.incarnation,
-            fingerprint=self.shared.fingerprint,
-            verdict="unknown-session",
-            session=plant.record.session,
-            answers=plant.instance,
-        )
-        self.dying("plant", dies, partial(self.ends.hear, "plant", mail(word)))
+        word = mail(disowned(self.ends.plant))
+        self.dying("plant", dies, partial(self.ends.hear, "plant", word))
 
     # --- the property --------------------------------------------------------------------------
 

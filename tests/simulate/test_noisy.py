@@ -11,6 +11,7 @@ from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.link.session import rules_of
 from protocol.scenario import NoiseSet, Scenario, ScenarioError, SensorNoise, parse_scenario
 from protocol.scenario.noise import widened
+from tests.simulate.beside import beside_the_engine
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.api import design, run
@@ -74,21 +75,9 @@ def test_the_engine_runs_as_the_two_ends_do(network: dict[str, Any] | None) -> N
     """Readings, coins and key symbols to the last bit, and the state itself; seed 4."""
     scenario = noisy() if network is None else noisy(network=network)
     _, law = law_of("noisy")
-    steps = 100
-    together = simulate_runs(scenario, law, seed=4, runs=range(2), steps=steps, record=True)
     step_s = None if network is None else 0.1
-    history = Simulation(scenario, law, seed=4, run=1, step_s=step_s).run(steps=steps)
-    link = transfer(together)
-    assert together.x is not None
-    assert together.truth is not None
-    done = [t for t in history.plant.values() if t.k < steps]
-    assert len(done) > 30
-    for t in done:
-        assert t.x == tuple(together.x[t.k, :, 1])
-        assert t.x_next == tuple(together.x[t.k + 1, :, 1])
-        assert (t.coin, t.symbol) == (together.coin[t.k, 1], link.agreed[t.k, 1])
+    for t in beside_the_engine(scenario, law, 100, step_s):
         assert t.truth is not None
-        assert t.truth.x_next == tuple(together.truth[t.k + 1, :, 1])
         assert max(np.abs(np.subtract(t.truth.x_next, t.x_next))) <= 0.02 + 1e-12
 
 

@@ -7,6 +7,7 @@ import pytest
 from protocol.agreement import NO_SYMBOL
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from tests.simulate.beside import beside_the_engine
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.engine import simulate_runs, transfer
@@ -46,24 +47,8 @@ def test_the_engine_is_the_two_ends_to_the_last_bit(
     changes: dict[str, Any] = {"link": {"fallback": fallback}}
     scenario = encoder(**(changes if network is None else changes | {"network": network}))
     _, law = law_of("encoder")
-    steps = 150
-    together = simulate_runs(scenario, law, seed=4, runs=range(2), steps=steps, record=True)
     step_s = None if network is None else 0.1
-    history = Simulation(scenario, law, seed=4, run=1, step_s=step_s).run(steps=steps)
-    link = transfer(together)
-    assert together.x is not None
-    assert together.truth is not None
-    done = [t for t in history.plant.values() if t.k < steps]
-    assert len(done) > 30
-    for t in done:
-        assert t.x == tuple(together.x[t.k, :, 1])
-        assert t.x_next == tuple(together.x[t.k + 1, :, 1])
-        assert (t.coin, t.symbol) == (together.coin[t.k, 1], link.agreed[t.k, 1])
-        assert t.truth is not None
-        assert t.truth.x_next == tuple(together.truth[t.k + 1, :, 1])
-        assert held(t)
-    for at, t in history.controller.items():
-        assert history.plant[at].shared == t.shared
+    assert all(held(t) for t in beside_the_engine(scenario, law, 150, step_s))
 
 
 def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:

@@ -10,14 +10,14 @@ from typing import Any
 from controller_service.core import ControllerCore
 from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
-from plant_service.plant import Coin, OperatedPlant, Plant
+from plant_service.plant import Coin, OperatedPlant
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Write
 from protocol.link.records import ReceiverRecord, Step
 from protocol.link.session import CountedTransition, Rules, Truth
-from protocol.messages import Measurement
+from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
 from protocol.schemes.switched import Switched
 from protocol.secret.nonces import NonceSource, fresh_nonce
@@ -45,6 +45,18 @@ def line_rules(
         inputs=1,
         fingerprint=fingerprint,
         inputs_gauge=Gauge(half_widths=(largest_input,)),
+    )
+
+
+def disowned(plant: PlantCore) -> ControllerHello:
+    """What a controller says that was misled, or holds other keys: the session is over."""
+    return ControllerHello(
+        instance=plant.controller or "",
+        incarnation=plant.record.incarnation,
+        fingerprint=plant.rules.fingerprint,
+        verdict="unknown-session",
+        session=plant.record.session,
+        answers=plant.instance,
     )
 
 
@@ -136,75 +148,6 @@ def line_controller(
     )
 
 
-def line_plant(
-    rules: Rules,
-    journal: MemoryPlantJournal,
-    new_id: Callable[[], str],
-    instance: str,
-    now: float,
-    step_s: float | None,
-    nonces: NonceSource = fresh_nonce,
-    repeats: int = 4,
-    coin_keys: Iterable[Key] = (),
-    steps: int | None = None,
-) -> tuple[PlantCore, LinePlant]:
-    """A plant's endpoint as its journal has it, and what it steps; it begins at 0."""
-    plant = LinePlant()
-    core = line_core(
-        rules,
-        plant,
-        journal,
-        new_id,
-        instance,
-        now,
-        step_s,
-        nonces,
-        repeats,
-        coin_keys=coin_keys,
-        steps=steps,
-    )
-    return core, plant
-
-
-def line_core(
-    rules: Rules,
-    plant: Plant,
-    journal: MemoryPlantJournal,
-    new_id: Callable[[], str],
-    instance: str,
-    now: float,
-    step_s: float | None,
-    nonces: NonceSource,
-    repeats: int,
-    x: Vector | None = None,
-    coin_keys: Iterable[Key] = (),
-    steps: int | None = None,
-) -> PlantCore:
-    """The core of what tosses its own coin; ``x`` is what it reads first, if it acts."""
-    assert isinstance(plant, Coin)
-    record = journal.load()
-    first = record or ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
-    return PlantCore(
-        rules,
-        plant,
-        plant,
-        hold,
-        Pacing(step_s, repeats, now),
-        new_id,
-        now,
-        instance=instance,
-        record=first,
-        chunks=journal.chunks(),
-        contributions=journal.contributions(first.session),
-        coin_keys=coin_keys,
-        step=journal.step(),
-        back=None if record is None else x,
-        fresh=record is None,
-        steps=steps,
-        nonces=nonces,
-    )
-
-
 class LineDevice(Operated):
     """x+ = x + u + d, with ``u`` as it was actuated last; nothing of it dies with a process.
 
@@ -287,10 +230,9 @@ class ActingLine(OperatedPlant, Coin):
         return self.coin
 
 
-def acting_plant(
+def line_plant(
     rules: Rules,
     journal: MemoryPlantJournal,
-    device: LineDevice,
     new_id: Callable[[], str],
     instance: str,
     now: float,
@@ -298,21 +240,31 @@ def acting_plant(
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
     coin_keys: Iterable[Key] = (),
-) -> tuple[PlantCore, ActingLine]:
-    """A plant's endpoint as its journal has it, and what it acts on."""
-    x = device.start()
-    plant = ActingLine(device)
-    core = line_core(
+    steps: int | None = None,
+    device: LineDevice | None = None,
+) -> tuple[PlantCore, LinePlant | ActingLine]:
+    """A plant's endpoint as its journal has it, and what it steps, or acts on; it begins at 0."""
+    x = None if device is None else device.start()
+    plant = LinePlant() if device is None else ActingLine(device)
+    record = journal.load()
+    first = record or ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
+    core = PlantCore(
         rules,
         plant,
-        journal,
+        plant,
+        hold,
+        Pacing(step_s, repeats, now),
         new_id,
-        instance,
         now,
-        step_s,
-        nonces,
-        repeats,
-        x,
+        instance=instance,
+        record=first,
+        chunks=journal.chunks(),
+        contributions=journal.contributions(first.session),
         coin_keys=coin_keys,
+        step=journal.step(),
+        back=None if record is None else x,
+        fresh=record is None,
+        steps=steps,
+        nonces=nonces,
     )
     return core, plant

@@ -50,7 +50,6 @@ from tests.support.line_ends import (
     LineDevice,
     LinePlant,
     Reports,
-    acting_plant,
     line_controller,
     line_plant,
 )
@@ -453,16 +452,16 @@ class LineEnds(TwoEnds):
         assert isinstance(journal, MemoryPlantJournal)
         keys = self._coin_keys("plant", journal.load())
         common = self.name, self.name(), self.now, self.period_s
-        core: PlantCore
-        if self.device is None:
-            core, self.line = line_plant(
-                self.rules, journal, *common, coin_keys=keys, steps=self.steps
-            )
-        else:
+        if self.device is not None:
             self.device.passes = ports.passes
-            core, self.line = acting_plant(
-                self.rules, journal, self.device, *common, coin_keys=keys
-            )
+        core, self.line = line_plant(
+            self.rules,
+            journal,
+            *common,
+            coin_keys=keys,
+            steps=self.steps,
+            device=self.device,
+        )
         return core
 
     def _coin_keys(

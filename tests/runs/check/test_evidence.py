@@ -10,21 +10,11 @@ from pathlib import Path
 import pytest
 
 from runtime.run_folder import MANIFEST, SUMMARY
-from tests.support.checked_runs import failed, keyed_run
+from tests.support.checked_runs import failed
 from wyner.runs.check.covered import KINDS, OTHER, evidence_below, kind_of
 from wyner.runs.check.seal import broken
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return keyed_run(tmp_path_factory)
-
-
-@pytest.fixture
-def copied(run: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(run, tmp_path / "run"))
 
 
 @pytest.fixture

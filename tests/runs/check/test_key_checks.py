@@ -2,7 +2,6 @@
 
 import base64
 import json
-import shutil
 import sqlite3
 from collections.abc import Callable
 from pathlib import Path
@@ -18,7 +17,7 @@ from runtime.run_folder import (
     PLANT_TRACE,
 )
 from tests.runs.check.mutants import Mutant, of_kind
-from tests.support.checked_runs import SEALED, failed, keyed_run
+from tests.support.checked_runs import SEALED, failed
 from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.run import Run
@@ -27,16 +26,6 @@ from wyner.runs.score.keys import audit_keys
 Line = dict[str, Any]
 
 TEXT = SEALED.decode()
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return keyed_run(tmp_path_factory)
-
-
-@pytest.fixture
-def copied(run: Path, tmp_path: Path) -> Path:
-    return Path(shutil.copytree(run, tmp_path / "run"))
 
 
 @pytest.mark.slow
