@@ -49,7 +49,7 @@ def model_of(scenario: Scenario) -> OutputModel:
 
 
 def known(model: OutputModel, heard: Sequence[Transition]) -> list[Known]:
-    opening = Opening(model)
+    opening = Opening(model, 2)
     return [one for t in heard for one in opening.take(t)[0]] + opening.flush()
 
 
@@ -103,8 +103,8 @@ def test_each_number_of_lost_steps_is_a_decoding_of_its_own() -> None:
     decoding = ListDecoding(make_scheme("switched", 2), edge=1.0, certain=True)
     for k in range(LOST):
         assert decoding.hypotheses == k + 1
-        decoding.step_doubtful(k, 1, 0)
-    decoding.step(LOST, [0.0, 1.0], 0)
+        decoding.step_doubtful(k, [0.0, 1.0], 0, 0.5)
+    decoding.step_known(LOST, [1.0, 0.0], 0)
     assert decoding.hypotheses == LOST + 1
     decoding.restart()
     assert decoding.hypotheses == 1
