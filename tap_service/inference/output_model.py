@@ -88,8 +88,8 @@ class OutputModel:
         box = observer.begin(nothing)._replace(low=tuple(-e for e in E), high=E)
         self._reach = np.array(observer.reach(box))
         self.widths = widths
-        self._noise = noise
-        self._far = np.diag(np.square(bounds))
+        self.noise = noise
+        self.far = np.diag(np.square(bounds))
         self.deviations: Array
         self.sensors: Array
         self.assume(
@@ -102,8 +102,8 @@ class OutputModel:
         """Take these for the deviations of the disturbance and of the sensors from now on."""
         self.deviations, self.sensors = deviations, sensors
         self._Q = np.diag(np.square(deviations))
-        self._R = np.diag(np.square(sensors) + self._noise**2)
-        self._drawn = self._noise**2 * self._B @ self._B.T  # what an offer is heard wrong by
+        self._R = np.diag(np.square(sensors) + self.noise**2)
+        self._drawn = self.noise**2 * self._B @ self._B.T  # what an offer is heard wrong by
 
     def anew(self) -> "OutputModel":
         """The same, with nothing heard."""
@@ -162,7 +162,7 @@ class OutputModel:
         x_next: Sequence[float],
         predictions: Sequence[Sequence[float]] = (),
     ) -> list[float]:
-        """The same of a transition that was heard whole; where none led to ``x`` she begins anew."""
+        """The same of one that was heard whole; where none led to ``x`` she begins anew."""
         assert not predictions, "outputs go with a linear f_c"
         if tuple(x) != self._last:
             self._begin(x)
@@ -179,7 +179,7 @@ class OutputModel:
         self._k = -1
         self.readings = 0
         """Readings in a row."""
-        self._spread: Array = self._far
+        self._spread: Array = self.far
         self._means: Array = np.zeros((1, len(self._A)))
         self._cost: Array = np.zeros(1)
         self._applied: Integers = np.zeros((1, 0), int)
