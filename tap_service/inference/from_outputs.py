@@ -9,7 +9,7 @@ from protocol.arrays import Array, Integers
 from tap_service.capture.transcript import Transition, transitions_in_a_row
 from tap_service.inference.front import Inferred
 from tap_service.inference.gap_smoother import InferredStep
-from tap_service.inference.opening import AT_FIRST, FIRST_AGAIN, Known, Opening
+from tap_service.inference.opening import AT_FIRST, Known, Opening, lost_after
 from tap_service.inference.output_model import LOST, OutputModel
 
 TRAJECTORIES: Final = 64
@@ -20,15 +20,15 @@ def inferred(model: OutputModel, size: int, transitions: Sequence[Transition]) -
     """A transcript as `text` reads it: how many steps were lost is a trajectory of 64.
 
     Of a session's first, half of them lose one, a quarter two, and so on; after a stretch of missed
-    steps an eighth one or more.
+    steps as many lose one as it was long, and half of these another.
     """
-    first, again = 1 + _lost(AT_FIRST), _lost(FIRST_AGAIN)
     steps = []
     for run in transitions_in_a_row(transitions):
         opening = Opening(model, size)
         known = [one for t in run for one in opening.take(t)[0]] + opening.flush()
         for one in known:
-            samples = _samples(one, size, again if one.again else first)
+            lost = _lost(lost_after(one.again)) if one.again else 1 + _lost(AT_FIRST)
+            samples = _samples(one, size, lost)
             steps.append(InferredStep(one.transition, samples))
     return Inferred(steps, (0.0, 1.0))
 

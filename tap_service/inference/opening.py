@@ -13,8 +13,11 @@ AGAIN: Final = 8
 AT_FIRST: Final = 0.5
 """Probability that the two ends lose one more of a session's first steps."""
 
-FIRST_AGAIN: Final = 1 / 8
-"""Probability that they lose the first step after a stretch of missed ones."""
+TOO_MANY: Final = 6
+"""Missed steps in a row that widen the box so far that the step after them is lost."""
+
+MOST_SURE: Final = 0.9
+"""Probability of that at most."""
 
 
 class Known(NamedTuple):
@@ -28,8 +31,8 @@ class Known(NamedTuple):
     place : int
         Steps since the session's beginning, or since a stretch of missed steps; -1 where she heard
         neither.
-    again : bool
-        Whether it is a stretch's.
+    again : int
+        Missed steps of the stretch; 0 at a session's beginning.
     shares : tuple of float, shape (M,)
         Probability of each candidate.
     """
@@ -37,7 +40,7 @@ class Known(NamedTuple):
     transition: Transition
     symbol: int | None
     place: int
-    again: bool = False
+    again: int = 0
     shares: Vector = ()
 
     @property
@@ -48,7 +51,7 @@ class Known(NamedTuple):
     @property
     def loss(self) -> float:
         """Probability that they lost it, where they lost those before it."""
-        return FIRST_AGAIN if self.again and not self.place else AT_FIRST
+        return lost_after(self.again) if self.again and not self.place else AT_FIRST
 
     def row(self, size: int) -> list[float]:
         """Gauges of M candidates that say as much."""
@@ -57,6 +60,11 @@ class Known(NamedTuple):
     def sure(self, size: int) -> list[float]:
         """All probability on the likeliest candidate."""
         return [1.0 if i == self.symbol else 0.0 for i in range(size)]
+
+
+def lost_after(missed: int) -> float:
+    """Probability that the two ends lose the step after so many missed ones."""
+    return min((missed / TOO_MANY) ** 2, MOST_SURE)
 
 
 class Opening:
@@ -74,8 +82,8 @@ class Opening:
 
     def __init__(self, model: OutputModel, size: int) -> None:
         self._model, self._size = model, size
-        self._held: deque[tuple[Transition, int, bool]] = deque()
-        self._place, self._again = -1, False
+        self._held: deque[tuple[Transition, int, int]] = deque()
+        self._place, self._again = -1, 0
         self._session, self._k = "", -1
 
     def take(self, t: Transition) -> tuple[list[Known], list[float] | None]:
@@ -84,11 +92,11 @@ class Opening:
         anew = t.start or t.gap or t.session != self._session
         if anew:
             given = self.flush()
-            self._place, self._again = 0 if t.start else -1, False
+            self._place, self._again = 0 if t.start else -1, 0
         elif t.k != self._k:
             if not 0 <= t.k - self._k <= BRIDGED:
                 given = self.flush()
-            self._place, self._again = 0, True
+            self._place, self._again = 0, max(t.k - self._k, 1)
         self._session, self._k = t.session, t.k + 1
         gauges = self._model.observe(t)
         self._held.append((t, self._place, self._again))

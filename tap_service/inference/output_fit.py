@@ -1,7 +1,7 @@
 """What she learns from outputs: how far the disturbance and the sensors scatter, or a whole model.
 
 Both from readings alone and from the candidates that her filter takes for applied. The deviations
-are those under which the readings surprise the filter least. A model is sought among autoregressions
+are those under which the readings surprise the filter least. A model is sought among regressions
 
     y(k+1) = a_1 y(k) + ... + a_p y(k-p+1) + b_1 u(k) + ... + b_p u(k-p+1) + e,
 
@@ -34,8 +34,11 @@ FLOOR: Final = 1e-4
 ORDERS: Final = (1, 2, 3, 4)
 """Numbers p of readings that a model looks back."""
 
-FITS: Final = 6
+FITS: Final = 4
 """Regressions and filters in turn, at most."""
+
+SURE: Final = 256
+"""Transitions from which the model found before is only made better."""
 
 PRICE: Final = 10.0
 """Log likelihood that one more reading to look back must be worth."""
@@ -229,11 +232,18 @@ def identified(
     found: list[tuple[float, OutputModel]] = []
     if before is not None:
         found += _settled(transitions, before, noise)
-    else:
+    if before is None or len(transitions) < SURE:
         for order in ORDERS:
             theta = _by_instruments(parts, order)
-            if theta is not None:
-                found += _settled(transitions, _model(theta, parts, order, noise), noise)
+            if theta is None:
+                break
+            best = max((score for score, _ in found), default=-np.inf)
+            turned = theta.copy()
+            turned[order * theta.shape[1] :] *= -1
+            for start in (theta, turned):  # in a closed loop the sign of B hardly shows
+                found += _settled(transitions, _model(start, parts, order, noise), noise)
+            if max((score for score, _ in found), default=-np.inf) <= best:
+                break
     return max(found, key=lambda one: one[0])[1] if found else None
 
 
@@ -279,8 +289,7 @@ def _by_choices(parts: Sequence[Stretch], order: int) -> Array | None:
     phi, y = (np.concatenate(side) for side in zip(*rows, strict=True))
     if len(phi) < 2 * phi.shape[1]:
         return None
-    theta: Array = np.linalg.lstsq(phi, y, rcond=None)[0]
-    return theta
+    return np.asarray(np.linalg.lstsq(phi, y, rcond=None)[0], dtype=np.float64)
 
 
 def _by_instruments(parts: Sequence[Stretch], order: int) -> Array | None:
@@ -302,8 +311,7 @@ def _by_instruments(parts: Sequence[Stretch], order: int) -> Array | None:
     phi, Z, y = np.concatenate(phis), np.concatenate(instruments), np.concatenate(ys)
     if len(phi) < 2 * phi.shape[1]:
         return None
-    theta: Array = np.linalg.lstsq(Z.T @ phi, Z.T @ y, rcond=None)[0]
-    return theta
+    return np.asarray(np.linalg.lstsq(Z.T @ phi, Z.T @ y, rcond=None)[0], dtype=np.float64)
 
 
 def _model(theta: Array, parts: Sequence[Stretch], order: int, noise: float) -> OutputModel:

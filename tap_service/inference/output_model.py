@@ -9,8 +9,8 @@ that tells nothing.
 Both ends begin with a box as wide as the plant's bounds, and agree on nothing until it tells the
 candidates apart. From then on it does at every step but some after a stretch of missed ones: so all
 that is hidden is how many of a session's first steps they lost, and how many after such a stretch.
-In 400 runs of the scenario ``encoder`` it was 1 to 8 at first; with half of all messages lost, the
-first step after one in thirteen stretches.
+In 400 runs of the scenario ``encoder`` it was 1 to 8 at first. With half of all messages lost each
+way, the ends lost the step after 9 of 473 single missed steps, 13 of 125 pairs, 19 of 55 threes.
 """
 
 from collections.abc import Sequence
@@ -96,6 +96,16 @@ class OutputModel:
             np.array(widths if deviations is None else deviations),
             SENSOR * np.abs(self._C) @ widths if sensors is None else np.array(sensors),
         )
+        self.readings = 0
+        """Readings in a row."""
+        self._last: Vector = ()
+        self._k = -1
+        self._spread: Array
+        self._means: Array
+        self._cost: Array
+        self._applied: Integers
+        self._in_force: Array
+        self._fallback: Integers
         self._nothing()
 
     def assume(self, deviations: Array, sensors: Array) -> None:
@@ -147,12 +157,13 @@ class OutputModel:
                 self._fall_back(missed)
             if t.x is not None and (missed or t.x != self._last):
                 self._read(t.x)
-        self._k = t.k + 1
         if not self.readings:  # nothing came before
             if t.x_next is not None:
                 self._begin(t.x_next)
                 self._applied = np.full((1, 1), -1)
+            self._k = t.k + 1
             return None
+        self._k = t.k + 1
         return self._step(t.candidates, t.x_next)
 
     def gauges(
@@ -175,16 +186,12 @@ class OutputModel:
 
     def _nothing(self) -> None:
         """Nothing is known."""
-        self._last: Vector = ()
-        self._k = -1
-        self.readings = 0
-        """Readings in a row."""
-        self._spread: Array = self.far
-        self._means: Array = np.zeros((1, len(self._A)))
-        self._cost: Array = np.zeros(1)
-        self._applied: Integers = np.zeros((1, 0), int)
-        self._in_force: Array = np.zeros((1, self._B.shape[1]))
-        self._fallback: Integers = np.full(1, -1)
+        self._last, self._k, self.readings = (), -1, 0
+        self._spread = self.far
+        self._means, self._cost = np.zeros((1, len(self._A))), np.zeros(1)
+        self._applied = np.zeros((1, 0), int)
+        self._in_force = np.zeros((1, self._B.shape[1]))
+        self._fallback = np.full(1, -1)
 
     def _begin(self, y: Sequence[float]) -> None:
         """Nothing is known but one reading."""

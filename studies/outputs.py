@@ -1,0 +1,130 @@
+"""What each eavesdropper makes of a plant of which an encoder alone is read.
+
+Every draw of d and n is a corner of what both ends assume. All listen to the same runs: as they
+are, over a network that loses, through noise of her own, and where she misses messages.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import Any, Final
+
+from controller_service.laws.registry import cached_design, make_law
+from protocol.agreement import NO_SYMBOL
+from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.scenario import Scenario, parse_scenario
+from protocol.statistics import wilson
+from studies.corners import at_the_corners
+from studies.secrecy.study import offline
+from tap_service.capture.channel import View, WiretapChannel
+from tap_service.capture.transcript import Transcript, Transition
+from tap_service.eavesdroppers import named
+from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine.link import whole_messages
+from wyner.simulate.engine.taps import transcript
+from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
+from wyner.sweeps.grid import TAP_SOURCES
+
+SOURCES: Final = ("studies/outputs.py", "studies/corners.py", *LOOP_SOURCES, *TAP_SOURCES)
+"""Where the numbers of this module come from."""
+
+RUNS, STEPS, SEED = 10, 700, 11
+SESSION: Final = "0" * 16
+MESSAGE: Final = b"We sail at dawn."
+TAPS: Final = (
+    "set-membership", "nearest-centre", "list-decoder", "fitted-box", "learning", "smoother",
+    "text",
+)  # fmt: skip
+
+CONDITIONS: Final[dict[str, tuple[float, View]]] = {
+    "clear": (0.0, View()),
+    "loss 30 % each way": (0.3, View()),
+    "loss 50 % each way": (0.5, View()),
+    "her noise 0.001": (0.0, View(noise=0.001)),
+    "she misses 10 %": (0.0, View(loss=0.1)),
+}
+"""What the network loses each way, and what she hears, by name."""
+
+COLUMNS: Final = (
+    "condition", "tap", "runs", "steps", "seed", "keys_of", "at_once", "at_once_low",
+    "at_once_high", "later", "later_low", "later_high", "delivered", "read", "read_low",
+    "read_high",
+)  # fmt: skip
+
+
+def over(scenario: Scenario, loss: float) -> Scenario:
+    """The scenario over a network that loses so much each way."""
+    if not loss:
+        return scenario
+    data = scenario.model_dump(mode="json", exclude_none=True)
+    data["network"] = {"to_plant": {"loss": loss}, "to_controller": {"loss": loss}}
+    return parse_scenario(data, scenario.name)
+
+
+def heard_by(transitions: Sequence[Transition], view: View) -> list[Transition]:
+    """The transitions that a tap with this view puts together of copies 0."""
+    if view.clear:
+        return list(transitions)
+    channel, made = WiretapChannel(view), Transcript()
+    out: list[Transition] = []
+    for message in _messages(transitions):
+        for _, seen in channel.hear(0, message):
+            out += made.hear(seen)
+    return out + made.flush()
+
+
+def _messages(transitions: Sequence[Transition]) -> Iterator[FieldMessage]:
+    """A measurement and an offer a step, and the last measurement."""
+    applied, after = -1, transitions[0].x
+    for t in transitions:
+        assert t.x is not None
+        assert t.candidates is not None
+        assert t.cipher is not None
+        assert after is not None
+        yield Measurement(session=SESSION, k=t.k, x=t.x, applied_k=applied, x_after=after)
+        yield Offer(session=SESSION, k=t.k, candidates=t.candidates, cipher=t.cipher)
+        applied, after = t.k, t.x_next
+    assert after is not None
+    yield Measurement(session=SESSION, k=applied + 1, x=after, applied_k=applied, x_after=after)
+
+
+def output_rows() -> Iterator[tuple[Any, ...]]:
+    """One row a condition and eavesdropper."""
+    for condition, (loss, view) in CONDITIONS.items():
+        scenario = over(at_the_corners("encoder"), loss)
+        law = make_law(scenario, cached_design(scenario))
+        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, record=True)
+        link = transfer(runs, payloads=[MESSAGE])
+        size = scenario.secrecy.candidates
+        totals = {tap: [0] * 5 for tap in TAPS}
+        for place in range(RUNS):
+            keys = link.agreed[:, place].tolist()
+            truth = {k: key for k, key in enumerate(keys) if key != NO_SYMBOL}
+            messages = whole_messages(link.message_symbol[:, place].tolist(), size)
+            mine = view.model_copy(update={"seed": place})
+            heard = heard_by(list(transcript(runs, link, place)), mine)
+            for name, total in totals.items():
+                kind = named(name)
+                tap = offline(kind, mine.told(scenario.knowledge(), model=kind.told_model))
+                at_once = {t.k: tap.observe(t).best for t in heard}
+                later = at_once | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
+                whole = tap.belief().whole
+                for i, more in enumerate(
+                    (
+                        len(truth),
+                        sum(at_once.get(k) == key for k, key in truth.items()),
+                        sum(later.get(k) == key for k, key in truth.items()),
+                        len(messages),
+                        sum(m in whole for m in messages),
+                    )
+                ):
+                    total[i] += more
+        for name, (of, at_once, later, delivered, read) in totals.items():
+            yield (
+                condition, name, RUNS, STEPS, SEED, of,
+                *(v for count in (at_once, later) for v in _told(count, of)),
+                delivered, *_told(read, delivered),
+            )  # fmt: skip
+
+
+def _told(count: int, of: int) -> tuple[float, float, float]:
+    share = wilson(count, of)
+    return (count, share.low, share.high)
