@@ -104,14 +104,14 @@ def output_rows() -> Iterator[tuple[Any, ...]]:
             for name, total in totals.items():
                 kind = named(name)
                 tap = offline(kind, mine.told(scenario.knowledge(), model=kind.told_model))
-                at_once = {t.k: tap.observe(t).best for t in heard}
-                later = at_once | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
+                first = {t.k: tap.observe(t).best for t in heard}
+                second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
                 whole = tap.belief().whole
                 for i, more in enumerate(
                     (
                         len(truth),
-                        sum(at_once.get(k) == key for k, key in truth.items()),
-                        sum(later.get(k) == key for k, key in truth.items()),
+                        sum(first.get(k) == key for k, key in truth.items()),
+                        sum(second.get(k) == key for k, key in truth.items()),
                         len(messages),
                         sum(m in whole for m in messages),
                     )

@@ -32,8 +32,6 @@ class ByReadings:
         See :data:`Make`.
     told : OutputModel, optional
         The model that she was told.
-    soft : bool
-        Whether a candidate's probability counts, or the likeliest one alone.
     first : int
         Transitions before the first model.
     growth : float
@@ -55,12 +53,11 @@ class ByReadings:
         make: Make,
         *,
         told: OutputModel | None = None,
-        soft: bool,
         first: int,
         growth: float,
         kept: int,
     ) -> None:
-        self._scheme, self._make, self._soft = scheme, make, soft
+        self._scheme, self._make = scheme, make
         self._growth, self._most = growth, kept
         self._size = scheme.alphabet
         self._even = even(self._size)
@@ -108,10 +105,7 @@ class ByReadings:
     def _follow(self, known: Sequence[Known]) -> ListDecoding:
         decoding = self._new_decoding() if self._before is None else deepcopy(self._before)
         for one in known:
-            shares: Sequence[float] | None = None
-            if one.symbol is not None:
-                shares = one.shares if self._soft else one.sure(self._size)
-            decode_known(decoding, one, shares)
+            decode_known(decoding, one, None if one.symbol is None else one.shares)
         return decoding
 
     def _let_go(self, count: int) -> None:

@@ -60,7 +60,6 @@ class FittedBox(Following):
                 self.scheme,
                 lambda heard, _: refitted(told, heard, each=True),
                 told=told,
-                soft=False,
                 first=FIRST,
                 growth=GROWTH,
                 kept=KEPT,

@@ -68,7 +68,6 @@ class Learning(Eavesdropper):
             self._readings = ByReadings(
                 self.scheme,
                 lambda heard, before: identified(heard, knowledge.noise, before),
-                soft=False,
                 first=FIRST_BY_READINGS,
                 growth=GROWTH_BY_READINGS,
                 kept=KEPT,

@@ -67,7 +67,6 @@ class Smoother(Eavesdropper):
                 self.scheme,
                 lambda heard, _: refitted(told, heard, each=False),
                 told=told,
-                soft=True,
                 first=FIRST,
                 growth=GROWTH,
                 kept=KEPT,

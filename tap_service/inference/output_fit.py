@@ -40,6 +40,9 @@ FITS: Final = 4
 SURE: Final = 256
 """Transitions from which the model found before is only made better."""
 
+NEAR: Final = 3.0
+"""Times the median length from which a row of a regression counts less."""
+
 PRICE: Final = 10.0
 """Log likelihood that one more reading to look back must be worth."""
 
@@ -282,13 +285,23 @@ def _rows(part: Stretch, order: int, inputs: Array) -> tuple[Array, Array]:
 
 
 def _by_choices(parts: Sequence[Stretch], order: int) -> Array | None:
-    """Least squares with the inputs as they were applied."""
+    """Least squares with the inputs as they were applied.
+
+    A session starts far from where it stays, and one candidate taken wrongly there would turn the
+    whole model: so a row counts by its length, as Mallows has it.
+    """
     rows = [_rows(part, order, part.u) for part in parts if len(part.u) >= order]
     if not rows:
         return None
     phi, y = (np.concatenate(side) for side in zip(*rows, strict=True))
     if len(phi) < 2 * phi.shape[1]:
         return None
+    length = np.linalg.norm(phi / np.maximum(np.median(np.abs(phi), axis=0), 1e-12), axis=1)
+    weight = np.minimum(1.0, NEAR * np.median(length) / length)[:, None]
+    return _solved(weight * phi, weight * y)
+
+
+def _solved(phi: Array, y: Array) -> Array:
     return np.asarray(np.linalg.lstsq(phi, y, rcond=None)[0], dtype=np.float64)
 
 
@@ -311,7 +324,7 @@ def _by_instruments(parts: Sequence[Stretch], order: int) -> Array | None:
     phi, Z, y = np.concatenate(phis), np.concatenate(instruments), np.concatenate(ys)
     if len(phi) < 2 * phi.shape[1]:
         return None
-    return np.asarray(np.linalg.lstsq(Z.T @ phi, Z.T @ y, rcond=None)[0], dtype=np.float64)
+    return _solved(Z.T @ phi, Z.T @ y)
 
 
 def _model(theta: Array, parts: Sequence[Stretch], order: int, noise: float) -> OutputModel:
