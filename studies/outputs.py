@@ -5,7 +5,10 @@ are, over a network that loses, through noise of her own, and where she misses m
 """
 
 from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final
+
+import numpy as np
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
@@ -88,41 +91,45 @@ def _messages(transitions: Sequence[Transition]) -> Iterator[FieldMessage]:
 
 def output_rows() -> Iterator[tuple[Any, ...]]:
     """One row a condition and eavesdropper."""
-    for condition, (loss, view) in CONDITIONS.items():
-        scenario = over(at_the_corners("encoder"), loss)
-        law = make_law(scenario, cached_design(scenario))
-        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, record=True)
-        link = transfer(runs, payloads=[MESSAGE])
-        size = scenario.secrecy.candidates
-        totals = {tap: [0] * 5 for tap in TAPS}
-        for place in range(RUNS):
-            keys = link.agreed[:, place].tolist()
-            truth = {k: key for k, key in enumerate(keys) if key != NO_SYMBOL}
-            messages = whole_messages(link.message_symbol[:, place].tolist(), size)
-            mine = view.model_copy(update={"seed": place})
-            heard = heard_by(list(transcript(runs, link, place)), mine)
-            for name, total in totals.items():
-                kind = named(name)
-                tap = offline(kind, mine.told(scenario.knowledge(), model=kind.told_model))
-                first = {t.k: tap.observe(t).best for t in heard}
-                second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
-                whole = tap.belief().whole
-                for i, more in enumerate(
-                    (
-                        len(truth),
-                        sum(first.get(k) == key for k, key in truth.items()),
-                        sum(second.get(k) == key for k, key in truth.items()),
-                        len(messages),
-                        sum(m in whole for m in messages),
-                    )
-                ):
-                    total[i] += more
-        for name, (of, at_once, later, delivered, read) in totals.items():
-            yield (
-                condition, name, RUNS, STEPS, SEED, of,
-                *(v for count in (at_once, later) for v in _told(count, of)),
-                delivered, *_told(read, delivered),
-            )  # fmt: skip
+    with ProcessPoolExecutor() as pool:
+        found = {
+            condition: [pool.submit(_counts, condition, place) for place in range(RUNS)]
+            for condition in CONDITIONS
+        }
+        for condition, runs in found.items():
+            totals = sum(np.array(run.result()) for run in runs)
+            for name, (of, at_once, later, delivered, read) in zip(
+                TAPS, totals.tolist(), strict=True
+            ):
+                yield (
+                    condition, name, RUNS, STEPS, SEED, of,
+                    *(v for count in (at_once, later) for v in _told(count, of)),
+                    delivered, *_told(read, delivered),
+                )  # fmt: skip
+
+
+def _counts(condition: str, run: int) -> list[list[int]]:
+    """Of a run, for each eavesdropper: keys, right at once, later; messages, and those read."""
+    loss, view = CONDITIONS[condition]
+    view = view.model_copy(update={"seed": run})
+    scenario = over(at_the_corners("encoder"), loss)
+    law = make_law(scenario, cached_design(scenario))
+    runs = simulate_runs(
+        scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
+    )
+    link = transfer(runs, payloads=[MESSAGE])
+    truth = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
+    messages = whole_messages(link.message_symbol[:, 0].tolist(), scenario.secrecy.candidates)
+    heard = heard_by(list(transcript(runs, link, 0)), view)
+    out = []
+    for kind in map(named, TAPS):
+        tap = offline(kind, view.told(scenario.knowledge(), model=kind.told_model))
+        first = {t.k: tap.observe(t).best for t in heard}
+        second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
+        whole = tap.belief().whole
+        right = [sum(said.get(k) == key for k, key in truth.items()) for said in (first, second)]
+        out.append([len(truth), *right, len(messages), sum(m in whole for m in messages)])
+    return out
 
 
 def _told(count: int, of: int) -> tuple[float, float, float]:
