@@ -97,7 +97,7 @@ def output_rows() -> Iterator[tuple[Any, ...]]:
             for condition in CONDITIONS
         }
         for condition, runs in found.items():
-            totals = sum(np.array(run.result()) for run in runs)
+            totals = np.sum([run.result() for run in runs], axis=0)
             for name, (of, at_once, later, delivered, read) in zip(
                 TAPS, totals.tolist(), strict=True
             ):

@@ -25,9 +25,8 @@ def test_a_million_corner_steps_of_each_noisy_scenario_are_on_record_without_a_w
 
 def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one, measured now: 4 runs of 100 steps."""
-    for name, value in (("RUNS", 4), ("AT_ONCE", 2), ("STEPS", 100), ("TAPPED", 1)):
+    for name, value in (("RUNS", 4), ("AT_ONCE", 2), ("STEPS", 100)):
         monkeypatch.setattr(corners, name, value)
-    monkeypatch.setattr(corners, "TAPPED_STEPS", 60)
     rows = {row[0]: dict(zip(corners.COLUMNS, row, strict=True)) for row in corners.corner_rows()}
     assert rows.keys() == {"encoder", "noisy"}
     for name, row in rows.items():
