@@ -13,7 +13,7 @@ from studies.corners import at_the_corners
 from studies.outputs import CONDITIONS, heard_by, over
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import named
+from tap_service.eavesdroppers import default_names, named
 from tap_service.eavesdroppers.base import Model
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.list_decoding import ListDecoding
@@ -126,6 +126,11 @@ def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
         A, B = np.array(tap.belief().A), np.array(tap.belief().B)
         assert A[:, 0] == pytest.approx([1.81873, -0.81873], abs=0.05)
         assert B[:, 0] == pytest.approx([0.0094, 0.0088], abs=0.001)
+
+
+def test_where_she_hears_badly_the_smoother_listens_unasked(scenario: Scenario) -> None:
+    assert "smoother" in default_names(scenario.knowledge(), clear=False)
+    assert "smoother" not in default_names(scenario.knowledge(), clear=True)
 
 
 def test_too_little_makes_no_model(runs: Runs, link: Transfer) -> None:
