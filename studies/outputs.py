@@ -2,8 +2,10 @@
 
 Every draw of d and n is a corner of what both ends assume. All listen to the same runs: as they
 are, over a network that loses, through noise of her own, and where she misses messages.
+``python -m studies.outputs`` puts the table of the data on the page.
 """
 
+import csv
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final
@@ -15,6 +17,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import wilson
+from studies import DATA
 from studies.corners import at_the_corners
 from studies.secrecy.study import offline
 from tap_service.capture.channel import View, WiretapChannel
@@ -23,8 +26,8 @@ from tap_service.eavesdroppers import named
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
+from wyner.sweeps.grid import ROOT, TAP_SOURCES
 from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-from wyner.sweeps.grid import TAP_SOURCES
 
 SOURCES: Final = ("studies/outputs.py", "studies/corners.py", *LOOP_SOURCES, *TAP_SOURCES)
 """Where the numbers of this module come from."""
@@ -36,6 +39,10 @@ TAPS: Final = (
     "set-membership", "nearest-centre", "list-decoder", "fitted-box", "learning", "smoother",
     "text",
 )  # fmt: skip
+
+PAGE: Final = ROOT / "docs" / "control.md"
+BEGIN: Final = "<!-- begin outputs -->\n"
+END: Final = "<!-- end outputs -->"
 
 CONDITIONS: Final[dict[str, tuple[float, View]]] = {
     "clear": (0.0, View()),
@@ -132,6 +139,38 @@ def _counts(condition: str, run: int) -> list[list[int]]:
     return out
 
 
+def table(rows: Sequence[dict[str, str]]) -> str:
+    """The table of docs/control.md: eavesdroppers down, conditions across."""
+    cells = {(row["condition"], row["tap"]): row for row in rows}
+    of = {row["condition"]: row["keys_of"] for row in rows}
+    lines = [("", *(f"{condition}, {of[condition]} keys" for condition in CONDITIONS))]
+    for tap in TAPS:
+        mine = [cells[condition, tap] for condition in CONDITIONS]
+        lines.append(
+            (f"`{tap}`", *(f"{row['later']}; {row['read']} of {row['delivered']}" for row in mine))
+        )
+    head, *others = ("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join([head, "|---" * len(lines[0]) + "|", *others])
+
+
+def written(text: str, rows: Sequence[dict[str, str]]) -> str:
+    """The page with the table between its marks."""
+    before, _, rest = text.partition(BEGIN)
+    return f"{before}{BEGIN}{table(rows)}\n{END}{rest.partition(END)[2]}"
+
+
+def recorded() -> list[dict[str, str]]:
+    """The rows of the data file."""
+    with (DATA / "outputs.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
 def _told(count: int, of: int) -> tuple[float, float, float]:
+    if not of:
+        return (0, 0.0, 1.0)
     share = wilson(count, of)
     return (count, share.low, share.high)
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")

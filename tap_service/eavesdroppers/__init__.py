@@ -59,7 +59,7 @@ def default_names(knowledge: Knowledge, *, clear: bool) -> tuple[str, ...]:
     clear : bool
         Whether the tap hears everything as it is.
     """
-    names = DEFAULT
+    names: tuple[str, ...] = DEFAULT
     if not clear:
         names = DEFAULT_UNCLEAR if knowledge.C is None else (*DEFAULT, "smoother")
     makes_keys = knowledge.keys is not None and schedule_of(knowledge.keys) is not None
