@@ -342,7 +342,8 @@ class MessageSearch:
         graph = Graph()
         graph.begin(hypotheses)
         for j in range(int(plan.total.max())):
-            self._open(opened, hypotheses, plan.total[hypotheses.length] - j, low)
+            sizes = lengths[hypotheses.length]
+            self._open(opened, hypotheses, sizes, plan.total[hypotheses.length] - j, low)
             count = hypotheses.alpha.shape[1] // self._lattice.states + self._lattice.wait
             ahead = self._rows(np.maximum(plan.total - 1 - j, 0), low + 1, count)
             moved = growth.symbol(hypotheses, ahead, j, low)
@@ -474,7 +475,9 @@ class MessageSearch:
         texts = np.hstack([first.texts[a], second.texts[b]])
         return texts, first.scores[a] + second.scores[b], ends[b], mass
 
-    def _open(self, opened: "Opened", beam: Beam, missing: Indices, low: int) -> None:
+    def _open(
+        self, opened: "Opened", beam: Beam, sizes: Indices, missing: Indices, low: int
+    ) -> None:
         """Count the hypotheses of which the transcript holds no further symbol."""
         E = self._lattice.states
         left = np.zeros((beam.alpha.shape[1] // E, E))
@@ -486,7 +489,7 @@ class MessageSearch:
             weight = beam.level + beam.said + np.log(beam.alpha @ left.ravel())
         row = int(weight.argmax())
         payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
-        text = beam.text[row, : beam.count[row]].tobytes()
+        text = beam.text[row, : min(beam.count[row], sizes[row])].tobytes()
         unsent = payload * float(np.log2(self._size))
         opened.add(float(np.logaddexp.reduce(weight)), float(weight[row]), text, unsent)
         for symbols in np.unique(missing).tolist():
