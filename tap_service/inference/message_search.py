@@ -423,7 +423,9 @@ class MessageSearch:
         alpha = np.exp(beam.level[rows] - top) @ beam.alpha[rows]
         total = self._digits * CHECK_BYTES
         weights = np.full(total, -np.inf)  # that it ends after so many symbols of the check
-        for j, (nodes, first, level) in zip(range(total), self._onward(alpha, low, total), strict=False):
+        for j, (nodes, first, level) in zip(
+            range(total), self._onward(alpha, low, total), strict=False
+        ):
             left = self._lattice.left[first : first + len(nodes) // self._lattice.states].ravel()
             with np.errstate(divide="ignore"):
                 weights[j] = top + level + float(np.log(nodes[: len(left)] @ left))
