@@ -6,11 +6,11 @@ on here. A message that comes again is rewritten as it was before.
 
 import queue
 import threading
-from typing import Final, NamedTuple, TypeVar
+from collections.abc import Iterable, Sequence
+from typing import Final, NamedTuple, Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from attacker_service.asking import Attacker
 from protocol.messages import FieldMessage, Measurement, Offer, Sealed
 from protocol.topics import key_of
 from protocol.vectors import Vector
@@ -32,47 +32,31 @@ class _Passed(NamedTuple):
     payload: bytes
 
 
-class Relay:
-    """Passes the messages of one loop on, from bus to bus.
+class Asked(Protocol):
+    """An attack on the bus, as :class:`attacker_service.asking.Attacker` asks it."""
+
+    def vector(self, what: str, k: int, true: Vector, beside: Iterable[object] = ()) -> Vector:
+        """What it puts in place of a ``true`` vector of step ``k``."""
+
+    def vectors(self, what: str, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
+        """The same of vectors."""
+
+
+class Rewriter:
+    """The messages of one loop as an attack sends them on.
 
     Parameters
     ----------
-    attacker : Attacker
+    attacker : Asked
         On the bus.
-    plant, controller : Bus
-        The bus on which the plant is, and that on which the controller is.
-    loop : str
     """
 
-    def __init__(self, attacker: Attacker, plant: Bus, controller: Bus, loop: str) -> None:
+    def __init__(self, attacker: Asked) -> None:
         self._attacker = attacker
-        self._inbox: Inbox[_Passed] = Inbox()
         self._x: dict[tuple[str, int], Vector] = {}
         self._candidates: dict[tuple[str, int], tuple[Vector, ...]] = {}
-        self._put = {
-            Measurement: controller.publisher(key_of(Measurement, loop)).put,
-            Offer: plant.publisher(key_of(Offer, loop)).put,
-            Sealed: plant.publisher(key_of(Sealed, loop)).put,
-        }
-        for kind, bus in ((Measurement, plant), (Offer, controller), (Sealed, controller)):
-            self._listen(kind, bus, loop)
 
-    def _listen(self, kind: type[FieldMessage], bus: Bus, loop: str) -> None:
-        def deliver(_key: str, payload: bytes, _t_ns: int) -> None:
-            self._inbox.put(_Passed(kind, payload), len(payload))
-
-        bus.subscribe(key_of(kind, loop), deliver)
-
-    def run(self, stopping: threading.Event) -> None:
-        """Pass messages on until ``stopping``."""
-        while not stopping.is_set():
-            try:
-                kind, payload = self._inbox.get(LOOK_S)
-            except queue.Empty:
-                continue
-            self._put[kind](self._rewritten(kind, payload))
-
-    def _rewritten(self, kind: type[FieldMessage], payload: bytes) -> bytes:
+    def rewritten(self, kind: type[FieldMessage], payload: bytes) -> bytes:
         """The message as it goes on; what is none goes on as it came."""
         try:
             message = kind.model_validate_json(payload)
@@ -96,6 +80,45 @@ class Relay:
             _keep(self._x, at, self._attacker.vector("measurement", m.k, m.x, beside))
         after = self._x.get((m.session, m.applied_k + 1), m.x_after) if m.x_after else ()
         return m.model_copy(update={"x": self._x[at], "x_after": after})
+
+
+class Relay:
+    """Passes the messages of one loop on, from bus to bus.
+
+    Parameters
+    ----------
+    attacker : Asked
+        On the bus.
+    plant, controller : Bus
+        The bus on which the plant is, and that on which the controller is.
+    loop : str
+    """
+
+    def __init__(self, attacker: Asked, plant: Bus, controller: Bus, loop: str) -> None:
+        self._rewriter = Rewriter(attacker)
+        self._inbox: Inbox[_Passed] = Inbox()
+        self._put = {
+            Measurement: controller.publisher(key_of(Measurement, loop)).put,
+            Offer: plant.publisher(key_of(Offer, loop)).put,
+            Sealed: plant.publisher(key_of(Sealed, loop)).put,
+        }
+        for kind, bus in ((Measurement, plant), (Offer, controller), (Sealed, controller)):
+            self._listen(kind, bus, loop)
+
+    def _listen(self, kind: type[FieldMessage], bus: Bus, loop: str) -> None:
+        def deliver(_key: str, payload: bytes, _t_ns: int) -> None:
+            self._inbox.put(_Passed(kind, payload), len(payload))
+
+        bus.subscribe(key_of(kind, loop), deliver)
+
+    def run(self, stopping: threading.Event) -> None:
+        """Pass messages on until ``stopping``."""
+        while not stopping.is_set():
+            try:
+                kind, payload = self._inbox.get(LOOK_S)
+            except queue.Empty:
+                continue
+            self._put[kind](self._rewriter.rewritten(kind, payload))
 
 
 def _keep(of: dict[tuple[str, int], T], at: tuple[str, int], found: T) -> None:

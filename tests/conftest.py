@@ -1,7 +1,9 @@
 """Fixtures that many tests share."""
 
 import os
+import shutil
 import signal
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -23,6 +25,21 @@ settings.load_profile("wyner")
 # that a test starts: it could not be interrupted.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+MEMORY_DISK = Path("/dev/shm")
+"""Where the tests' files are, if there is room: on a disk each step of a live loop waits for it."""
+
+ROOM = 4 << 30
+"""Bytes that must be free there."""
+
+
+def pytest_configure() -> None:
+    """Put temporary files of the tests, and of what they start, into memory; TMPDIR overrules."""
+    if "TMPDIR" in os.environ or not os.access(MEMORY_DISK, os.W_OK):
+        return
+    if shutil.disk_usage(MEMORY_DISK).free >= ROOM:
+        os.environ["TMPDIR"] = str(MEMORY_DISK)
+        tempfile.tempdir = None  # asks for it anew
 
 
 def pytest_xdist_auto_num_workers() -> int:

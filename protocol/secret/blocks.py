@@ -55,26 +55,27 @@ class Schedule:
     first: int
     largest: int
 
+    @property
+    def growing(self) -> int:
+        """How many blocks are shorter than N: N_b is N_0 2^b for those, and N from there on."""
+        return (-(-self.largest // self.first) - 1).bit_length()
+
     def length(self, number: int) -> int:
         """N_b: transitions of block ``number``."""
-        return min(self.largest, self.first << min(number, 32))
+        return self.first << number if number < self.growing else self.largest
 
     def begins(self, number: int) -> int:
         """The first transition of block ``number``."""
-        total, b = 1, 0
-        while b < number and self.length(b) < self.largest:
-            total += self.length(b)
-            b += 1
-        return total + (number - b) * self.largest
+        grown = min(number, self.growing)
+        return 1 + self.first * ((1 << grown) - 1) + (number - grown) * self.largest
 
     def block_of(self, j: int) -> int:
         """The block of transition ``j``; -1 for the session's first."""
         if j < 1:
             return -1
-        b = 0
-        while self.length(b) < self.largest and j >= self.begins(b + 1):
-            b += 1
-        return b + max(0, j - self.begins(b)) // self.length(b)
+        grown = self.growing
+        b = ((j - 1) // self.first + 1).bit_length() - 1  # N_0 (2^b - 1) came before it
+        return b if b < grown else grown + (j - self.begins(grown)) // self.largest
 
 
 @cache

@@ -44,6 +44,9 @@ ANYWHERE: Final = tuple(np.geomspace(0.03, 10.0, 6).tolist())
 
 LOG_2PI: Final = float(np.log(2 * np.pi))
 
+NEGLIGIBLE: Final = 50.0
+"""Log weight below the largest from which on nothing is ever drawn."""
+
 FLAT: Final = 8
 """Power of the gauge in the density of d: even inside, falling steeply outside."""
 
@@ -178,7 +181,7 @@ class ParticleSmoother:
             mine = flat[(flat >= first) & (flat < first + g.size)] - first
             first += g.size
             centre, j = np.unravel_index(mine, g.shape)
-            mean = predictions[centre] + np.einsum("pnr,pr->pn", K[j], e[centre, j])
+            mean = predictions[centre] + np.einsum("pnr,rp->pn", K[j], e[:, centre, j])
             z = self._rng.standard_normal(mean.shape)
             x = mean + np.einsum("pnm,pm->pn", factor[j], z)
             ok = self._ways.allowed(x, items, way, self._scales)
@@ -189,27 +192,36 @@ class ParticleSmoother:
     def _weighed(
         self, way: Ways, predictions: Array, w: Array, Q: Array
     ) -> tuple[Array, Array, Array, Array]:
-        """Log weights of centres and ways, shape (R, H); gains, spreads and whitened residuals."""
+        """Log weights of centres and ways, shape (R, H), and of each way gain and spread.
+
+        Last the whitened residuals, shape (rows, R, H).
+        """
         rows = way.y.shape[1]
+        if not rows:  # nothing is read
+            nothing = np.empty((0, len(predictions), 1))
+            return w[:, None] + way.prior, np.empty((1, self._n, 0)), _factor(Q)[None], nothing
         CQ = way.C @ Q
         S = CQ @ way.C.swapaxes(1, 2) + way.r[:, :, None] * np.eye(rows)
-        white = np.linalg.inv(np.linalg.cholesky(S))  # of S; its rows make the readings independent
+        # of S; its rows make the readings independent
+        white = 1 / np.sqrt(S) if rows == 1 else np.linalg.inv(np.linalg.cholesky(S))
         y = (white @ way.y[:, :, None])[:, :, 0]
-        C = (white @ way.C).reshape(-1, self._n)
-        e = y - (predictions @ C.T).reshape(len(predictions), *y.shape)
+        C = white @ way.C
         scale = np.log(white.diagonal(axis1=1, axis2=2)).sum(axis=1) - 0.5 * rows * LOG_2PI
         table = w[:, None] + (way.prior + scale)
+        e = np.empty((rows, len(predictions), len(y)))  # a row at a time: it lies in one piece
         for q in range(rows):
-            table -= 0.5 * np.square(e[:, :, q])
+            np.subtract(y[:, q], predictions @ C[:, q].T, out=e[q])
+            table -= 0.5 * np.square(e[q])
         K = (white @ CQ).swapaxes(1, 2)
         return table, K, _factor(Q - K @ K.swapaxes(1, 2)), e
 
     def _picked(self, w: Array, count: int) -> tuple[Places, float]:
         """Places drawn by log weights, as evenly as can be, in order; the log of their sum."""
         top = float(w.max())
-        share = np.exp(w - top).cumsum()
+        (likely,) = (w > top - NEGLIGIBLE).nonzero()
+        share = np.exp(w[likely] - top).cumsum()
         at = (np.arange(count) + self._rng.random()) * (share[-1] / count)
-        places = np.minimum(np.searchsorted(share, at), len(w) - 1)
+        places = likely[np.minimum(np.searchsorted(share, at), len(likely) - 1)]
         return places, top + float(np.log(share[-1]))
 
     # --- forwards and backwards -------------------------------------------------------------------

@@ -1,91 +1,161 @@
-"""`mac` and `coding` live: who rewrites the bus is refused, or seen."""
+"""`mac` and `coding`: who rewrites the bus is refused, or seen; without them never.
+
+Both ends with their files are the services', and so is the attack's process; time is virtual, and
+an attack begins in a state of the loop. One run of each kind is live.
+"""
 
 import json
-import shutil
+import threading
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from attacker_service import asking
+from attacker_service.asking import Attacker
+from attacker_service.relay import Rewriter
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
-from protocol.scenario import Attack, Scenario, attack_of, parse_scenario
+from protocol.link.guarded import MARGIN
+from protocol.messages import ControllerStatus, Message, PlantStatus
+from protocol.scenario import Scenario, attack_of, parse_scenario
 from protocol.scenario.reading import ScenarioError
-from runtime.keys.store import KeyStore
+from protocol.secret.tasks import Done, Task
+from protocol.topics import key_of
+from protocol.vectors import Vector
+from runtime import host
+from runtime.bus import Bus
+from runtime.keys.key_maker import KeyMakerAt, work
 from runtime.recording import TraceReader
-from runtime.run_folder import (
-    CONTROLLER_KEYS,
-    CONTROLLER_STATUS,
-    CONTROLLER_TRACE,
-    PLANT_KEYS,
-    PLANT_STATUS,
-    PLANT_TRACE,
-)
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.campaigns.attacked import run
+from tests.support.recorded_loop import SIDES, RecordedLoop
 from wyner.runs.resolve import Resolved
 
 pytestmark = pytest.mark.slow
 
-FILLS = 1500
-"""Steps of an honest run until its keys serve; beside other work it takes several."""
+OWN = Path(__file__).with_name("own_defences.py")
+EDGE = f"{Path(__file__).parents[2] / 'examples/own/edge.py'}:Edge"
+SPOILT = Path(__file__).with_name("spoilt.py")
 
-HELD = 48
-"""Keys that a filled run has left at each end, to guard the run that goes on from it."""
+AHEAD = 40
+"""Steps for which an end holds keys, when an attack begins: more than are looked at."""
 
-ONSET = 160
-"""Steps from there on to an attack: its process has keys of its own by then."""
+LOOK = 5
+"""Steps in a row of which all are guarded, and watched, before an attack begins."""
 
+HELD = 24
+"""Keys that each end could give when a live run goes on with them."""
 
-class Filled:
-    """A run that has made keys, under a defence; copies of it go on."""
-
-    def __init__(self, folder: Path, law: CandidateLaw, defence: dict[str, str]) -> None:
-        tables = scenario_of("keys").model_dump(exclude_unset=True)
-        self.scenario = Scenario.model_validate(tables | {"defence": defence})
-        self._law, self._folder = law, folder / "filled"
-        self._folder.mkdir()
-        self.steps = 0
-        while not self._serve() and self.steps < 10 * FILLS:
-            self.steps += FILLS
-            guarded = self.scenario.defence.guards
-            run(self.scenario, law, self.steps, self._folder, pace="x10" if guarded else "fast")
-        self.onset = self.steps + ONSET
-
-    def _serve(self) -> bool:
-        """Whether keys served in the last of the runs, at each end that takes some."""
-        if not self.steps:
-            return False
-        told = [
-            json.loads((self._folder / name).read_bytes())
-            for name in (CONTROLLER_STATUS, PLANT_STATUS)
-        ]
-        defence = self.scenario.defence
-        guard = defence.guard(2, 4)
-        heard = guard is None or told[0]["guarded"]
-        both = guard is None or not guard.tags or told[1]["guarded"]
-        coin = not defence.keyed or (told[0]["watched"] and told[0]["coin_keys"])
-        return bool(heard and both and coin) and (guard is None or min(self._held()) >= HELD)
-
-    def _held(self) -> list[int]:
-        """Keys that each end could give."""
-        found = []
-        for name, side in ((CONTROLLER_KEYS, "controller"), (PLANT_KEYS, "plant")):
-            with KeyStore(self._folder / name, side) as store:  # type: ignore[arg-type]
-                found.append(store.available())
-        return found
-
-    def attacked(self, text: str, folder: Path, steps: int, seconds: float) -> dict[str, Any]:
-        """What came of a copy under this attack."""
-        shutil.copytree(self._folder, folder, dirs_exist_ok=True)
-        attack = attack_of(text)
-        run(self.scenario, self._law, steps, folder, attack, pace="x3", seconds=seconds)
-        return told(folder, attack)
+LIMIT_S = 300.0
+"""Seconds that a live run has for what takes three."""
 
 
-def told(folder: Path, attack: Attack | None = None) -> dict[str, Any]:
-    """Alarms at each end from the onset on, and how far the plant was from what was read."""
-    onset = 0 if attack is None else attack.onset
+@pytest.fixture(autouse=True)
+def patience() -> Iterator[None]:
+    """A busy machine is no attacker that gave up."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(asking, "ANSWER_S", 60.0)
+        yield
+
+
+class Loose:
+    """An attack on the bus that is let loose when the loop is in some state."""
+
+    def __init__(self, attacker: Attacker) -> None:
+        self._attacker = attacker
+        self.loose = False
+        self.onset = -1
+        """Step of the first offer that it rewrote."""
+
+    def vector(self, what: str, k: int, true: Vector, beside: Iterable[object] = ()) -> Vector:
+        return self._attacker.vector(what, k, true, beside) if self.onset >= 0 else true
+
+    def vectors(self, what: str, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
+        if not self.loose:
+            return tuple(true)
+        self.onset = k if self.onset < 0 else self.onset
+        return self._attacker.vectors(what, k, true)
+
+
+def tables(defence: dict[str, str]) -> str:
+    lines = [f"{name} = {json.dumps(value)}" for name, value in defence.items()]
+    return "\n".join(["", "[defence]", *lines, ""])
+
+
+class Loop(RecordedLoop):
+    """The loop of scenario `keys`, at its period, under a defence."""
+
+    def __init__(self, folder: Path, defence: dict[str, str]) -> None:
+        super().__init__(folder, name="keys", more=tables(defence), pace="realtime")
+        self.defence = (
+            scenario_of("keys")
+            .model_validate(
+                scenario_of("keys").model_dump(exclude_unset=True) | {"defence": defence}
+            )
+            .defence
+        )
+
+    @property
+    def k(self) -> int:
+        return self.plant.record.k
+
+    def steps(self, number: int) -> None:
+        until = self.k + number
+        self.run(lambda: self.k >= until)
+
+    def serves(self) -> bool:
+        """Whether each of the next steps is guarded both ways, and watched, as it should be."""
+        ends = (self.ends["controller"], self.ends["plant"])
+        hear = [e.files.guarded for e in ends if e.files.guarded is not None]
+        guard = self.defence.guard(2, 4)
+        hear = hear[: 0 if guard is None else 1 + guard.tags]  # a code guards measurements alone
+        before = [one.told() for one in hear]
+        watched = 0
+        for _ in range(LOOK):
+            self.steps(1)
+            watched += self.plant.record.keyed
+        now = [one.told() for one in hear]
+        held = [e.files.guarded.told().ahead for e in ends if e.files.guarded is not None]
+        return (
+            all(b.unguarded == a.unguarded for b, a in zip(before, now, strict=True))
+            and all(b.guarded < a.guarded for b, a in zip(before, now, strict=True))
+            and all(ahead >= AHEAD for ahead in held[-len(hear) :] if hear)
+            and (not self.defence.keyed or watched == LOOK)
+        )
+
+    def until_it_serves(self) -> None:
+        while not self.serves():
+            assert self.k < 5000, "keys never come"
+
+    def until_keys_are_held(self) -> None:
+        stores = [e.key_maker.store for e in self.ends.values() if e.key_maker is not None]
+        while min(store.available() for store in stores) < HELD:
+            self.steps(LOOK)
+            assert self.k < 5000, "keys never come"
+
+    def attacked(self, text: str, steps: int) -> dict[str, Any]:
+        """What comes of an attack on the bus, once the defence is at work."""
+        self.until_it_serves()
+        return self.rewritten(text, steps)
+
+    def rewritten(self, text: str, steps: int) -> dict[str, Any]:
+        """What comes of an attack on the bus that begins now."""
+        attacker = Attacker(self.scenario, attack_of(text), None)
+        loose = Loose(attacker)
+        self.relay = Rewriter(loose)
+        loose.loose = True
+        self.steps(steps)
+        attacker.close()
+        assert attacker.failed == ""
+        self.stop()
+        return told(self.folder, loose.onset)
+
+
+def told(folder: Path, onset: int = 0) -> dict[str, Any]:
+    """Alarms, what was refused at each end, and how far the plant was from what was read."""
     lines = {
         side: list(Resolved(TraceReader(folder / name).lines()))
         for side, name in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE))
@@ -107,6 +177,9 @@ def told(folder: Path, attack: Attack | None = None) -> dict[str, Any]:
         "away": max(away, default=0.0),
         "onset": onset,
         "sessions": len({e["session"] for e in lines["plant"] if e["event"] == "session"}),
+        "watched": sum(
+            e["event"] == "transition" and e.get("expected", -1) >= 0 for e in lines["controller"]
+        ),
         "spoofed": sum(e.get("true_x_next", e["x_next"]) != e["x_next"] for e in steps),
     }
 
@@ -116,49 +189,151 @@ def law() -> CandidateLaw:
     return designed(scenario_of("keys"))
 
 
-def test_without_a_guard_covert_is_never_seen(law: CandidateLaw, tmp_path: Path) -> None:
-    filled = Filled(tmp_path, law, {"kind": "keyed-coin"})
-    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 60, 30.0)
+def test_without_a_guard_covert_is_never_seen(tmp_path: Path) -> None:
+    found = Loop(tmp_path, {"kind": "keyed-coin"}).attacked("covert@1", 60)
     assert not found["alarms"]
     assert found["away"] > 4
+    assert found["watched"] >= 60
 
 
-def test_a_mac_stops_covert_before_the_plant_has_moved(law: CandidateLaw, tmp_path: Path) -> None:
+def test_a_mac_stops_covert_before_the_plant_has_moved(tmp_path: Path) -> None:
     """No rewritten offer is applied, and no session ends over it: every step is missed."""
-    filled = Filled(tmp_path, law, {"messages": "mac"})
-    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 60, 15.0)
+    found = Loop(tmp_path, {"messages": "mac"}).attacked("covert@1", AHEAD)
     assert found["forged"]["controller"] == []
-    assert found["forged"]["plant"][0] == (filled.onset, "offer")
+    assert [k for k, _ in found["forged"]["plant"]] == list(
+        range(found["onset"], found["onset"] + AHEAD)
+    )
     assert {message for _, message in found["forged"]["plant"]} == {"offer"}
     assert found["sessions"] == 1
-    assert found["last"] < filled.onset
+    assert found["last"] == found["onset"] - 1
     assert found["away"] == 0
 
 
-def test_coding_with_a_keyed_coin_shows_covert(law: CandidateLaw, tmp_path: Path) -> None:
-    filled = Filled(tmp_path, law, {"kind": "keyed-coin", "messages": "coding"})
-    found = filled.attacked(f"covert@{filled.onset}", tmp_path / "run", filled.onset + 40, 30.0)
+def test_coding_with_a_keyed_coin_shows_covert(tmp_path: Path) -> None:
+    loop = Loop(tmp_path, {"kind": "keyed-coin", "messages": "coding"})
+    found = loop.attacked("covert@1", AHEAD)
     assert found["alarms"]
-    assert filled.onset < found["alarms"][0] <= filled.onset + 10
+    assert found["onset"] < found["alarms"][0] <= found["onset"] + 10
+
+
+@pytest.mark.parametrize("messages", ["mac", "coding", f"{OWN}:Flip"])
+def test_an_honest_run_is_guarded_and_nothing_is_refused(messages: str, tmp_path: Path) -> None:
+    loop = Loop(tmp_path, {"kind": "keyed-coin", "messages": messages})
+    loop.until_it_serves()
+    loop.steps(300)
+    guard = loop.ends["controller"].files.guarded
+    assert guard is not None
+    assert guard.told().guarded > 100
+    loop.stop()
+    found = told(tmp_path)
+    assert not found["alarms"]
+    assert found["forged"] == {"plant": [], "controller": []}
+    assert found["watched"] > 100
 
 
 @pytest.mark.parametrize("messages", ["mac", "coding"])
-def test_an_honest_run_is_guarded_and_nothing_is_refused(
-    messages: str, law: CandidateLaw, tmp_path: Path
+def test_ends_that_begin_anew_are_bare_for_a_while_and_covert_is_seen_after(
+    messages: str, tmp_path: Path
 ) -> None:
-    filled = Filled(tmp_path, law, {"kind": "keyed-coin", "messages": messages})
-    folder = tmp_path / "filled"
-    found = told(folder)
-    assert not found["alarms"]
-    assert found["forged"] == {"plant": [], "controller": []}
-    assert filled.scenario.defence.words() == f"keyed-coin + {messages}"
+    """No process takes up a former one's keys: until new ones are marked the plant moves unseen."""
+    loop = Loop(tmp_path, {"messages": messages})
+    loop.until_keys_are_held()
+    for side in SIDES:
+        loop.kill(side)
+    for side in SIDES:
+        loop.start(side)
+    found = loop.rewritten("covert@1", 60)
+    seen = [*found["alarms"], *[k for told in found["forged"].values() for k, _ in told]]
+    assert MARGIN <= min(seen) - found["onset"] <= 2 * MARGIN
+    assert found["away"] > 1
 
 
-# --- a user's own, live ---------------------------------------------------------------------------
+# --- live -----------------------------------------------------------------------------------------
 
-OWN = Path(__file__).with_name("own_defences.py")
-EDGE = f"{Path(__file__).parents[2] / 'examples/own/edge.py'}:Edge"
-SPOILT = Path(__file__).with_name("spoilt.py")
+
+class KeysAtOnce:
+    """Does what is asked of the process for keys, which would wait for an idle core."""
+
+    def put(self, at: KeyMakerAt, done: Callable[[Done], None], task: Task) -> None:
+        key_maker = at.open()
+        done(work(key_maker, task))
+        key_maker.store.close()
+
+    def leave(self, at: KeyMakerAt) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+class Live:
+    """Lets an attack loose when both ends say that they are guarded; ends the run when it shows."""
+
+    def __init__(self, *, tags: bool) -> None:
+        self._tags = tags
+        self._status: dict[str, Any] = {}
+
+    def attacker(self, attacker: Attacker) -> Loose:
+        self._loose = Loose(attacker)
+        return self._loose
+
+    def listen(self, management: Bus, stopping: threading.Event) -> None:
+        limit = threading.Timer(LIMIT_S, stopping.set)
+        limit.daemon = True
+        limit.start()
+        self.over = limit.cancel
+        self.quiet = True
+        """Whether nothing was seen before the attack."""
+
+        def hear(kind: type[Message]) -> Callable[[str, bytes, int], None]:
+            def heard(_key: str, payload: bytes, _t_ns: int) -> None:
+                self._status[kind.topic] = kind.model_validate_json(payload)
+                self._look(stopping)
+
+            return heard
+
+        for kind in (PlantStatus, ControllerStatus):
+            management.subscribe(key_of(kind, "loop"), hear(kind))
+
+    def _look(self, stopping: threading.Event) -> None:
+        plant = self._status.get(PlantStatus.topic)
+        controller = self._status.get(ControllerStatus.topic)
+        if plant is None or controller is None:
+            return
+        if not self._loose.loose:
+            self.quiet &= plant.forged == controller.forged == controller.alarms == 0
+            ahead = min(plant.guard_ahead, controller.guard_ahead if self._tags else AHEAD)
+            heard = controller.guarded and (plant.guarded or not self._tags)
+            self._loose.loose = bool(heard) and ahead >= AHEAD
+        elif plant.forged or controller.forged or controller.alarms:
+            stopping.set()
+
+
+@pytest.mark.parametrize(
+    ("messages", "attack"),
+    [("mac", "covert@1"), ("coding", "covert@1"), (f"{OWN}:Flip", f"{SPOILT}:Deaf@1")],
+)
+def test_an_attack_on_the_bus_is_seen_live(
+    messages: str,
+    attack: str,
+    law: CandidateLaw,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Guards and attacks of one's own, too; whether a step was guarded just then is chance here.
+
+    The run goes on from a folder whose keys were made in virtual time.
+    """
+    loop = Loop(tmp_path, {"messages": messages})
+    loop.until_keys_are_held()
+    loop.stop()
+    monkeypatch.setattr(host, "KeyWorker", KeysAtOnce)
+    watch = Live(tags=messages == "mac")
+    run(loop.scenario, law, None, tmp_path, attack_of(attack), pace="realtime", watch=watch)
+    watch.over()
+    assert watch.quiet
+    found = told(tmp_path)
+    assert found["alarms"] or found["forged"]["plant"] or found["forged"]["controller"]
 
 
 def own_test(kind: str) -> Scenario:
@@ -176,19 +351,14 @@ def test_a_test_of_ones_own_runs_live_beside_an_attack_of_ones_own(
     """The toy alarms near the edge of D_c, where a ghost that pushes is, and the honest are not."""
     made = None if attack is None else attack_of(attack)
     run(own_test(EDGE), law, 60, tmp_path, made)
-    found = told(tmp_path, made)
+    found = told(tmp_path)
     alarms = found["alarms"]
     assert (found["spoofed"] > 0) == (attack is not None)
     assert seen is None or bool(alarms) == seen
     assert all(k >= 30 for k in alarms)
 
 
-def test_a_guard_of_ones_own_runs_live(law: CandidateLaw, tmp_path: Path) -> None:
-    filled = Filled(tmp_path, law, {"messages": f"{OWN}:Flip"})
-    status = json.loads((tmp_path / "filled" / CONTROLLER_STATUS).read_bytes())
-    assert status["guarded"] > 0
-    assert status["forged"] == status["malformed"] == 0
-    assert filled.scenario.defence.takes_keys
+# --- what cannot be -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(

@@ -23,11 +23,11 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from attacker_service.asking import Attacker
 from attacker_service.attacks import named
-from attacker_service.relay import Relay
+from attacker_service.relay import Asked, Relay
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
@@ -35,6 +35,7 @@ from plant_service.service import PlantConfig, PlantService
 from protocol.agreement import INSIDE
 from protocol.scenario import Attack, Scenario
 from protocol.statistics import clopper_pearson
+from runtime.bus import Bus
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.pace import Pace
 from runtime.recording import TraceReader
@@ -74,34 +75,44 @@ def sized(name: str, size: int, *, keyed: bool) -> Scenario:
 def run(
     scenario: Scenario,
     law: CandidateLaw,
-    steps: int,
+    steps: int | None,
     folder: Path,
     attack: Attack | None = None,
     pace: str = "fast",
-    seconds: float = float("inf"),
+    watch: "Watch | None" = None,
 ) -> None:
-    """Both services up to step ``steps``, or for so long; they go on from what is in the folder.
+    """Both services up to step ``steps``; they go on from what is in the folder.
 
-    An attack on the bus stands between the two field buses, on a thread.
+    An attack on the bus stands between the two field buses, on a thread. With ``watch`` its
+    attacker stands there, and says when the run is over.
     """
     hubs, management, over = [MemoryHub()], MemoryHub(), threading.Event()
+    stopping = threading.Event()
     with ExitStack() as stack:
         if attack is not None and named(attack.kind).at == "bus":
             hubs.append(MemoryHub())
             attacker = Attacker(scenario, attack, None)
             stack.callback(attacker.close)
-            relay = Relay(attacker, MemoryBus(hubs[0]), MemoryBus(hubs[1]), "loop")
+            asked = attacker if watch is None else watch.attacker(attacker)
+            relay = Relay(asked, MemoryBus(hubs[0]), MemoryBus(hubs[1]), "loop")
             stack.enter_context(_beside(lambda: relay.run(over), over))
+        if watch is not None:
+            watch.listen(MemoryBus(management), stopping)
         config = ControllerConfig(scenario, folder, "loop", law)
         controller = ControllerService(config, MemoryBus(hubs[-1]), MemoryBus(management), over)
         stack.enter_context(_beside(controller.run, over))
-        stopping = threading.Event()
-        if seconds < float("inf"):
-            timer = threading.Timer(seconds, stopping.set)
-            stack.callback(timer.cancel)
-            timer.start()
         plant = PlantConfig(scenario, folder, "loop", Pace(pace), steps=steps, attack=attack)
         PlantService(plant, MemoryBus(hubs[0]), MemoryBus(management), stopping).run()
+
+
+class Watch(Protocol):
+    """Who lets an attack loose, and ends the run, by what the statuses say."""
+
+    def attacker(self, attacker: Attacker) -> Asked:
+        """What the relay asks."""
+
+    def listen(self, management: Bus, stopping: threading.Event) -> None:
+        """Hear the management bus; ``stopping`` ends the run."""
 
 
 @contextmanager
@@ -113,7 +124,7 @@ def _beside(work: Callable[[], object], over: threading.Event) -> Iterator[None]
         yield
     finally:
         over.set()
-        thread.join(20)
+        thread.join()
 
 
 def came_to(folder: Path, onset: int, *, keyed: bool) -> dict[str, Any]:

@@ -55,6 +55,13 @@ def test_blocks_grow_and_follow_each_other_without_a_gap() -> None:
     for b in range(6):
         assert numbers.count(b) == schedule.length(b)
         assert numbers[schedule.begins(b)] == b
+    for first, largest in ((1, 1), (3, 64), (64, 64), (5, 1024), (64, 128)):
+        blocks = Schedule(schedule.assumption, first, largest)
+        lengths = [min(largest, first << b) for b in range(14)]
+        assert [blocks.length(b) for b in range(14)] == lengths
+        places = [b for b, n in enumerate(lengths) for _ in range(n)]
+        assert [blocks.block_of(j) for j in range(len(places) + 1)] == [-1, *places]
+        assert [blocks.begins(b) for b in range(14)] == [1 + places.index(b) for b in range(14)]
     # what each makes where nothing is lost
     rows = [schedule.assumption.rows(n, n, 2 * n) for n in (44, 88, 176, 256)]
     assert [r - 1 for r in rows] == [1, 14, 48, 84]

@@ -12,17 +12,20 @@ import tomllib
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import inf
 from pathlib import Path
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
+from attacker_service.relay import Rewriter
 from controller_service.core import ControllerCore
 from controller_service.service import ControllerConfig, open_controller
+from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.events import Event
 from protocol.link.peer import Actions, Peer
 from protocol.messages import FIELD, Message, Offer, SendCommand
-from protocol.scenario import parse_scenario
+from protocol.scenario import Attack, parse_scenario
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
 from runtime.keys.asking import Asker
@@ -104,11 +107,31 @@ class RecordedLoop:
     message : bytes
         The controller's first.
     name, more : str
+    pace : str
+        ``realtime``: a step takes its period, and the ends ask each other about keys as often as
+        the services do. ``fast``: lock-step, and they ask all the time.
+    attack : Attack, optional
+        At the plant's sensor or actuator.
+
+    Attributes
+    ----------
+    relay : Rewriter, optional
+        Through which messages of the field bus pass.
     """
 
     def __init__(
-        self, folder: Path, message: bytes = b"", name: str = "sustained", more: str = ""
+        self,
+        folder: Path,
+        message: bytes = b"",
+        name: str = "sustained",
+        more: str = "",
+        *,
+        pace: str = "fast",
+        attack: Attack | None = None,
     ) -> None:
+        self._pace = Pace(pace)
+        self._attack = attack
+        self.relay: Rewriter | None = None
         self.folder = folder
         self.now = 0.0
         self._steps = 0
@@ -116,7 +139,7 @@ class RecordedLoop:
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
         text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8") + more
-        self._scenario = parse_scenario(tomllib.loads(text), name)
+        self.scenario = parse_scenario(tomllib.loads(text), name)
         self._law = law_of(name)[1]
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCENARIO).write_text(text, encoding="utf-8")
@@ -134,11 +157,11 @@ class RecordedLoop:
         """Begin a life of one end, from what its files hold."""
         self.lives[side] += 1
         if side == "plant":
-            plant = PlantConfig(self._scenario, self.folder, "loop", Pace("fast"))
+            plant = PlantConfig(self.scenario, self.folder, "loop", self._pace, attack=self._attack)
             endpoint, files = open_plant(plant, self.now)
         else:
             made = ControllerConfig(
-                self._scenario,
+                self.scenario,
                 self.folder,
                 "loop",
                 self._law,
@@ -206,10 +229,21 @@ class RecordedLoop:
         if message.kind in FIELD:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
             self._capture.lines.append(line)
+            message = self._attacked(message)
         partner: Side = "controller" if side == "plant" else "plant"
         end = self.ends.get(partner)
         if end is not None and message.kind in end.peer.hears:
             self._mail[partner].append(message)
+
+    def _attacked(self, message: Mail) -> Mail:
+        """A message of the field bus as it arrives; an attack at the plant hears it there."""
+        plant = self.ends["plant"].endpoint.plant if "plant" in self.ends else None  # type: ignore[attr-defined]
+        if isinstance(plant, AttackedPlant):
+            plant.heard.append((message.kind.topic, message.payload))
+        if self.relay is None:
+            return message
+        kind: Any = message.kind
+        return Mail(kind, self.relay.rewritten(kind, message.payload))
 
     @property
     def controller(self) -> ControllerCore:
@@ -247,9 +281,12 @@ class RecordedLoop:
         """Deliver a message to each end, or let time pass."""
         quiet = True
         self._steps += 1
-        defence = self._scenario.defence
-        if (defence.keyed or defence.messages != "clear") and self._steps % ASK_EVERY == 0:
-            self._ask()
+        defence = self.scenario.defence
+        takes_keys = defence.keyed or defence.messages != "clear"
+        timed = self._pace.factor is not None
+        if takes_keys and not timed and self._steps % ASK_EVERY == 0:
+            self.now += ASK_S
+            self._ask(float(self._steps))
         for side in SIDES:
             end = self.ends[side]
             if end.tasks and end.key_maker is not None:
@@ -263,16 +300,20 @@ class RecordedLoop:
         if quiet:
             due = {side: end.peer.wake_at() for side, end in self.ends.items()}
             side = min(due, key=lambda s: due[s])
-            self.now = max(self.now, due[side])
-            self._do(side, self.ends[side].peer.wake)
+            askers = [e.asker for e in self.ends.values() if takes_keys and timed and e.asker]
+            asks_at = min((asker.wake_at() for asker in askers), default=inf)
+            self.now = max(self.now, min(asks_at, due[side]))
+            if asks_at <= due[side]:
+                self._ask(self.now)
+            else:
+                self._do(side, self.ends[side].peer.wake)
 
-    def _ask(self) -> None:
-        """Each end asks the other what may be given, as it does beside the loop; time passes."""
-        self.now += ASK_S
+    def _ask(self, now: float) -> None:
+        """Each end asks the other what may be given, as it does beside the loop."""
         for mine, theirs in (SIDES, SIDES[::-1]):
             asker, partner = self.ends[mine].asker, self.ends[theirs].asker
             if asker is not None and partner is not None:
-                ask(asker, partner, float(self._steps))
+                ask(asker, partner, now)
 
     def run(self, over: Callable[[], bool]) -> None:
         """Go on until ``over``; an error where nothing moves any more."""
