@@ -126,7 +126,7 @@ def against_the_smoother(rows: Sequence[Row]) -> str:
         f"{bits[1]:.0f}."
     )
     told += f" Below it: {'; '.join(below)}." if below else " In none `smoother` alone has it."
-    told += f" Where `smoother` has every message ({', '.join(ALL_READ)}), one run each."
+    told += f" One run each where `smoother` has every message ({', '.join(ALL_READ)})."
     return told + (f" Wrong claims of `text`: {'; '.join(wrong)}." if wrong else "")
 
 
