@@ -31,7 +31,8 @@ from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.campaigns.attacked import run
-from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES
 from wyner.runs.resolve import Resolved
 
 pytestmark = pytest.mark.slow

@@ -3,6 +3,9 @@
 All that an end does next follows from itself and from what it hears: :meth:`End.do` is a function.
 So that it is, every draw is named by what it is for (a nonce by its process, session and step), and
 an end's clock stands at 0 before each event, all times being relative to it.
+
+It is no :mod:`tests.support.two_ends`, whose partner is there: here each step of one end is made
+once, without the other, and looked up afterwards.
 """
 
 import base64
@@ -28,8 +31,15 @@ from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
-from tests.support.acting_line import ActingLine, LineDevice, acting_plant
-from tests.support.line_ends import LinePlant, Reports, line_controller, line_plant
+from tests.support.line_ends import (
+    ActingLine,
+    LineDevice,
+    LinePlant,
+    Reports,
+    acting_plant,
+    line_controller,
+    line_plant,
+)
 from tests.support.mail import Mail, mail
 
 Side = Literal["plant", "controller"]

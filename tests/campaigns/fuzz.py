@@ -15,14 +15,16 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from protocol.link.events import Event
+from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
 from runtime.files import write_atomically
 from runtime.inbox import Inbox
 from runtime.logs import logger
-from runtime.perform import perform
 from tests.campaigns.listeners import LISTENERS, listener
-from tests.campaigns.world import World, quiet
-from tests.support.line_ends import ToldPorts
+from tests.campaigns.loop import rules_of
+from tests.support.mail import Mail
+from tests.support.two_ends import LineEnds, Name
 from wyner.sweeps.grid import code_version
 
 NUMBERS = (0, -1, 1, 2**63, -(2**63), 10**400, 1e308, -1e308, 5e-324, 0.1, True, None, "", "NaN")
@@ -73,13 +75,50 @@ def megabytes() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
-HEARS: dict[str, tuple[type[Message], ...]] = {
+HEARS: dict[Name, tuple[type[Message], ...]] = {
     "controller": (Measurement, PlantHello, SendCommand),
     "plant": (Offer, ControllerHello),
 }
 
 
-def fuzz(side: str, count: int, seed: int, until: float = float("inf")) -> int:
+class Fuzzed(LineEnds):
+    """A link under way; ``heard`` is what its ends have said, and a command."""
+
+    def __init__(self) -> None:
+        self.heard = [SendCommand(id="a", payload=b"x" * 9).wire()]
+        self._carried = self._offers = 0
+        super().__init__(rules_of("switched", keys=False), 0.1, (b"a",))
+        self.run(lambda: self.controller.record.transitions >= 2)
+
+    def said(self, side: Name, message: Mail) -> None:
+        """Note it, and send it."""
+        self.heard.append(message.payload)
+        super().said(side, message)
+
+    def hear(self, side: Name, message: Mail) -> None:
+        """An offer has another coin than the one before."""
+        if message.kind is Offer:
+            self._offers += 1
+            self.line.coin, self.line.d = self._offers % 2, 0.3
+        super().hear(side, message)
+
+    def traced(self, side: Name, event: Event) -> None:
+        """Count message symbols that came through."""
+        if side == "plant" and isinstance(event, CountedTransition):
+            self._carried += event.role == "message"
+
+    def goes_on(self) -> bool:
+        """Whether a message symbol comes through once nothing is lost."""
+        carried = self._carried
+        self.well(0)
+        for _ in range(1000):
+            self.step()
+            if self._carried > carried:
+                return True
+        return False
+
+
+def fuzz(side: Name, count: int, seed: int, until: float = float("inf")) -> int:
     """Send ``count`` messages to one end of a link that runs; how many were sent.
 
     Every 5000 messages the rest of the link is let on, and must deliver.
@@ -91,18 +130,20 @@ def fuzz(side: str, count: int, seed: int, until: float = float("inf")) -> int:
     """
     draw = random.Random(seed + 1)
     inbox: Inbox[tuple[type[Message], bytes]] = Inbox()
-    world, heard = _running()
+    ends = Fuzzed()
+    heard = ends.heard[:]
     for number, payload in enumerate(payloads(seed, heard), start=1):
         kind = draw.choice(HEARS[side])
         inbox.put((kind, payload), len(payload))
         over = number >= count or time.monotonic() > until
         if len(inbox) == 50 or over:
             while inbox:
-                _hear(world, side, *inbox.get(0.0))
+                ends.now += 1e-5
+                ends.hear(side, Mail(*inbox.get(0.0)))
         if number % 5000 == 0 or over:
-            assert world.goes_on(1000), f"after {number} messages the link does not go on"
-            world, fresh = _running()
-            heard[:] = fresh
+            assert ends.goes_on(), f"after {number} messages the link does not go on"
+            ends = Fuzzed()
+            heard[:] = ends.heard
         if over:
             break
     return number
@@ -120,7 +161,7 @@ def fuzz_listener(
     """
     draw = random.Random(seed + 1)
     with tempfile.TemporaryDirectory() as temporary:
-        who, heard = listener(name, folder or Path(temporary), _running()[1])
+        who, heard = listener(name, folder or Path(temporary), Fuzzed().heard)
         inbox: Inbox[tuple[type[Message], bytes]] = Inbox()
         for number, payload in enumerate(payloads(seed, heard), start=1):
             inbox.put((draw.choice(who.kinds), payload), len(payload))
@@ -133,28 +174,6 @@ def fuzz_listener(
                 break
         who.close()
     return number
-
-
-def _running() -> tuple[World, list[bytes]]:
-    """A link under way, and what was heard on it."""
-    world = World("switched", 0.1)
-    world.warm_up()
-    heard = [m.payload for m in (*world.to_plant, *world.to_controller)]
-    return world, [*heard, SendCommand(id="a", payload=b"x" * 9).wire()]
-
-
-def _hear(world: World, side: str, kind: type[Message], payload: bytes) -> None:
-    world.now += 1e-5
-    if side == "controller":
-        ours = ToldPorts(world.controller_journal, _ignore, _ignore, quiet)
-        perform(world.controller.receive(kind, payload, world.now), world.controller, ours)
-    else:
-        theirs = ToldPorts(world.plant_journal, _ignore, _ignore, quiet)
-        perform(world.plant.receive(kind, payload, world.now), world.plant, theirs)
-
-
-def _ignore(_what: object) -> None:
-    pass
 
 
 class _Lines(logging.Handler):

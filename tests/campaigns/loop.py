@@ -14,7 +14,7 @@ from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 
 SHIFT: Final = 1.5
 SCHEMES: Final = ("switched", "pipelined")

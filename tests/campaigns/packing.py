@@ -13,8 +13,7 @@ from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
 from tests.campaigns.stores import Stores
-from tests.support.acting_line import ActingLine, LineDevice
-from tests.support.line_ends import LinePlant
+from tests.support.line_ends import ActingLine, LineDevice, LinePlant
 
 PASSING: Final = frozenset(
     (

@@ -35,8 +35,8 @@ from protocol.vectors import Vector
 from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint
-from tests.support.copies import Copies
 from tests.support.giving import agree
+from tests.support.once import Copies, Digits
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
@@ -200,9 +200,7 @@ class Watched(Simulation):
         self._device = device
         self.cut = 0
         """Steps that a session's end cut short."""
-        self.watched: set[tuple[str, int]] = set()
-        self._coins: dict[tuple[str, int], tuple[str, int]] = {}
-        self._applied: dict[tuple[str, int], int] = {}
+        self.digits = Digits()
         super().__init__(*args, **kwargs)
         if self.scenario.defence.keyed:
             self._agree()
@@ -247,7 +245,7 @@ class Watched(Simulation):
         super().traced(event)
         assert not isinstance(event, Alarm), "an honest step made an alarm"
         if isinstance(event, CountedTransition) and self.scenario.defence.keyed:
-            self._coin_was(event)
+            self.digits.counted(event)
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
@@ -259,19 +257,6 @@ class Watched(Simulation):
         assert event.x_next == device.x, "a step led elsewhere than its trace says"
         assert event.u == device.u, "a step had another input than its trace says"
         self.cut += isinstance(event, Interrupted)
-
-    def _coin_was(self, t: CountedTransition) -> None:
-        """A keyed coin is the digit of its step alone, and who watches it expects that one."""
-        at = t.session, t.k
-        if t.coin == NO_SYMBOL:
-            if t.expected != NO_SYMBOL:
-                self.watched.add(at)
-                assert self._applied.get(at, t.expected) == t.expected, "another coin was expected"
-            return
-        self._applied[at] = t.coin
-        if t.coin_key:
-            digit = t.coin_key, t.k - t.coin_from
-            assert self._coins.setdefault(digit, at) == at, "a digit served two steps"
 
 
 class Outcome(NamedTuple):
@@ -335,7 +320,7 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
     lines += differing(mine, theirs, spent=watched(seed))
     shared = {name for name, state in theirs.ids() if state == "confirmed"}
     keys = sum(name in shared for name, state in mine.ids() if state == "confirmed")
-    return Outcome(keys, link.cut, len(link.watched), tuple(lines))
+    return Outcome(keys, link.cut, len(link.digits.watched), tuple(lines))
 
 
 def _short(key: bytes, size: int) -> tuple[int, ...]:

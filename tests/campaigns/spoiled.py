@@ -16,9 +16,11 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
+from protocol.secret.records import Side
 from runtime.errors import Failure, UsageError
 from tests.campaigns.resumable import Results, options, seeds
-from tests.support.recorded_loop import SIDES, RecordedLoop, Side
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 

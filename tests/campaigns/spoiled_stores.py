@@ -22,7 +22,8 @@ from runtime.keys.store import KeyStore
 from tests.campaigns.resumable import Results, options, seeds
 from tests.campaigns.spoiled import damaged
 from tests.support.giving import deliver, deliver_named
-from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES
 
 KINDS: Final = (
     "flipped",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from protocol.secret.records import Side
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, fuzz, live, schedules, spoiled, spoiled_stores
@@ -64,7 +65,7 @@ def test_spoiled_key_stores_are_told_and_give_nothing_twice(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("side", ["controller", "plant"])
-def test_fuzzed_messages_stop_no_end(side: str) -> None:
+def test_fuzzed_messages_stop_no_end(side: Side) -> None:
     assert fuzz.fuzz(side, 3000, seed=1) == 3000
 
 

@@ -1,36 +1,36 @@
 """A message that leaves more often than was claimed counts for no key; one that does not, does."""
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
-from tests.support.keyed_link import SIDES, Side, World
-from tests.support.line_plant import line_rules
+from protocol.secret.records import Side
+from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.mail import Mail
+from tests.support.two_ends import SIDES, Name
 
 CLAIM = Assumption(0.7, appearances=2)
 
 
-class Watched(World):
+class Watched(KeyedEnds):
     """A world that notes which copies its ends send first, by side."""
 
     def __init__(self) -> None:
-        self.sent: dict[Side, list[int]] = {side: [] for side in SIDES}
-        rules = line_rules(alpha=4.0, largest_input=1e9)
-        super().__init__(replace(rules, schedule=schedule_of(CLAIM)), period_s=0.3)
+        self.sent: dict[Name, list[int]] = {side: [] for side in SIDES}
+        super().__init__(keyed_rules(schedule=schedule_of(CLAIM)), period_s=0.3)
 
-    def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
-        if kind in (Measurement, Offer):
-            message = kind.model_validate_json(payload)
-            assert isinstance(message, Measurement | Offer)
-            self.sent[side].append(message.copy_number)
-        super().published(side, kind, payload)
+    def said(self, side: Name, message: Mail) -> None:
+        if message.kind in (Measurement, Offer):
+            said = message.kind.model_validate_json(message.payload)
+            assert isinstance(said, Measurement | Offer)
+            self.sent[side].append(said.copy_number)
+        super().said(side, message)
 
     def appear(self, side: Side, count: int) -> None:
-        self.carry_out(side, self.ends[side].appear(count))
+        self.do(side, lambda _: self.ends[side].peer.appear(count))
 
     def keys(self) -> tuple[int, int]:
         plant, controller = (self.stores[side].available() for side in ("plant", "controller"))
@@ -63,8 +63,8 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
     world.close()
 
 
-def told(world: World, side: Side) -> str:
-    keyed: Any = world.ends[side]
+def told(world: Watched, side: Side) -> str:
+    keyed: Any = world.ends[side].endpoint
     stopped: str = keyed.keying.told("")["keys_stopped"]
     return stopped
 
@@ -72,7 +72,7 @@ def told(world: World, side: Side) -> str:
 @pytest.mark.parametrize("side", SIDES)
 def test_one_line_is_told_when_keys_stop_and_one_when_they_go_on(side: Side) -> None:
     world = Watched()
-    end = world.ends[side]
+    end = world.ends[side].peer
     lines = [[notice.text for notice in end.appear(count).notices] for count in (1, 2, 3, 4, 2, 1)]
     assert lines == [
         [],

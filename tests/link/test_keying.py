@@ -16,7 +16,7 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
 from protocol.secret.tasks import Broken
 from tests.support.controller_in_hand import PERIOD_S, OneMessage, Zeros
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import ScriptedLine
 
 S, OTHER = "1" * 16, "2" * 16

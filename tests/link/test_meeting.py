@@ -7,7 +7,7 @@ from controller_service.core import STALE
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done, OneMessage
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)

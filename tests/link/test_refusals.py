@@ -19,7 +19,7 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, fresh_nonce
 from protocol.vectors import Vector
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)

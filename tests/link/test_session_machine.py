@@ -9,28 +9,23 @@ same loop. The property of the protocol is checked after every rule.
 
 from collections.abc import Callable
 from functools import partial
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from controller_service.core import ControllerCore
-from plant_service.core import PlantCore
-from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event, FrameRefused, SessionBegan
 from protocol.link.peer import Actions, Save, Write
-from protocol.link.session import CountedTransition
+from protocol.link.records import SenderRecord
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from runtime.perform import Crashed, CrashingPorts, CrashPoint, perform
-from tests.support.acting_line import ActingLine, LineDevice, acting_plant
-from tests.support.line_ends import LinePlant, ToldPorts, line_controller, line_plant
-from tests.support.line_plant import line_rules
-from tests.support.mail import Mail
-from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
+from runtime.perform import CrashPoint
+from tests.support.line_ends import line_rules
+from tests.support.mail import Mail, mail
+from tests.support.two_ends import MEMORY, LineEnds, Name
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
@@ -39,8 +34,6 @@ SHIFTS = (1.5, 1.25)
 """What each controller sends, and how far its candidates are from the middle."""
 DEATHS: list[CrashPoint | None] = [*[None] * 5, "writing", "publishing", "tracing", "acting"]
 """Before what of an event a process dies, if it does."""
-MEMORY = 12
-"""Messages that the network keeps: its memory is long, but not endless."""
 
 
 class Chosen:
@@ -54,148 +47,114 @@ class Chosen:
         return self.next % size
 
 
-class PlantPorts(ToldPorts):
-    """The plant's; what it ever received is known to the test, whatever its journal forgets."""
+class Ends(LineEnds):
+    """Ends of which is known what they counted, offered and received, whatever a journal forgets.
 
-    def __init__(self, link: "Link") -> None:
-        super().__init__(link.plant_journal, link.to_controller.append, link.plant_counted)
-        self.ever = link.ever
+    Attributes
+    ----------
+    forgot : bool
+        Whether a session may end with nobody to blame: a journal was lost, or one controller takes
+        over from another before it knows of a frame.
+    late_hello : bool
+        Whether a hello of a former process of the plant came: it may end a session.
+    """
 
-    def write(self, write: Write) -> None:
-        super().write(write)
+    def __init__(self, rules: Rules, step_s: float | None, **more: Any) -> None:
+        self.sent: dict[tuple[str, int], object] = {}
+        self.got: dict[tuple[str, int], object] = {}
+        self.ever: list[bytes] = []
+        self.forgot = more["rivals"] is not None
+        self.late_hello = False
+        self._offered: list[Offer] = []
+        self._ciphers: dict[tuple[str, int], int] = {}
+        self._starting = True  # the plant's process counts what the one before it left
+        super().__init__(rules, step_s, PAYLOADS[0], fresh=Chosen(), **more)
+
+    def propose(self, side: Name, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
+        M, shift = self.rules.size, SHIFTS[side == "rival"]
+        return tuple([(-x[0] + (2 * i - M + 1) * shift,) for i in range(M)])
+
+    def start(self, side: Name) -> None:
+        self._starting = True
+        super().start(side)
+        self._starting = False
+
+    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
+        super().do(side, act)
+        if side == "plant":
+            assert not self.plant.refused
+            return
+        record = self.ends[side].endpoint.record
+        assert isinstance(record, SenderRecord)
+        for offer in self._offered:
+            if offer == record.offer:
+                at = (offer.session, record.transitions)
+                first = self._ciphers.setdefault(at, offer.cipher)
+                assert first == offer.cipher, "a transition was offered two cipher symbols"
+        self._offered.clear()
+
+    def hear(self, side: Name, message: Mail) -> None:
+        if message.kind is PlantHello:
+            hello = PlantHello.model_validate_json(message.payload)
+            self.late_hello |= hello.instance != self.plant.instance
+        super().hear(side, message)
+
+    def said(self, side: Name, message: Mail) -> None:
+        if message.kind is Offer:
+            self._offered.append(Offer.model_validate_json(message.payload))
+        super().said(side, message)
+
+    def wrote(self, side: Name, write: Write) -> None:
+        super().wrote(side, write)
         if isinstance(write, Save) and write.received is not None:
             self.ever.append(write.received)
 
-
-class Controller:
-    """A controller's life, its journal, and the offers not yet known to be for a transition."""
-
-    def __init__(self, number: int, link: "Link") -> None:
-        self.shift = SHIFTS[number]
-        self.journal = link.controller_journal(*PAYLOADS[number])
-        self.ports = CrashingPorts(ToldPorts(self.journal, self.said, link.counted))
-        self.endpoint: ControllerCore
-        self.offered: list[Offer] = []
-        self.link = link
-
-    def propose(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-        M = self.link.shared.size
-        return tuple((-x[0] + (2 * i - M + 1) * self.shift,) for i in range(M))
-
-    def said(self, message: Mail) -> None:
-        if message.kind is Offer:
-            self.offered.append(Offer.model_validate_json(message.payload))
-        self.link.to_plant.append(message)
-
-
-class Link(RuleBasedStateMachine):
-    controllers = 1
-    shared = RULES
-    step_s: ClassVar[float | None] = None
-    controller_journal = MemoryControllerJournal
-    plants_journal = MemoryPlantJournal
-    acts = False
-    plant: PlantCore
-    line: LinePlant | ActingLine
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.names = 0
-        self.now = 0.0
-        self.fresh = Chosen()
-        self.to_plant: list[Mail] = []
-        self.to_controller: list[Mail] = []
-        self.sent: dict[tuple[str, int], object] = {}
-        self.got: dict[tuple[str, int], object] = {}
-        self.ciphers: dict[tuple[str, int], int] = {}
-        self.forgot = (
-            self.controllers > 1
-        )  # one takes over from the other before it knows of a frame
-        self.late_hello = False  # a hello of a former incarnation of the plant may end a session
-        self.ever: list[bytes] = []
-        self.plant_journal = self.plants_journal()
-        self.plant_ports = CrashingPorts(PlantPorts(self))
-        self.device = LineDevice()
-        self.device.passes = self.plant_ports.passes
-        self.started = True  # the plant's process counts what the one before it left
-        self.each = [Controller(number, self) for number in range(self.controllers)]
-        for controller in self.each:
-            self.start_controller(controller)
-        self.start_plant()
-
-    def name(self) -> str:
-        self.names += 1
-        return f"{self.names:016x}"
-
-    def plant_counted(self, event: Event) -> None:
-        if self.acts:
-            self.device.look(event, alive=not self.started)
-        if isinstance(event, CountedTransition):
-            session = self.plant.record.session
-            assert event.session == session, "a step counts in another session"
-        self.counted(event)
-
-    def counted(self, event: Event) -> None:
+    def traced(self, side: Name, event: Event) -> None:
+        if side == "plant" and self.device is not None:
+            self.device.look(event, alive=not self._starting)
         assert not isinstance(event, FrameRefused)
-        if isinstance(event, CountedTransition) and event.coin != NO_SYMBOL:
-            t = event.shared
-            assert self.got.setdefault((t.session, t.j), t) == t, "a transition was counted anew"
-        elif isinstance(event, SessionBegan) and event.session is not None:
+        if isinstance(event, SessionBegan) and event.session is not None:
             grown = any(session != event.session for session, _ in self.got)
             excused = self.forgot or self.late_hello
             assert excused or not grown, "a session ended with both journals there"
-        elif isinstance(event, CountedTransition):
+        if not isinstance(event, CountedTransition):
+            return
+        if side != "plant":
             self.sent[event.session, event.j] = event
+            return
+        t = event.shared
+        assert t.session == self.plant.record.session, "a step counts in another session"
+        assert self.got.setdefault((t.session, t.j), t) == t, "a transition was counted anew"
 
-    # --- lives ---------------------------------------------------------------------------------
 
-    def start_controller(self, one: Controller) -> None:
-        one.endpoint = line_controller(
-            self.shared, one.propose, one.journal, self.fresh, self.name()
+class Link(RuleBasedStateMachine):
+    rival = False
+    shared = RULES
+    step_s: ClassVar[float | None] = None
+    on_disk = False
+    acts = False
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.ends = Ends(
+            self.shared,
+            self.step_s,
+            rivals=PAYLOADS[1] if self.rival else None,
+            on_disk=self.on_disk,
+            acts=self.acts,
         )
-        self.controller_does(one, one.endpoint.start(self.now))
+        self.controllers: list[Name] = ["controller", "rival"] if self.rival else ["controller"]
 
-    def start_plant(self) -> None:
-        self.plant_ports.crash_at()
-        common = self.name, self.name(), self.now, self.step_s
-        if self.acts:
-            self.plant, self.line = acting_plant(
-                self.shared, self.plant_journal, self.device, *common
-            )
-        else:
-            self.plant, self.line = line_plant(self.shared, self.plant_journal, *common)
-        self.started = True
-        self.plant_does(self.plant.start)
-        self.started = False
+    def teardown(self) -> None:
+        self.ends.close()
 
-    def controller_does(
-        self, one: Controller, actions: Actions, dies: CrashPoint | None = None
-    ) -> None:
-        one.ports.crash_at(before=dies)
-        try:
-            perform(actions, one.endpoint, one.ports)
-        except Crashed:
-            self.start_controller(one)
-            return
-        record = one.endpoint.record
-        for offer in one.offered:
-            if offer == record.offer:
-                at = (offer.session, record.transitions)
-                first = self.ciphers.setdefault(at, offer.cipher)
-                assert first == offer.cipher, "a transition was offered two cipher symbols"
-        one.offered.clear()
-        if dies is not None:
-            self.start_controller(one)
-
-    def plant_does(self, act: Callable[[float], Actions], dies: CrashPoint | None = None) -> None:
-        self.plant_ports.crash_at(before=dies)
-        try:
-            perform(act(self.now), self.plant, self.plant_ports)
-        except Crashed:
-            self.start_plant()
-            return
-        if dies is not None:
-            self.start_plant()
+    def dying(self, side: Name, dies: CrashPoint | None, act: Callable[[], None]) -> None:
+        """Something happens to an end, and it dies within it, or after it."""
+        lives = self.ends.lives[side]
+        self.ends.crash_at(side, dies)
+        act()
+        if dies is not None and lives == self.ends.lives[side]:
+            self.ends.die(side)
 
     # --- the clock -----------------------------------------------------------------------------
 
@@ -206,29 +165,19 @@ class Link(RuleBasedStateMachine):
     )
     def time_passes(self, seconds: float, d: float, dies: CrashPoint | None) -> None:
         """Hellos, measurements, repeats, missed steps, silence."""
-        self.now += seconds
-        self.line.d = d
-        if self.plant.wake_at() <= self.now:
-            self.plant_does(self.plant.wake, dies)
+        self.ends.line.d = d
+        self.dying("plant", dies, partial(self.ends.wake, "plant", seconds))
 
     # --- the network ---------------------------------------------------------------------------
 
-    @precondition(lambda self: self.to_controller)
+    @precondition(lambda self: self.ends.mail["controller"])
     @rule(data=st.data(), dies=st.sampled_from(DEATHS))
     def controller_hears(self, data: st.DataObject, dies: CrashPoint | None) -> None:
-        message = data.draw(st.sampled_from(self.to_controller))
-        self.tell_controller(data.draw(st.sampled_from(self.each)), message, dies)
-        del self.to_controller[:-MEMORY]
+        message = data.draw(st.sampled_from(self.ends.mail["controller"]))
+        side = data.draw(st.sampled_from(self.controllers))
+        self.dying(side, dies, partial(self.ends.hear, side, message))
 
-    def tell_controller(
-        self, one: Controller, message: Mail, dies: CrashPoint | None = None
-    ) -> None:
-        if message.kind is PlantHello:
-            hello = PlantHello.model_validate_json(message.payload)
-            self.late_hello |= hello.instance != self.plant.instance
-        self.controller_does(one, one.endpoint.receive(*message, self.now), dies)
-
-    @precondition(lambda self: self.to_plant)
+    @precondition(lambda self: self.ends.mail["plant"])
     @rule(
         data=st.data(),
         drawn=st.integers(0, 29),
@@ -238,89 +187,80 @@ class Link(RuleBasedStateMachine):
     def plant_hears(
         self, data: st.DataObject, drawn: int, d: float, dies: CrashPoint | None
     ) -> None:
-        coin = drawn % self.shared.size
-        self.tell_plant(data.draw(st.sampled_from(self.to_plant)), coin, d, dies)
-        del self.to_plant[:-MEMORY]
-
-    def tell_plant(
-        self, message: Mail, coin: int, d: float, dies: CrashPoint | None = None
-    ) -> None:
-        self.line.coin, self.line.d = coin, d
-        self.plant_does(partial(self.plant.receive, *message), dies)
-        assert not self.plant.refused
+        self.ends.line.coin, self.ends.line.d = drawn % self.shared.size, d
+        message = data.draw(st.sampled_from(self.ends.mail["plant"]))
+        self.dying("plant", dies, partial(self.ends.hear, "plant", message))
 
     @rule(first=st.integers(0, 1))
     def all_is_well_for_a_while(self, first: int) -> None:
         """Everybody hears everything at once, so that runs get far enough to be interesting."""
-        before = self.to_controller[:], self.to_plant[:]
-        self.to_controller.clear()
-        self.to_plant.clear()
-        if not self.plant.accepted:
-            self.now += 2.5
+        ends, mail = self.ends, self.ends.mail
+        before = {side: bag[:] for side, bag in mail.items()}
+        mail["plant"].clear()
+        mail["controller"].clear()
+        if not ends.plant.accepted:
+            ends.now += 2.5
         for _ in range(30):
-            if self.to_plant:
-                before[1].append(self.to_plant.pop(0))
-                k = self.plant.record.k
-                self.tell_plant(before[1][-1], k % self.shared.size, 0.3)
-            elif self.to_controller:
-                before[0].append(self.to_controller.pop(0))
-                for one in self.each[first:] + self.each[:first]:
-                    self.tell_controller(one, before[0][-1])
+            if mail["plant"]:
+                before["plant"].append(mail["plant"].pop(0))
+                ends.line.coin = ends.plant.record.k % self.shared.size
+                ends.line.d = 0.3
+                ends.hear("plant", before["plant"][-1])
+            elif mail["controller"]:
+                before["controller"].append(mail["controller"].pop(0))
+                for side in self.controllers[first:] + self.controllers[:first]:
+                    ends.hear(side, before["controller"][-1])
             else:
-                self.now = max(self.now, self.plant.wake_at())
-                self.plant_does(self.plant.wake)
-        self.to_controller[:0] = before[0]
-        self.to_plant[:0] = before[1]
+                ends.wake("plant", max(0.0, ends.plant.wake_at() - ends.now))
+        for side, bag in before.items():
+            mail[side][:0] = bag[-MEMORY:]
 
     # --- the reaper ----------------------------------------------------------------------------
 
     @rule(data=st.data())
     def controller_is_killed(self, data: st.DataObject) -> None:
-        self.start_controller(data.draw(st.sampled_from(self.each)))
+        self.ends.die(data.draw(st.sampled_from(self.controllers)))
 
     @rule()
     def plant_is_killed(self) -> None:
-        self.start_plant()
+        self.ends.die("plant")
 
-    @rule(data=st.data(), which=st.sampled_from(["controller", "plant"]))
-    def a_journal_is_lost(self, data: st.DataObject, which: str) -> None:
-        self.forgot = True
-        if which == "controller":
-            one = data.draw(st.sampled_from(self.each))
-            one.journal.forget()
-            self.start_controller(one)
-        else:
-            self.plant_journal.forget()
-            self.device.u = None  # what it was told is known to nobody any more
-            self.start_plant()
+    @rule(data=st.data(), plants=st.booleans())
+    def a_journal_is_lost(self, data: st.DataObject, plants: bool) -> None:
+        self.ends.forgot = True
+        side = "plant" if plants else data.draw(st.sampled_from(self.controllers))
+        self.ends.journals[side].forget()
+        if plants and self.ends.device is not None:
+            self.ends.device.u = None  # what it was told is known to nobody any more
+        self.ends.die(side)
 
-    @precondition(lambda self: self.plant.controller is not None)
+    @precondition(lambda self: self.ends.plant.controller is not None)
     @rule(dies=st.sampled_from(DEATHS))
     def the_controller_knows_no_session(self, dies: CrashPoint | None) -> None:
         """As one does that was misled: whatever the plant is doing, its session is over."""
-        self.forgot = True
-        receiver = self.plant
+        self.ends.forgot = True
+        plant = self.ends.plant
         word = ControllerHello(
-            instance=receiver.controller or "",
-            incarnation=receiver.record.incarnation,
+            instance=plant.controller or "",
+            incarnation=plant.record.incarnation,
             fingerprint=self.shared.fingerprint,
             verdict="unknown-session",
-            session=receiver.record.session,
-            answers=receiver.instance,
+            session=plant.record.session,
+            answers=plant.instance,
         )
-        self.plant_does(partial(self.plant.receive, ControllerHello, word.wire()), dies)
+        self.dying("plant", dies, partial(self.ends.hear, "plant", mail(word)))
 
     # --- the property --------------------------------------------------------------------------
 
     @invariant()
     def both_agree_on_what_both_counted(self) -> None:
-        for at in self.sent.keys() & self.got.keys():
-            assert self.sent[at] == self.got[at]
+        for at in self.ends.sent.keys() & self.ends.got.keys():
+            assert self.ends.sent[at] == self.ends.got[at]
 
     @invariant()
     def messages_arrive_in_order_and_once(self) -> None:
-        inbox = self.ever
-        sent = sum(PAYLOADS[: self.controllers], ())
+        inbox = self.ends.ever
+        sent = sum(PAYLOADS[: len(self.controllers)], ())
         assert set(inbox) <= set(sent)
         for payloads in PAYLOADS:
             place = 0
@@ -328,7 +268,7 @@ class Link(RuleBasedStateMachine):
                 if place < len(payloads) and payload == payloads[place]:
                     place += 1
                 else:
-                    assert self.forgot
+                    assert self.ends.forgot
                     assert payload in payloads[:place]
 
 
@@ -342,17 +282,13 @@ class Acting(Deadlines):
     """A device: a step is begun and read at its end, and its session may end in between."""
 
     acts = True
-    controllers = 2
+    rival = True
 
 
 class ActingOnDisk(Acting):
     """The same with the services' journals."""
 
-    controller_journal = TwinControllerJournal
-    plants_journal = TwinPlantJournal
-
-    def teardown(self) -> None:
-        closed(self)
+    on_disk = True
 
 
 class ActingAtOnce(Acting):
@@ -361,27 +297,16 @@ class ActingAtOnce(Acting):
     step_s = None
 
 
-def closed(link: Link) -> None:
-    """Remove a machine's journals on disk."""
-    for journal in (link.plant_journal, *(one.journal for one in link.each)):
-        assert isinstance(journal, TwinControllerJournal | TwinPlantJournal)
-        journal.close()
-
-
 class TwoControllers(Deadlines):
     """A second controller, with a journal of its own, on the same loop."""
 
-    controllers = 2
+    rival = True
 
 
 class OnDisk(TwoControllers):
     """Journals as the services have them, opened anew from their files after each death."""
 
-    controller_journal = TwinControllerJournal
-    plants_journal = TwinPlantJournal
-
-    def teardown(self) -> None:
-        closed(self)
+    on_disk = True
 
 
 class PipelinedLink(Deadlines):
@@ -391,10 +316,10 @@ class PipelinedLink(Deadlines):
 
     @invariant()
     def every_key_serves_the_next_transition(self) -> None:
-        for (session, j), t in self.got.items():
+        for (session, j), t in self.ends.got.items():
             assert isinstance(t, CountedTransition)
             assert t.symbol >= 0
-            before = self.got.get((session, j - 1))
+            before = self.ends.got.get((session, j - 1))
             if isinstance(before, CountedTransition):
                 assert (t.role, t.key) == ("message", before.symbol)
             elif j == 0:

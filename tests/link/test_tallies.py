@@ -26,7 +26,7 @@ from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes
 from protocol.vectors import Vector
 from tests.support.controller_in_hand import ControllerInHand, Done
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
 SESSION, PLANT, CONTROLLER = "1" * 16, "a" * 16, "c" * 16

@@ -4,8 +4,7 @@ import random
 
 from protocol.messages import ControllerHello
 from runtime.memory_journal import MemoryPlantJournal
-from tests.support.line_ends import line_plant
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_plant, line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PARTNER = "c" * 16

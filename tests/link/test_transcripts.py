@@ -17,7 +17,7 @@ from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.controller_in_hand import ControllerInHand, Done
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
 FOLDER = Path(__file__).parent / "transcripts"

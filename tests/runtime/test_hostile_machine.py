@@ -9,8 +9,10 @@ from typing import Any
 
 import pytest
 
+from protocol.secret.records import Side
 from runtime.errors import Failure
-from tests.support.recorded_loop import SIDES, RecordedLoop, Side
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES
 
 MESSAGE = b"a"
 

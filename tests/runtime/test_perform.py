@@ -1,22 +1,20 @@
 """The order of effects, and every death that a short run has room for."""
 
-from collections import deque
 from collections.abc import Callable
 
 import pytest
 
 from protocol.link.events import Event, Milestone, Missed
-from protocol.link.peer import Actions, Notice, Peer, Save, Write
+from protocol.link.peer import Actions, Notice, Save, Write
 from protocol.link.records import SenderRecord, Step
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult
 from protocol.secret.tasks import Done, Task
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, perform
-from tests.support.line_ends import ToldPorts, line_controller, line_plant
-from tests.support.line_plant import line_rules
+from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
+from tests.support.two_ends import LineEnds, Name
 from tools.rehearsal import Rehearsal
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
@@ -179,92 +177,53 @@ class Draws:
         return self._drawn * 7 // 3 % size
 
 
-class Pair:
+class Pair(LineEnds):
     """Both ends on a network without faults; the ``crashing`` side dies once, at its nth act."""
 
     def __init__(self, crashing: str, nth: int) -> None:
-        self.names = 0
-        self.now = 0.0
         self.acts = 0
         self.died = False
         self.crashing, self.nth = crashing, nth
-        self.draws = Draws()
         self.inbox: list[bytes] = []
-        self.counted: dict[str, dict[tuple[str, int], CountedTransition]] = {
+        self.counted: dict[Name, dict[tuple[str, int], CountedTransition]] = {
             "controller": {},
             "plant": {},
         }
-        self.mail: dict[str, deque[Mail]] = {"controller": deque(), "plant": deque()}
-        self.queue = MemoryControllerJournal(PAYLOAD)
-        self.plant_journal = MemoryPlantJournal()
-        self.ends: dict[str, tuple[Peer, CrashingPorts]] = {}
-        for side in ("controller", "plant"):
-            self.start(side)
+        super().__init__(RULES, None, (PAYLOAD,), fresh=Draws())
 
-    def name(self) -> str:
-        self.names += 1
-        return f"{self.names:016x}"
-
-    def propose(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
-        return ((-x[0] - 1.5,), (-x[0] + 1.5,))
-
-    def start(self, side: str) -> None:
-        partner = "plant" if side == "controller" else "controller"
-        ports = ToldPorts(
-            self.queue if side == "controller" else self.plant_journal,
-            self.mail[partner].append,
-            lambda event: self.note(side, event),
-        )
-        endpoint: Peer
-        if side == "controller":
-            endpoint = line_controller(RULES, self.propose, self.queue, self.draws, self.name())
-        else:
-            endpoint, self.line = line_plant(
-                RULES, self.plant_journal, self.name, self.name(), self.now, None
-            )
-        self.ends[side] = (endpoint, CrashingPorts(ports))
-        self.do(side, lambda: endpoint.start(self.now))
-
-    def note(self, side: str, event: Event) -> None:
+    def traced(self, side: Name, event: Event) -> None:
         if isinstance(event, Milestone) and event.at == "recovered":
             self.inbox.append(event.payload)
         elif isinstance(event, CountedTransition):
             self.counted[side][event.session, event.j] = event.shared
 
-    def do(self, side: str, act: Callable[[], Actions]) -> None:
-        """One act of one side: if it is the fatal one, the side dies in it and comes back."""
-        endpoint, ports = self.ends[side]
-        actions = act()
-        things = 5 if actions != Actions() else 0
-        if side == self.crashing and not self.died:
-            if self.acts <= self.nth < self.acts + things:
-                ports.crash_at(after=self.nth - self.acts)
-                self.died = True
-            self.acts += things
-        try:
-            perform(actions, endpoint, ports)
-        except Crashed:
-            self.mail[side].clear()
-            self.start(side)
+    def hear(self, side: Name, message: Mail) -> None:
+        self.line.coin = len(self.counted["plant"]) % 2
+        self.line.d = 0.5 if self.line.coin else -0.5
+        super().hear(side, message)
 
-    def run(self, transitions: int) -> None:
-        while len(self.counted["controller"]) < transitions:
-            assert self.now < 60, "the link stands still"
-            for side in ("plant", "controller"):
-                endpoint, _ = self.ends[side]
-                if self.mail[side]:
-                    self.line.coin = len(self.counted["plant"]) % 2
-                    self.line.d = 0.5 if self.line.coin else -0.5
-                    kind, payload = self.mail[side].popleft()
-                    self.do(side, lambda e=endpoint, m=(kind, payload): e.receive(*m, self.now))  # type: ignore[misc]
-            if not any(self.mail.values()):
-                self.now = max(self.now, self.ends["plant"][0].wake_at())
-                self.do("plant", lambda: self.ends["plant"][0].wake(self.now))
+    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
+        """One act of one side: if it is the fatal one, the side dies in it and comes back."""
+
+        def fatal(now: float) -> Actions:
+            actions = act(now)
+            things = 5 if actions != Actions() else 0
+            if side == self.crashing and not self.died:
+                if self.acts <= self.nth < self.acts + things:
+                    self.crash_at(side, after=self.nth - self.acts)
+                    self.died = True
+                self.acts += things
+            return actions
+
+        super().do(side, fatal)
+
+    def until(self, transitions: int) -> None:
+        self.run(lambda: len(self.counted["controller"]) >= transitions)
 
 
 def test_a_run_without_a_death_delivers() -> None:
     pair = Pair("nobody", -1)
-    pair.run(150)
+    pair.until(150)
     assert pair.inbox == [PAYLOAD]
 
 
@@ -274,7 +233,7 @@ def test_no_death_of_a_short_run_changes_what_is_counted_or_ends_the_session(cra
     deaths = 0
     for nth in range(125):
         pair = Pair(crashing, nth)
-        pair.run(25)
+        pair.until(25)
         mine, theirs = pair.counted["plant"], pair.counted["controller"]
         assert all(mine[at] == t for at, t in theirs.items()), nth
         assert len({session for session, _ in mine}) == 1, nth

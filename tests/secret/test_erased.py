@@ -21,7 +21,8 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import load_scenario
 from tests.support.giving import deliver, deliver_named
-from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES
 
 
 def confirmed(loop: RecordedLoop, block: int) -> bool:

@@ -6,7 +6,6 @@ from random import Random
 
 import pytest
 from hypothesis import HealthCheck, settings
-from hypothesis.stateful import rule
 
 from protocol.defence.base import Defence
 from protocol.defence.coding import Coding
@@ -15,13 +14,16 @@ from protocol.link import guarded
 from protocol.link.guard import ANEW, Guard, Promise
 from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement
+from protocol.secret.records import Side
 from protocol.secret.tasks import Batch
 from runtime.keys import guards
 from runtime.keys.store import KeyStore
-from tests.secret.test_keyed_link import RULES, KeyedLink
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.broken import broken
-from tests.support.copies import Copies
-from tests.support.keyed_link import SIDES, Side, World
+from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.once import Copies
+from tests.support.two_ends import SIDES
 
 GUARDS: list[Callable[[int, int], Defence]] = [Mac, Coding]
 
@@ -35,21 +37,20 @@ def soon() -> Iterator[None]:
         yield
 
 
+def guarded_ends(guard: Defence) -> KeyedEnds:
+    return KeyedEnds(keyed_rules(), guard=guard)
+
+
 class GuardedLink(KeyedLink):
-    guard: Callable[[int, int], Defence] = Mac
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.world.close()
-        self.world = World(RULES, guard=type(self).guard(1, 2))
-
-    @rule()
-    def the_ends_ask_each_other(self) -> None:
-        self.world.asks()
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return guarded_ends(Mac(1, 2))
 
 
-class CodedLink(GuardedLink):
-    guard = Coding
+class CodedLink(KeyedLink):
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return guarded_ends(Coding(1, 2))
 
 
 TestGuardedLink = pytest.mark.slow(GuardedLink.TestCase)
@@ -62,26 +63,12 @@ TestGuardedLink.settings = TestCodedLink.settings = settings(
 )
 
 
-def shaken(guard: Defence, seed: int, rounds: int = 40) -> World:
-    """A world whose ends die at any point, over and over, while all else is well."""
-    world, draw = World(RULES, guard=guard), Random(seed)
-    world.well(300)
-    for _ in range(rounds):
-        side = draw.choice(SIDES)
-        world.crash_at(side, None, after=draw.randrange(6))
-        world.well(draw.randrange(4, 16))
-        if draw.random() < 0.2:
-            world.die(side)
-    world.well(60)
-    return world
-
-
 @pytest.mark.parametrize("made", GUARDS)
 def test_messages_are_guarded_through_deaths_and_no_slot_serves_two(
     made: Callable[[int, int], Defence],
 ) -> None:
     guard = made(1, 2)
-    world = shaken(guard, 3)
+    world = shaken(guarded_ends(guard), 3, 40)
     sides = {side for side, _, _ in world.slots}
     assert sides == (set(SIDES) if guard.tags else {"plant"})
     assert len(world.slots) > 60
@@ -92,19 +79,22 @@ def test_messages_are_guarded_through_deaths_and_no_slot_serves_two(
     world.close()
 
 
-def put_back(guard: Defence, side: Side, rounds: int, *, tampers: bool = False) -> World:
+def kept(journal: MemoryControllerJournal | MemoryPlantJournal) -> int:
+    """The step of the record that a process would find."""
+    record = journal.load()
+    assert record is not None
+    return record.k
+
+
+def put_back(guard: Defence, side: Side, steps: int, *, tampers: bool = False) -> KeyedEnds:
     """A world in which one end's journal was put back by some steps, within one session."""
-    world = World(RULES, guard=guard)
+    world = guarded_ends(guard)
     world.tampers = tampers
     world.well(300)
-    copy = deepcopy(world.journals[side])
-    before = copy.load()
-    world.well(rounds)
-    now = world.journals[side].load()
-    assert before is not None
-    assert now is not None
-    assert now.session == before.session
-    assert now.k > before.k
+    end, journal = world.ends[side].endpoint, world.journals[side]
+    world.run(lambda: kept(journal) >= end.record.k - 1)
+    copy = deepcopy(journal)
+    world.run(lambda: end.record.k >= kept(copy) + steps)
     world.journals[side] = copy
     # whose journal was put back says copy 0 of its steps once more, and counts them otherwise
     world.copies, world.counted = Copies(), {s: {} for s in SIDES}
@@ -113,13 +103,13 @@ def put_back(guard: Defence, side: Side, rounds: int, *, tampers: bool = False) 
     return world
 
 
-@pytest.mark.parametrize("rounds", [8, 40])
+@pytest.mark.parametrize("steps", [1, 2, 8])
 @pytest.mark.parametrize("side", SIDES)
 @pytest.mark.parametrize("made", GUARDS)
 def test_a_journal_that_was_put_back_puts_no_two_messages_under_one_word(
-    made: Callable[[int, int], Defence], side: Side, rounds: int
+    made: Callable[[int, int], Defence], side: Side, steps: int
 ) -> None:
-    world = put_back(made(1, 2), side, rounds)
+    world = put_back(made(1, 2), side, steps)
     before = len(world.slots)
     world.well(60)
     assert len(world.slots) > before, "nothing is guarded any more"
@@ -132,7 +122,7 @@ def test_a_batch_of_an_earlier_process_would_put_two_messages_under_one_word(
 ) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError, match="two messages"):
         every_process_goes_on_with_the_batch(patch)
-        put_back(made(1, 2), "plant", 8, tampers=True)
+        put_back(made(1, 2), "plant", 1, tampers=True)
 
 
 def every_process_goes_on_with_the_batch(patch: pytest.MonkeyPatch) -> None:
@@ -167,7 +157,7 @@ def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> N
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
         wrong(patch)
         for seed in range(6):
-            shaken(Mac(1, 2), seed).close()
+            shaken(guarded_ends(Mac(1, 2)), seed, 40).close()
 
 
 # --- keys that are gone ---------------------------------------------------------------------------
@@ -178,7 +168,7 @@ def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> N
 def test_a_loop_goes_on_when_an_end_has_lost_its_keys(
     made: Callable[[int, int], Defence], side: Side
 ) -> None:
-    world = World(RULES, guard=made(1, 2))
+    world = guarded_ends(made(1, 2))
     world.well(300)
     plant = world.journals["plant"].load()
     assert isinstance(plant, ReceiverRecord)

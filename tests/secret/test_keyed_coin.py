@@ -5,12 +5,10 @@ Keys are short here, five digits each, so that they change all the time.
 
 import itertools
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from random import Random
 
 import pytest
 from hypothesis import HealthCheck, settings
-from hypothesis.stateful import rule
 
 from protocol.defence import key_digits
 from protocol.link import coins as coins_module
@@ -20,11 +18,12 @@ from protocol.secret.records import Key
 from protocol.secret.tasks import CoinKeys, CoinTask
 from runtime.keys import coins
 from runtime.keys.store import KeyStore
-from tests.secret.test_keyed_link import RULES, KeyedLink
+from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.giving import agree, deliver, deliver_named
-from tests.support.keyed_link import SIDES, World
+from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.two_ends import SIDES
 
-KEYED = replace(RULES, keyed=True)
+KEYED = keyed_rules(keyed=True)
 DIGITS = 5
 
 
@@ -36,14 +35,9 @@ def short_keys() -> Iterator[None]:
 
 
 class KeyedCoinLink(KeyedLink):
-    def __init__(self) -> None:
-        super().__init__()
-        self.world.close()
-        self.world = World(KEYED)
-
-    @rule()
-    def the_ends_ask_each_other(self) -> None:
-        self.world.asks()
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return KeyedEnds(KEYED)
 
 
 TestKeyedCoinLink = KeyedCoinLink.TestCase
@@ -55,25 +49,11 @@ TestKeyedCoinLink.settings = settings(
 )
 
 
-def shaken(seed: int, rounds: int = 60) -> World:
-    """A world whose ends die at any point, over and over, while all else is well."""
-    world, draw = World(KEYED), Random(seed)
-    world.well(300)
-    for _ in range(rounds):
-        side = draw.choice(SIDES)
-        world.crash_at(side, None, after=draw.randrange(6))
-        world.well(draw.randrange(4, 16))
-        if draw.random() < 0.2:
-            world.die(side)
-    world.well(60)
-    return world
-
-
 def test_coins_are_keyed_and_watched_through_deaths() -> None:
-    world = shaken(3)
-    assert len({key for key, _ in world.coins}) > 10
-    assert len(world.watched) > 100
-    taken = {key for key, _ in world.coins}
+    world = shaken(KeyedEnds(KEYED), 3)
+    assert len({key for key, _ in world.digits.served}) > 10
+    assert len(world.digits.watched) > 100
+    taken = {key for key, _ in world.digits.served}
     for side in SIDES:
         held = {name for name, body in world.stores[side].compare().items() if body is not None}
         left = [key for key in taken if key not in held]
@@ -136,7 +116,7 @@ def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> N
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
         wrong(patch)
         for seed in range(8):
-            shaken(seed).close()
+            shaken(KeyedEnds(KEYED), seed).close()
 
 
 # --- the stores -----------------------------------------------------------------------------------
@@ -145,7 +125,7 @@ def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> N
 @pytest.fixture
 def stores() -> Iterator[tuple[KeyStore, KeyStore]]:
     """Of a world whose keys nobody has taken."""
-    world = World(RULES)
+    world = KeyedEnds(keyed_rules())
     world.well(200)
     yield world.stores["controller"], world.stores["plant"]
     world.close()

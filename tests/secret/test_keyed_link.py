@@ -5,7 +5,6 @@ hypothesis plays the network, the reaper, the keepers' threads and the key serve
 
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from random import Random
 
 import pytest
@@ -19,20 +18,14 @@ from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
 from protocol.link.records import Step
-from protocol.secret.blocks import Schedule
-from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, contribution_of
-from protocol.secret.records import WHOLE, Share, StoreError, TooFewKeys
+from protocol.secret.records import WHOLE, Share, Side, StoreError, TooFewKeys
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
 from tests.support.broken import FIRST_COPY, broken
-from tests.support.keyed_link import SIDES, Side, World
-from tests.support.line_plant import line_rules
+from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.two_ends import SIDES
 
-RULES = replace(
-    line_rules(alpha=4.0, largest_input=1e9),
-    schedule=Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6),
-)
 SIDE = st.sampled_from(SIDES)
 POINTS: tuple[CrashPoint, ...] = ("writing", "publishing", "tracing", "keeping")
 POINT = st.sampled_from(POINTS)
@@ -40,12 +33,15 @@ PLACE = st.integers(0, 11)
 
 
 class KeyedLink(RuleBasedStateMachine):
-    performer = staticmethod(perform)
-    on_disk = False
+    """Drives a world; subclasses say which."""
 
     def __init__(self) -> None:
         super().__init__()
-        self.world = World(RULES, self.performer, on_disk=self.on_disk)
+        self.world = self.begun()
+
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return KeyedEnds(keyed_rules())
 
     def teardown(self) -> None:
         self.world.close()
@@ -66,6 +62,10 @@ class KeyedLink(RuleBasedStateMachine):
     @rule(side=SIDE)
     def a_keeper_is_heard(self, side: str) -> None:
         self.world.told(side)  # type: ignore[arg-type]
+
+    @rule()
+    def the_ends_ask_each_other(self) -> None:
+        self.world.ask()
 
     @rule(side=SIDE)
     def a_key_is_served(self, side: str) -> None:
@@ -95,7 +95,9 @@ class KeyedLink(RuleBasedStateMachine):
 class KeyedLinkOnDisk(KeyedLink):
     """Journals as the services have them, opened anew from their files after each death."""
 
-    on_disk = True
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return KeyedEnds(keyed_rules(), on_disk=True)
 
 
 TestKeyedLink = KeyedLink.TestCase
@@ -110,7 +112,7 @@ TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=10)
 
 
 def test_keys_are_made_and_served_once_all_is_well() -> None:
-    world = World(RULES)
+    world = KeyedEnds(keyed_rules())
     world.well(900)
     for side in SIDES:
         for _ in range(10):
@@ -121,15 +123,32 @@ def test_keys_are_made_and_served_once_all_is_well() -> None:
     world.close()
 
 
+def shaken(world: KeyedEnds, seed: int, rounds: int = 60) -> KeyedEnds:
+    """A world whose ends die at any point, over and over, while all else is well."""
+    draw = Random(seed)
+    world.well(300)
+    for _ in range(rounds):
+        side = draw.choice(SIDES)
+        world.well(draw.randrange(4, 16), side, after=draw.randrange(6))
+        if draw.random() < 0.2:
+            world.die(side)
+    world.well(60)
+    return world
+
+
 # --- the wrong ones -------------------------------------------------------------------------------
 
 
-def send_before_save(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-    if isinstance(actions.write, Step):
-        for message in actions.publish:
-            ports.publish(message)
-        actions = actions._replace(publish=())
-    perform(actions, endpoint, ports)
+class Hasty(KeyedEnds):
+    """A shell that sends before it saves."""
+
+    @staticmethod
+    def performer(actions: Actions, endpoint: Peer, ports: Ports) -> None:
+        if isinstance(actions.write, Step):
+            for message in actions.publish:
+                ports.publish(message)
+            actions = actions._replace(publish=())
+        perform(actions, endpoint, ports)
 
 
 def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
@@ -198,7 +217,7 @@ ROUNDS = 400
 """Schedules that a wrong end has, to be caught in one; most are in the first few."""
 
 
-def stagger(world: World, random: Random, side: Side) -> None:
+def stagger(world: KeyedEnds, random: Random, side: Side) -> None:
     """Something happens to one side, or to both."""
     actions: list[Callable[[], None]] = [
         lambda: world.well(random.randrange(5, 60)),
@@ -216,7 +235,7 @@ def stagger(world: World, random: Random, side: Side) -> None:
 def wander(seed: int) -> None:
     """One random schedule, from its seed: faster than hypothesis, and the same whatever changes."""
     random = Random(seed)
-    world = World(RULES)
+    world = KeyedEnds(keyed_rules())
     try:
         for _ in range(random.randrange(10, 40)):
             stagger(world, random, random.choice(SIDES))
@@ -251,20 +270,26 @@ def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> N
     assert caught()
 
 
+def dies_while_writing(world: KeyedEnds) -> None:
+    """The controller, over and over; some of what it writes is a step."""
+    for _ in range(20):
+        world.well(20, "controller", "writing")
+
+
 def test_sending_before_saving_is_caught() -> None:
     """The step waits until the controller is back, and is answered a second time."""
-    world = World(RULES, send_before_save, period_s=3.0)
+    world = Hasty(keyed_rules(), period_s=3.0)
     world.well(200)
     with pytest.raises(AssertionError, match="copy 0 left twice"):
-        world.well(100, "controller", "writing")
+        dies_while_writing(world)
     world.close()
 
 
 def test_saving_before_sending_answers_the_same_step_once() -> None:
-    world = World(RULES, period_s=3.0)
+    world = KeyedEnds(keyed_rules(), period_s=3.0)
     world.well(200)
-    world.well(100, "controller", "writing")
-    assert world.deaths == 1
+    dies_while_writing(world)
+    assert world.deaths == 20
     world.close()
 
 

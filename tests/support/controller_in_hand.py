@@ -1,4 +1,4 @@
-"""A controller's core that a test drives by what its shell calls, and by nothing else.
+"""A controller's core alone: the test is its shell and its partner.
 
 Time moves on by a second with each thing that is heard, so that no greeting comes too soon.
 """

@@ -1,26 +1,51 @@
-"""Both endpoints on the plant on a line, with a coin and a disturbance that a test chooses."""
+"""The smallest plant that has the whole link, x+ = x + u + d with D_c = [-1, 1], and its endpoints.
+
+It is a model, or a device: actuated, read, and there when the process is not. A test chooses coin
+and disturbance.
+"""
 
 from collections.abc import Callable, Iterable
+from typing import Any
 
 from controller_service.core import ControllerCore
+from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
-from plant_service.plant import Coin, Plant
-from protocol.agreement import NO_SYMBOL
-from protocol.link.events import Event
+from plant_service.plant import Coin, OperatedPlant, Plant
+from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge
+from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Notice, Write
+from protocol.link.peer import Write
 from protocol.link.records import ReceiverRecord, Step
-from protocol.link.session import Rules, Truth
-from protocol.messages import Measurement, Message, Status
+from protocol.link.session import CountedTransition, Rules, Truth
+from protocol.messages import Measurement
+from protocol.schemes.base import Scheme
+from protocol.schemes.switched import Switched
 from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.records import Key
-from protocol.secret.tasks import Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
-from tests.support.mail import Mail, mail
+from runtime.perform import CrashPoint
 
 PERIOD_S = 1.0
+
+
+def line_rules(
+    alpha: float,
+    largest_input: float,
+    fingerprint: str = "f" * 64,
+    scheme: Scheme[Any] | None = None,
+) -> Rules:
+    """What both ends share of it; the paper's scheme for two candidates if none is given."""
+    gauge = Gauge(half_widths=(1.0,))
+    return Rules(
+        agreement=AgreementRule(A=((1.0,),), B=((1.0,),), gauge=gauge, alpha=alpha),
+        scheme=Switched(2) if scheme is None else scheme,
+        states=1,
+        inputs=1,
+        fingerprint=fingerprint,
+        inputs_gauge=Gauge(half_widths=(largest_input,)),
+    )
 
 
 class LinePlant(Coin):
@@ -81,42 +106,6 @@ class Reports:
             assert (record.nonce, record.applied_copy) == (report.nonce, report.applied_copy)
             assert (record.block, record.tag) == (report.block, report.tag)
             assert (report.applied_key or "") == (record.coin_key if record.keyed else "")
-
-
-class ToldPorts:
-    """Ports that keep what is written and hand everything else to whoever asked for it."""
-
-    def __init__(
-        self,
-        journal: MemoryControllerJournal | MemoryPlantJournal,
-        publish: Callable[[Mail], None],
-        trace: Callable[[Event], None],
-        log_notice: Callable[[Notice], None] = lambda _: None,
-    ) -> None:
-        self.journal = journal
-        self._reports = Reports()
-        self._publish = publish
-        self._trace = trace
-        self._tell = log_notice
-
-    def write(self, write: Write) -> None:
-        self._reports.look(write)
-        self.journal.write(write)
-
-    def publish(self, message: Message) -> None:
-        self._publish(mail(message))
-
-    def submit_key_task(self, task: Task) -> None:
-        raise AssertionError("keys are made, and nobody keeps them")
-
-    def trace(self, event: Event) -> None:
-        self._trace(event)
-
-    def log_notice(self, notice: Notice) -> None:
-        self._tell(notice)
-
-    def health(self, status: Status) -> None:
-        raise AssertionError("nobody asked for statuses")
 
 
 def line_controller(
@@ -214,3 +203,116 @@ def line_core(
         steps=steps,
         nonces=nonces,
     )
+
+
+class LineDevice(Operated):
+    """x+ = x + u + d, with ``u`` as it was actuated last; nothing of it dies with a process.
+
+    Who looks after deaths sets ``passes``, which is asked before it is actuated or read.
+    """
+
+    passes: Callable[[CrashPoint], None]
+
+    def __init__(self) -> None:
+        self.x = 0.0
+        self.u: float | None = None  # unknown until it was actuated
+        self.d = 0.0
+        self.over: float | None = None  # the input of the step that was read last
+        self.connected = 0
+
+    @property
+    def device(self) -> bool:
+        return True
+
+    def start(self, seed: int | None = None) -> Vector:
+        """Connect: a step has gone by meanwhile."""
+        self.connected += 1
+        return self._moved()
+
+    def apply(self, u: Vector, d: Vector | None = None) -> Vector:
+        self.passes("acting")
+        (self.u,) = u
+        return u
+
+    def sample(self, d: Vector | None = None) -> Vector:
+        self.passes("acting")
+        return self._moved()
+
+    def _moved(self) -> Vector:
+        self.over = self.u
+        self.x += (self.u or 0.0) + self.d
+        return (self.x,)
+
+    def safe(self, why: str = "") -> None:
+        raise AssertionError(why)
+
+    def close(self) -> str:
+        raise AssertionError("nobody closes it")
+
+    def look(self, event: Event, *, alive: bool) -> None:
+        """A step that is traced was made by the device as the trace says.
+
+        ``alive``: by this process, which knows what it had applied.
+        """
+        if not isinstance(event, CountedTransition | Missed | Interrupted):
+            return
+        if alive and self.over is not None:
+            assert event.x_next == (self.x,), "a step led elsewhere than its trace says"
+            assert event.u == (self.over,), "a step had another input than its trace says"
+
+
+class ActingLine(OperatedPlant, Coin):
+    """The real order of a step, on the line; ``coin`` and ``d`` are the next step's."""
+
+    def __init__(self, device: LineDevice) -> None:
+        self.operated = device
+        self.acts = self.device = True
+        self.coin = 0
+        self._enters = "none"
+
+    @property
+    def d(self) -> float:
+        assert isinstance(self.operated, LineDevice)
+        return self.operated.d
+
+    @d.setter
+    def d(self, d: float) -> None:
+        assert isinstance(self.operated, LineDevice)
+        self.operated.d = d
+
+    def prepare(self, k: int) -> None:
+        pass
+
+    def toss(self, j: int) -> int:
+        return self.coin
+
+
+def acting_plant(
+    rules: Rules,
+    journal: MemoryPlantJournal,
+    device: LineDevice,
+    new_id: Callable[[], str],
+    instance: str,
+    now: float,
+    step_s: float | None,
+    nonces: NonceSource = fresh_nonce,
+    repeats: int = 4,
+    coin_keys: Iterable[Key] = (),
+) -> tuple[PlantCore, ActingLine]:
+    """A plant's endpoint as its journal has it, and what it acts on."""
+    x = device.start()
+    plant = ActingLine(device)
+    core = line_core(
+        rules,
+        plant,
+        journal,
+        new_id,
+        instance,
+        now,
+        step_s,
+        nonces,
+        repeats,
+        x,
+        coin_keys=coin_keys,
+    )
+    return core, plant

@@ -1,4 +1,4 @@
-"""A plant's core that a test drives by what its shell calls, and by nothing else.
+"""A plant's core alone: the test is its shell and its partner.
 
 Time stands still but where it is asked for: a step ends when an offer was applied, or when it is
 missed. What the core traced, saved and published is kept to be looked at.

@@ -10,50 +10,29 @@ import logging
 import time
 import tomllib
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass
-from math import inf
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any
 
 from attacker_service.relay import Rewriter
-from controller_service.core import ControllerCore
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.attacked import AttackedPlant
-from plant_service.core import PlantCore
 from plant_service.service import PlantConfig, open_plant
-from protocol.link.events import Event
-from protocol.link.peer import Actions, Peer
 from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.scenario import Attack, parse_scenario
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
-from runtime.keys.asking import Asker
-from runtime.keys.key_maker import KeyMaker, work
-from runtime.keys.sealed_book import SealedBook
 from runtime.pace import Pace
-from runtime.perform import Crashed, CrashingPorts, perform
-from runtime.ports import Files, LoopPorts
+from runtime.ports import LoopPorts
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from tap_service.capture.recording import mirror_line
-from tests.support.giving import ask
 from tests.support.mail import Mail, mail
 from tests.support.small_run import SCENARIOS, kill, law_of
 from tests.support.traces import read_trace
+from tests.support.two_ends import SIDES, Alive, MortalPorts, Name, TwoEnds
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
-
-Side = Literal["plant", "controller"]
-
-SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
-ASK_EVERY: Final = 16
-"""Things that happen between two questions about keys."""
-
-ASK_S: Final = 0.02
-
-QUIET_S: Final = 60.0
-"""Virtual seconds without a transition after which a loop is stuck."""
 
 log = logging.getLogger("recorded loop")
 
@@ -63,41 +42,14 @@ class _Publisher:
     """Puts what an end says into the other's mail, and on record."""
 
     loop: "RecordedLoop"
-    side: Side
+    side: Name
     kind: type[Message]
 
     def put(self, payload: bytes) -> None:
         self.loop.said(self.side, Mail(self.kind, payload))
 
 
-class _Ports(CrashingPorts):
-    """Ports of a process that dies so many things after an event's turn has come."""
-
-    since: str = ""
-    after = 0
-
-    def trace(self, event: Event) -> None:
-        """Die, or trace."""
-        if self.since == event.as_event()["event"]:
-            self.since = ""
-            self.crash_at(after=self.after)
-        super().trace(event)
-
-
-@dataclass
-class _End:
-    endpoint: Peer
-    peer: Peer
-    """The same, or with its messages guarded."""
-    files: Files
-    ports: _Ports
-    key_maker: KeyMaker | None
-    tasks: deque[Task]
-    """They wait for the keeper, as they do in a service."""
-    asker: Asker | None
-
-
-class RecordedLoop:
+class RecordedLoop(TwoEnds):
     """One loop whose run is kept in ``folder``: of the shipped scenario ``name`` and ``more``.
 
     Parameters
@@ -129,13 +81,11 @@ class RecordedLoop:
         pace: str = "fast",
         attack: Attack | None = None,
     ) -> None:
+        super().__init__()
         self._pace = Pace(pace)
         self._attack = attack
         self.relay: Rewriter | None = None
         self.folder = folder
-        self.now = 0.0
-        self._steps = 0
-        self.lives = dict.fromkeys(SIDES, 0)
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
         text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8") + more
@@ -146,19 +96,25 @@ class RecordedLoop:
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
         header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
-        self._mail: dict[Side, deque[Mail]] = {side: deque() for side in SIDES}
-        self.ends: dict[Side, _End] = {}
+        defence = self.scenario.defence
+        if defence.keyed or defence.messages != "clear":
+            self.asks = "always" if self._pace.factor is None else "timed"
+        self._clear_alarm = False
         for side in SIDES:
             self.start(side)
 
     # --- lives ------------------------------------------------------------------------------------
 
-    def start(self, side: Side, *, clear_alarm: bool = False) -> None:
+    def start(self, side: Name, *, clear_alarm: bool = False) -> None:
         """Begin a life of one end, from what its files hold."""
-        self.lives[side] += 1
+        self._clear_alarm = clear_alarm
+        super().start(side)
+
+    def open(self, side: Name) -> Alive:
+        core: Any
         if side == "plant":
             plant = PlantConfig(self.scenario, self.folder, "loop", self._pace, attack=self._attack)
-            endpoint, files = open_plant(plant, self.now)
+            core, files = open_plant(plant, self.now)
         else:
             made = ControllerConfig(
                 self.scenario,
@@ -166,10 +122,10 @@ class RecordedLoop:
                 "loop",
                 self._law,
                 self._message,
-                clear_alarm=clear_alarm,
+                clear_alarm=self._clear_alarm,
             )
-            endpoint, files = open_controller(made)  # type: ignore[assignment]
-        peer: Peer = files.guarded or endpoint
+            core, files = open_controller(made)
+        peer = files.guarded or core
         publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
         tasks: deque[Task] = deque()
         key_maker = None if files.key_maker is None else files.key_maker.open()
@@ -181,23 +137,26 @@ class RecordedLoop:
             lambda status: health.write(status, time.monotonic()),
             tasks.append,
         )
-        asker = None if key_maker is None else Asker(SealedBook(key_maker.store))
-        self.ends[side] = _End(endpoint, peer, files, _Ports(ports), key_maker, tasks, asker)
-        self._do(side, peer.start)
+        return Alive(core, peer, MortalPorts(ports), key_maker, files, tasks)
 
-    def kill(self, side: Side) -> None:
+    def die(self, side: Name) -> None:
+        """It is killed, and comes back at once."""
+        self.kill(side)
+        super().die(side)
+
+    def kill(self, side: Name) -> None:
         """As SIGKILL: what was written stays, what was on its way to it is lost."""
         end = self.ends.pop(side)
         kill(end.files.trace)
         end.files.journal.close()
         if end.key_maker is not None:
             end.key_maker.store.close()
-        self._mail[side].clear()
+        self.mail["plant" if side == "plant" else "controller"].clear()
 
     def stop(self) -> None:
         """Let both ends say their last word."""
         for side, end in tuple(self.ends.items()):
-            self._do(side, end.peer.stop)
+            self.do(side, end.peer.stop)
             end.files.close()
             if end.key_maker is not None:
                 end.key_maker.store.close()
@@ -206,23 +165,11 @@ class RecordedLoop:
     def queue(self, identifier: str, payload: bytes) -> None:
         """The operator hands over a message."""
         command = SendCommand(id=identifier, payload=payload)
-        self._mail["controller"].append(mail(command))
-
-    def crash_at(self, side: Side, after: int, since: str = "") -> None:
-        """Let an end die after so many things asked of its ports, from now or from an event on.
-
-        The event, by its name in the trace, is the first of them: 0 is before it is traced, 1
-        before it is saved.
-        """
-        ports = self.ends[side].ports
-        if not since:
-            ports.crash_at(after=after)
-        else:
-            ports.since, ports.after = since, after
+        self.mail["controller"].append(mail(command))
 
     # --- what happens -----------------------------------------------------------------------------
 
-    def said(self, side: Side, message: Mail) -> None:
+    def said(self, side: Name, message: Mail) -> None:
         """A message on its way: the tap hears it, and the other end if it is for it."""
         if message.kind is Offer:
             self._one_cipher(Offer.model_validate_json(message.payload))
@@ -230,34 +177,17 @@ class RecordedLoop:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
             self._capture.lines.append(line)
             message = self._attacked(message)
-        partner: Side = "controller" if side == "plant" else "plant"
-        end = self.ends.get(partner)
-        if end is not None and message.kind in end.peer.hears:
-            self._mail[partner].append(message)
+        super().said(side, message)
 
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
-        plant = self.ends["plant"].endpoint.plant if "plant" in self.ends else None  # type: ignore[attr-defined]
+        plant = self.plant.plant if "plant" in self.ends else None
         if isinstance(plant, AttackedPlant):
             plant.heard.append((message.kind.topic, message.payload))
         if self.relay is None:
             return message
         kind: Any = message.kind
         return Mail(kind, self.relay.rewritten(kind, message.payload))
-
-    @property
-    def controller(self) -> ControllerCore:
-        """The controller's end of the link."""
-        found = self.ends["controller"].endpoint
-        assert isinstance(found, ControllerCore)
-        return found
-
-    @property
-    def plant(self) -> PlantCore:
-        """The plant's end of the link."""
-        found = self.ends["plant"].endpoint
-        assert isinstance(found, PlantCore)
-        return found
 
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
@@ -268,71 +198,15 @@ class RecordedLoop:
     def _t_ns(self) -> int:
         return round(self.now * 1e9)
 
-    def _do(self, side: Side, act: Callable[[float], Actions]) -> None:
-        """Let an end act; one that dies over it is started again at once."""
-        end = self.ends[side]
-        try:
-            perform(act(self.now), end.peer, end.ports)
-        except Crashed:
-            self.kill(side)
-            self.start(side)
-
-    def step(self) -> None:
-        """Deliver a message to each end, or let time pass."""
-        quiet = True
-        self._steps += 1
-        defence = self.scenario.defence
-        takes_keys = defence.keyed or defence.messages != "clear"
-        timed = self._pace.factor is not None
-        if takes_keys and not timed and self._steps % ASK_EVERY == 0:
-            self.now += ASK_S
-            self._ask(float(self._steps))
-        for side in SIDES:
-            end = self.ends[side]
-            if end.tasks and end.key_maker is not None:
-                done = work(end.key_maker, end.tasks.popleft())
-                self._do(side, lambda now, e=end, d=done: e.peer.key_task_done(d, now))  # type: ignore[misc]
-                quiet = False
-            elif self._mail[side]:
-                kind, payload = self._mail[side].popleft()
-                self._do(side, lambda now, e=end, m=(kind, payload): e.peer.receive(*m, now))  # type: ignore[misc]
-                quiet = False
-        if quiet:
-            due = {side: end.peer.wake_at() for side, end in self.ends.items()}
-            side = min(due, key=lambda s: due[s])
-            askers = [e.asker for e in self.ends.values() if takes_keys and timed and e.asker]
-            asks_at = min((asker.wake_at() for asker in askers), default=inf)
-            self.now = max(self.now, min(asks_at, due[side]))
-            if asks_at <= due[side]:
-                self._ask(self.now)
-            else:
-                self._do(side, self.ends[side].peer.wake)
-
-    def _ask(self, now: float) -> None:
-        """Each end asks the other what may be given, as it does beside the loop."""
-        for mine, theirs in (SIDES, SIDES[::-1]):
-            asker, partner = self.ends[mine].asker, self.ends[theirs].asker
-            if asker is not None and partner is not None:
-                ask(asker, partner, now)
-
-    def run(self, over: Callable[[], bool]) -> None:
-        """Go on until ``over``; an error where nothing moves any more."""
-        moved, at = -1, self.now
-        while not over():
-            self.step()
-            if (transitions := self.transitions) != moved:
-                moved, at = transitions, self.now
-            assert self.now - at < QUIET_S, "the loop stands still"
-
     @property
     def transitions(self) -> int:
         """Transitions that the plant has made in its session."""
-        return self.ends["plant"].endpoint.record.transitions  # type: ignore[attr-defined,no-any-return]
+        return self.plant.record.transitions
 
     @property
     def received(self) -> list[bytes]:
         """What the plant's journal has received."""
-        return self.ends["plant"].files.journal.inbox()  # type: ignore[attr-defined,no-any-return]
+        return self.ends["plant"].files.journal.inbox()  # type: ignore[no-any-return]
 
     @property
     def recovered(self) -> list[bytes]:

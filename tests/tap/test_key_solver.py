@@ -2,7 +2,6 @@
 
 import random
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -19,8 +18,9 @@ from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.status import Listener
 from tests.support.giving import sealed_by
 from tests.support.held_memory import kept
-from tests.support.keyed_link import Side, World
-from tests.support.line_plant import line_rules
+from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.mail import Mail
+from tests.support.two_ends import Name
 
 CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
@@ -28,23 +28,22 @@ TEXT = "The old mill, at nine, and bring the other half of the map with you, unf
 """78 bytes and an odd one: three keys of pad."""
 
 
-class Recorded(World):
+class Recorded(KeyedEnds):
     """A world whose field messages are kept; some of them never arrive."""
 
     def __init__(self, claim: Assumption, lose: Callable[[Message], bool]) -> None:
         self.field: list[FieldMessage] = []
         self._lose = lose
-        rules = line_rules(alpha=4.0, largest_input=1e9)
-        super().__init__(replace(rules, schedule=schedule_of(claim)), period_s=0.3)
+        super().__init__(keyed_rules(schedule=schedule_of(claim)), period_s=0.3)
 
-    def published(self, side: Side, kind: type[Message], payload: bytes) -> None:
-        if kind in (Measurement, Offer):
-            message = kind.model_validate_json(payload)
-            assert isinstance(message, Measurement | Offer)
-            self.field.append(message)
-            if self._lose(message):
+    def said(self, side: Name, message: Mail) -> None:
+        if message.kind in (Measurement, Offer):
+            said = message.kind.model_validate_json(message.payload)
+            assert isinstance(said, Measurement | Offer)
+            self.field.append(said)
+            if self._lose(said):
                 return
-        super().published(side, kind, payload)
+        super().said(side, message)
 
 
 @cache

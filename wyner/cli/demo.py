@@ -12,7 +12,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -62,8 +62,9 @@ ABOUT: Final = {
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
 
-ONSET: Final = 360
-"""Step from which the sensor is spoofed: six seconds in, keys are there."""
+ONSETS: Final = (360, 1080)
+"""Step from which the sensor is spoofed: six seconds in, keys are there. Where other work on the
+machine kept them away, the run shows nothing, and another one is made that waits longer."""
 
 SPOOFED: Final = 100
 """Steps of the attack."""
@@ -126,7 +127,7 @@ def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Told:
     for name, act in acts:
         if stage is not None:
             stage.card(TITLES[name], ABOUT[name], "", "Controller, plant and tap start.")
-        outcome, line, as_it_must = act(args, folder / name, told.lines, stage)
+        outcome, line, as_it_must = act(args, folder / name, told, stage)
         if outcome.left:
             line = f"{TITLES[name]}: left before its end, so that nothing is shown by it."
         if name == "unseen" and not outcome.left:
@@ -170,9 +171,7 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path, *, secret: b
 Act = tuple[Outcome, str, bool]
 
 
-def _spoken(
-    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
-) -> Act:
+def _spoken(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
     options = _options(args, "packed", folder, secret=False)
     outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
@@ -188,9 +187,7 @@ def _spoken(
     return outcome, line, bool(summary["delivered"] and had)
 
 
-def _sealed(
-    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
-) -> Act:
+def _sealed(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
     """Keys from what the tap misses, and a message under a one-time pad of them."""
     payload = SEALED.encode()
     messages: list[SealedMessage] = []
@@ -214,9 +211,7 @@ def _sealed(
     return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
 
 
-def _control(
-    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
-) -> Act:
+def _control(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     text = _changed("keys", DEAF, CLAIM)
 
@@ -234,13 +229,20 @@ def _control(
     return outcome, line_of(outcome.summary), made == 0
 
 
-def _caught(
-    args: argparse.Namespace, folder: Path, _before: Sequence[str], stage: "Stage | None"
-) -> Act:
+def _caught(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
     with _scenario("secret-key", _listened(_changed("watched"))) as scenario:
-        options = _attacked(args, scenario, folder)
-        outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
+
+        def attempt(onset: int) -> Outcome:
+            options = _attacked(args, scenario, folder, onset)
+            return run_session(options, stays=False, title=TITLES["caught"], stage=stage)
+
+        soon, late = ONSETS
+        outcome = attempt(soon)
+        whole = not (outcome.left or outcome.interrupted or outcome.failure)
+        if whole and not (outcome.summary["attack"] or {}).get("watched"):
+            shutil.rmtree(folder)
+            outcome = attempt(late)
     found = outcome.summary["attack"] or {}
     delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
     steps = f"{delay} step{'' if delay == 1 else 's'}"
@@ -252,10 +254,10 @@ def _caught(
     return outcome, line, bool(caught and not found.get("false_alarms"))
 
 
-def _unseen(
-    args: argparse.Namespace, folder: Path, before: Sequence[str], stage: "Stage | None"
-) -> Act:
+def _unseen(args: argparse.Namespace, folder: Path, told: _Told, stage: "Stage | None") -> Act:
     """The same by one who hears all, so that she has the key and every digit of it."""
+    before = tuple(told.lines)
+    onset = (told.summaries["caught"]["attack"] or {}).get("onset", ONSETS[0])
 
     def line_of(summary: dict[str, Any]) -> str:
         found = summary["attack"] or {}
@@ -272,7 +274,7 @@ def _unseen(
 
     with _scenario("false-claim", _listened(_changed("watched", DEAF))) as scenario:
         outcome = run_session(
-            _attacked(args, scenario, folder),
+            _attacked(args, scenario, folder, onset),
             epilogue=lambda summary: [*before[:-1], line_of(summary)],
             title=TITLES["unseen"],
             stage=stage,
@@ -282,14 +284,13 @@ def _unseen(
     return outcome, line_of(outcome.summary), bool(unseen)
 
 
-def _attacked(args: argparse.Namespace, scenario: str, folder: Path) -> RunOptions:
+def _attacked(args: argparse.Namespace, scenario: str, folder: Path, onset: int) -> RunOptions:
     """What a run is asked to be whose sensor is spoofed."""
     options = _options(args, scenario, folder, secret=True)
-    steps = ONSET + SPOOFED
     return replace(
         options,
-        attack=f"ghost@{ONSET}",
-        steps=steps,
+        attack=f"ghost@{onset}",
+        steps=onset + SPOOFED,
         pace=ATTACKED_PACE,
         until_delivered=False,
     )

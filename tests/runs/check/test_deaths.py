@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from protocol.secret.records import Side
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.recorded_loop import RecordedLoop, Side
+from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from tests.support.traces import read_trace
 from wyner.runs.check import check
@@ -18,7 +19,7 @@ def killed_once(folder: Path, side: Side, since: str, after: int) -> RecordedLoo
     """A run of three messages; the operator hands the second over again if he gets no answer."""
     loop = RecordedLoop(folder, MESSAGES[0], "keys")
     loop.run(lambda: loop.transitions >= 3)
-    loop.crash_at(side, after, since)
+    loop.crash_at(side, after=after, since=since)
     loop.queue("second", MESSAGES[1])
     loop.run(lambda: loop.transitions >= 6)
     loop.queue("second", MESSAGES[1])
@@ -46,7 +47,7 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
 def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: Path) -> None:
     loop = RecordedLoop(tmp_path, MESSAGES[0], "keys")
     loop.run(lambda: loop.transitions >= 3)
-    loop.crash_at("controller", 1, "sent")
+    loop.crash_at("controller", after=1, since="sent")
     loop.queue("given-up", b"b")
     loop.run(lambda: loop.lives["controller"] == 2)
     loop.queue("third", b"c")

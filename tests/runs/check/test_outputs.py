@@ -9,8 +9,9 @@ import pytest
 
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.checked_runs import failed
-from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import read_lines, write_lines
+from tests.support.two_ends import SIDES
 
 Line = dict[str, Any]
 

@@ -15,8 +15,9 @@ from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
 from tests.support.checked_runs import failed
-from tests.support.recorded_loop import SIDES, RecordedLoop
+from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import Lines, read_lines, write_lines
+from tests.support.two_ends import SIDES
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
@@ -39,9 +40,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         loop.run(lambda at=at: loop.transitions >= at)  # type: ignore[misc]
         side = draw.choice(SIDES)
         if draw.random() < 0.5:
-            loop.crash_at(side, draw.randrange(12))
+            loop.crash_at(side, after=draw.randrange(12))
         else:
-            loop.crash_at(side, draw.randrange(4), "transition")
+            loop.crash_at(side, after=draw.randrange(4), since="transition")
     loop.run(lambda: loop.transitions >= STEPS)
     assert min(loop.lives.values()) > 3
     loop.stop()

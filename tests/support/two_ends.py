@@ -1,0 +1,487 @@
+"""Both real ends of one loop in one process: lives and deaths, the network's memory, time in hand.
+
+Endpoints and :func:`runtime.perform.perform` are the services'. Nothing happens by itself: a test
+says which message arrives, which process dies and over what; or it lets all go well. It judges
+nothing: a subclass looks at what an end writes, says and traces.
+
+=====================  ==============================  ========================================
+class                  the ends are                    who needs it
+=====================  ==============================  ========================================
+:class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
+                       in memory, with twins on disk
+`KeyedEnds`            these with key stores, coin     what must happen once, at each event
+                       and guard
+`RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
+=====================  ==============================  ========================================
+"""
+
+from abc import ABC, abstractmethod
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from math import inf
+from typing import Any, Final, Literal
+
+from controller_service.core import ControllerCore
+from plant_service.core import PlantCore
+from protocol.defence.base import Defence
+from protocol.link import guarded
+from protocol.link.events import Event
+from protocol.link.guarded import Guarded
+from protocol.link.peer import Actions, Notice, Peer, Write
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.session import Rules
+from protocol.messages import Message, Status
+from protocol.secret.records import Key, Side
+from protocol.secret.tasks import Done, GuardTask, Task
+from protocol.streams import SymbolSource
+from protocol.vectors import Vector
+from runtime.keys import coins, guards
+from runtime.keys.asking import Asker
+from runtime.keys.key_maker import KeyMaker, work
+from runtime.keys.sealed_book import SealedBook
+from runtime.keys.store import KeyStore
+from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
+from tests.support.giving import ask
+from tests.support.line_ends import (
+    ActingLine,
+    LineDevice,
+    LinePlant,
+    Reports,
+    acting_plant,
+    line_controller,
+    line_plant,
+)
+from tests.support.mail import Mail, mail
+from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
+
+Name = Literal["plant", "controller", "rival"]
+"""An end; the rival is a second controller on the same loop."""
+
+SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
+OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
+HEARS: Final = {"controller": ControllerCore.hears, "plant": PlantCore.hears}
+Performer = Callable[[Actions, Peer, Ports], None]
+
+MEMORY: Final = 12
+"""Messages that the network keeps for each side: its memory is long, but not endless."""
+
+ASK_EVERY: Final = 16
+"""Things that happen between two questions about keys, while all is well."""
+
+ASK_S: Final = 0.02
+
+QUIET_S: Final = 60.0
+"""Virtual seconds without a step after which a loop is stuck."""
+
+
+class MortalPorts(CrashingPorts):
+    """Ports of a process that may also die so many things after an event's turn has come."""
+
+    since: str = ""
+    after = 0
+
+    def trace(self, event: Event) -> None:
+        """Die, or trace."""
+        if self.since == event.as_event()["event"]:
+            self.since = ""
+            self.crash_at(after=self.after)
+        super().trace(event)
+
+
+@dataclass
+class Alive:
+    """One end's process.
+
+    ``peer`` is the ``endpoint``, or that with its messages guarded. ``tasks`` wait for the key
+    maker, and what is ``done`` for the end, as they do in a service.
+    """
+
+    endpoint: ControllerCore | PlantCore
+    peer: Peer
+    ports: MortalPorts
+    key_maker: KeyMaker | None = None
+    files: Any = None
+    tasks: deque[Task] = field(default_factory=deque)
+    done: deque[Done] = field(default_factory=deque)
+    asker: Asker | None = None
+
+    def __post_init__(self) -> None:
+        if self.key_maker is not None:
+            self.asker = Asker(SealedBook(self.key_maker.store))
+
+
+class TwoEnds(ABC):
+    """Two ends of one loop; a subclass opens them from what their journals hold.
+
+    Attributes
+    ----------
+    now : float
+        Virtual seconds.
+    mail : dict of str to list of Mail
+        What the network has for each side, in the order in which it was said.
+    ends : dict of str to Alive
+    lives : dict of str to int
+    asks : {"always", "timed", "never"}
+        When the ends ask each other about keys while all is well: all the time, as often as the
+        services do, or only when a test says so.
+    """
+
+    performer: Performer = staticmethod(perform)
+    asks: Literal["always", "timed", "never"] = "never"
+
+    def __init__(self) -> None:
+        self.now = 0.0
+        self.mail: dict[Side, list[Mail]] = {side: [] for side in SIDES}
+        self.ends: dict[Name, Alive] = {}
+        self.lives: dict[Name, int] = dict.fromkeys(OTHER, 0)
+        self._happened = 0
+        self._loses = False
+
+    @abstractmethod
+    def open(self, side: Name) -> Alive:
+        """A new process of an end, as its journal has it; nothing is said yet."""
+
+    def said(self, side: Name, message: Mail) -> None:
+        """A message leaves: the network has it for the other side, if it is for it."""
+        if message.kind in HEARS[OTHER[side]]:
+            bag = self.mail[OTHER[side]]
+            bag.append(message)
+            del bag[:-MEMORY]
+
+    # --- lives and deaths -------------------------------------------------------------------------
+
+    def start(self, side: Name) -> None:
+        """A life of one end begins."""
+        self.lives[side] += 1
+        self.ends[side] = self.open(side)
+        self.do(side, self.ends[side].peer.start)
+
+    def die(self, side: Name) -> None:
+        """A process is killed, and comes back at once."""
+        if self._loses:
+            self._lose_mail()
+        self.start(side)
+
+    def _lose_mail(self) -> None:
+        for bag in self.mail.values():
+            bag.clear()
+
+    def crash_at(
+        self, side: Name, before: CrashPoint | None = None, after: int = -1, since: str = ""
+    ) -> None:
+        """Let a process die, of which something is asked.
+
+        Before the next thing of a kind, ``after`` so many things of any kind, or as many from the
+        event ``since`` on, by its name in the trace: 0 is before it is traced, 1 before it is
+        saved.
+        """
+        ports = self.ends[side].ports
+        ports.since, ports.after = since, after
+        if not since:
+            ports.crash_at(before, after)
+
+    @property
+    def controller(self) -> ControllerCore:
+        """The controller's core."""
+        found = self.ends["controller"].endpoint
+        assert isinstance(found, ControllerCore)
+        return found
+
+    @property
+    def plant(self) -> PlantCore:
+        """The plant's core."""
+        found = self.ends["plant"].endpoint
+        assert isinstance(found, PlantCore)
+        return found
+
+    # --- what may happen --------------------------------------------------------------------------
+
+    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
+        """An end acts; one that dies over it begins anew at once."""
+        end = self.ends[side]
+        try:
+            self.performer(act(self.now), end.peer, end.ports)
+        except Crashed:
+            self.die(side)
+
+    def hear(self, side: Name, message: Mail) -> None:
+        """A message arrives, for the first time or once more."""
+        self.do(side, lambda now: self.ends[side].peer.receive(*message, now))
+
+    def deliver(self, side: Side, place: int) -> None:
+        """A message in the network's memory arrives, and stays in it."""
+        if bag := self.mail[side]:
+            self.hear(side, bag[place % len(bag)])
+
+    def wake(self, side: Side, seconds: float = 0.05) -> None:
+        """Time passes, and an end that is due is woken."""
+        self.now += seconds
+        if self.ends[side].peer.wake_at() <= self.now:
+            self.do(side, self.ends[side].peer.wake)
+
+    def keeps(self, side: Side) -> None:
+        """The key maker does its next task; its process learns of it later, or never."""
+        end = self.ends[side]
+        if end.tasks:
+            assert end.key_maker is not None, "keys are made, and nobody keeps them"
+            end.done.append(work(end.key_maker, end.tasks.popleft()))
+
+    def told(self, side: Side) -> None:
+        """An end learns of a task that is done."""
+        end = self.ends[side]
+        if end.done:
+            done = end.done.popleft()
+            self.do(side, lambda now: end.peer.key_task_done(done, now))
+
+    def ask(self) -> None:
+        """Each end asks the other which keys may be given, and is answered."""
+        now = self.now if self.asks == "timed" else float(self._happened)
+        for mine in SIDES:
+            asker, partner = self.ends[mine].asker, self.ends[OTHER[mine]].asker
+            if asker is not None and partner is not None:
+                ask(asker, partner, now)
+
+    # --- all is well ------------------------------------------------------------------------------
+
+    def step(self, *, key_makers: bool = True) -> None:
+        """The next thing happens: tasks and mail first, in their order; else time passes."""
+        self._happened += 1
+        if self.asks == "always" and self._happened % ASK_EVERY == 0:
+            self.now += ASK_S
+            self.ask()
+        quiet = True
+        for side in SIDES:
+            if key_makers and self.ends[side].tasks:
+                self.keeps(side)
+                self.told(side)
+            elif self.mail[side]:
+                self.hear(side, self.mail[side].pop(0))
+            else:
+                continue
+            quiet = False
+        if quiet:
+            self._wake_next()
+
+    def _wake_next(self) -> None:
+        due = {side: self.ends[side].peer.wake_at() for side in SIDES}
+        side = min(due, key=lambda s: due[s])
+        askers = [end.asker for end in self.ends.values() if end.asker is not None]
+        asks_at = min((a.wake_at() for a in askers if self.asks == "timed"), default=inf)
+        self.now = max(self.now, min(asks_at, due[side]))
+        if asks_at <= due[side]:
+            self.ask()
+        else:
+            self.do(side, self.ends[side].peer.wake)
+
+    def well(
+        self,
+        things: int,
+        victim: Side | None = None,
+        before: CrashPoint | None = None,
+        after: int = -1,
+    ) -> None:
+        """So many things happen, and all goes well; or ``victim`` dies over one (:meth:`crash_at`).
+
+        What was under way is lost, when this begins and with a process.
+        """
+        for side in SIDES:
+            self.crash_at(side, *((before, after) if side == victim else ()))
+        self._lose_mail()
+        self._loses = True
+        for _ in range(things):
+            self.step()
+        self._loses = False
+
+    def run(self, over: Callable[[], bool]) -> None:
+        """Go on until ``over``; an error where nothing moves any more."""
+        moved, at = (0, -1), self.now
+        while not over():
+            self.step()
+            if (steps := (self.plant.record.sessions, self.plant.record.k)) != moved:
+                moved, at = steps, self.now
+            assert self.now - at < QUIET_S, "the loop stands still"
+
+
+# --- the plant on a line --------------------------------------------------------------------------
+
+
+class Covers:
+    """Cover symbols that tell their transition."""
+
+    def symbol(self, transition: int, size: int) -> int:
+        return transition % size
+
+
+class _Ports:
+    """What one end does to the world."""
+
+    def __init__(self, world: "LineEnds", side: Name, tasks: deque[Task]) -> None:
+        self._world, self._side = world, side
+        self._reports = Reports()
+        self.submit_key_task = tasks.append
+
+    def write(self, write: Write) -> None:
+        self._reports.look(write)
+        self._world.wrote(self._side, write)
+
+    def publish(self, message: Message) -> None:
+        self._world.said(self._side, mail(message))
+
+    def trace(self, event: Event) -> None:
+        self._world.traced(self._side, event)
+
+    def log_notice(self, notice: Notice) -> None:
+        pass
+
+    def health(self, status: Status) -> None:
+        pass
+
+
+class LineEnds(TwoEnds):
+    """The ends of the plant on a line: x+ = x + u + d.
+
+    Parameters
+    ----------
+    rules : Rules
+        With a schedule each end has a key store.
+    period_s : float, optional
+        Between two steps; None for lock-step.
+    payloads, rivals : sequence of bytes
+        The controller's messages; those of a second one, which is there if they are given.
+    on_disk : bool
+        Journals have twins on disk.
+    acts : bool
+        The plant is a device: its step is begun, and read when it ends.
+    guard : Defence, optional
+        What guards the messages.
+    steps : int, optional
+        The plant's last step.
+    fresh : SymbolSource, optional
+        Of covers.
+
+    Attributes
+    ----------
+    line : LinePlant or ActingLine
+        Its coin and d are the next step's.
+    """
+
+    line: LinePlant | ActingLine
+
+    def __init__(
+        self,
+        rules: Rules,
+        period_s: float | None = 0.5,
+        payloads: Sequence[bytes] = (),
+        *,
+        on_disk: bool = False,
+        acts: bool = False,
+        guard: Defence | None = None,
+        steps: int | None = None,
+        fresh: SymbolSource | None = None,
+        rivals: Sequence[bytes] | None = None,
+    ) -> None:
+        super().__init__()
+        self.rules, self.guard = rules, guard
+        self.period_s, self.steps = period_s, steps
+        self.fresh = fresh or Covers()
+        self.names = 0
+        self.device = LineDevice() if acts else None
+        self.stores: dict[Side, KeyStore] = {}
+        if rules.schedule is not None:
+            self.stores = {side: KeyStore(None, side) for side in SIDES}
+        if rules.keyed or guard is not None:
+            self.asks = "always"
+        queue = TwinControllerJournal if on_disk else MemoryControllerJournal
+        self.journals: dict[Name, MemoryControllerJournal | MemoryPlantJournal] = {
+            "plant": TwinPlantJournal() if on_disk else MemoryPlantJournal(),
+            "controller": queue(*payloads),
+        }
+        if rivals is not None:
+            self.journals["rival"] = queue(*rivals)
+        for side in self.journals:
+            self.start(side)
+
+    def close(self) -> None:
+        """Let go of stores and journals."""
+        for kept in (*self.stores.values(), *self.journals.values()):
+            kept.close()
+
+    def propose(self, side: Name, x: Vector) -> tuple[Vector, ...]:
+        """The candidates of a controller: around the origin, 3 apart."""
+        M = self.rules.size
+        return tuple([(-x[0] + (2 * i - M + 1) * 1.5,) for i in range(M)])
+
+    def wrote(self, side: Name, write: Write) -> None:
+        """An end writes into its journal."""
+        self.journals[side].write(write)
+
+    def traced(self, side: Name, event: Event) -> None:
+        """An end traces an event."""
+
+    def name(self) -> str:
+        """A new id."""
+        self.names += 1
+        return f"{self.names:016x}"
+
+    def open(self, side: Name) -> Alive:
+        tasks = deque[Task]()
+        ports = MortalPorts(_Ports(self, side, tasks))
+        end = self._plant(ports) if side == "plant" else self._controller(side)
+        if side == "rival" or not self.stores:
+            return Alive(end, end, ports, tasks=tasks)
+        peer: Peer = end if self.guard is None else self._guarded(side, end, self.guard)
+        return Alive(end, peer, ports, KeyMaker(self.stores[side]), tasks=tasks)
+
+    def _controller(self, side: Name) -> ControllerCore:
+        journal = self.journals[side]
+        assert isinstance(journal, MemoryControllerJournal)
+        keys = self._coin_keys("controller", journal.load())
+        return line_controller(
+            self.rules,
+            partial(self.propose, side),
+            journal,
+            self.fresh,
+            self.name(),
+            coin_keys=keys,
+        )
+
+    def _plant(self, ports: CrashingPorts) -> PlantCore:
+        journal = self.journals["plant"]
+        assert isinstance(journal, MemoryPlantJournal)
+        keys = self._coin_keys("plant", journal.load())
+        common = self.name, self.name(), self.now, self.period_s
+        core: PlantCore
+        if self.device is None:
+            core, self.line = line_plant(
+                self.rules, journal, *common, coin_keys=keys, steps=self.steps
+            )
+        else:
+            self.device.passes = ports.passes
+            core, self.line = acting_plant(
+                self.rules, journal, self.device, *common, coin_keys=keys
+            )
+        return core
+
+    def _coin_keys(
+        self, side: Side, record: SenderRecord | ReceiverRecord | None
+    ) -> tuple[Key, ...]:
+        """Keys that a process that begins finds in its store, for the coin of its session."""
+        if record is None or not self.rules.keyed:
+            return ()
+        return coins.held(self.stores[side], record.session)
+
+    def _guarded(self, side: Side, end: ControllerCore | PlantCore, guard: Defence) -> Guarded:
+        """The end with its messages guarded by the keys that its store holds."""
+        record = self.journals[side].load()
+        keys = None
+        if record is not None and record.session is not None:
+            sends = side == "plant" or guard.tags
+            words = (guard.session_words, guard.step_words) if sends else (0, 0)
+            begins = record.k + guarded.MARGIN
+            task = GuardTask(record.session, end.instance, record.k, begins, *words)
+            keys = guards.serve(self.stores[side], task)
+        session = None if keys is None else keys.session
+        return Guarded(end, side, guard, end.instance, end.end_session, session, keys)
