@@ -62,6 +62,9 @@ CLEARLY: Final = float(np.log(20))
 LEAST_CHECKED: Final = 1e-4
 """Share of texts whose check the transcript holds that is told from none: rounding."""
 
+NEARLY: Final = float(np.log(4))
+"""Log ratio behind the likeliest up to which the end of a message under way is waited for."""
+
 REFUTED: Final = 1e-3
 """Share let go on the way up to which a message that is none of those kept refutes what she takes
 the steps for."""
@@ -166,7 +169,7 @@ class Opened:
 
     def soonest(self) -> int:
         """Symbols that those lack which are nearly the likeliest, at least; -1 where none is."""
-        likely = [n for n, weight in self.missing.items() if weight > self.best - CLEARLY]
+        likely = [n for n, weight in self.missing.items() if weight > self.best - NEARLY]
         return min(likely, default=-1) if np.isfinite(self.best) else -1
 
 
