@@ -98,6 +98,7 @@ def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Tr
             assert found.right > 0.97 * found.agreements
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["smoother", "fitted-box"])
 def test_who_fits_how_far_sensors_scatter_reads_it_too(
     runs: Runs, link: Transfer, name: str
@@ -108,6 +109,7 @@ def test_who_fits_how_far_sensors_scatter_reads_it_too(
         assert found.right > 0.97 * found.agreements
 
 
+@pytest.mark.slow
 def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
@@ -147,6 +149,7 @@ def test_deviations_are_found_from_readings_alone(
     assert found.sensors == pytest.approx([0.00012], rel=1.0)
 
 
+@pytest.mark.slow
 def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
@@ -169,6 +172,7 @@ def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     assert np.mean(doubtful) < np.mean(hits) - 0.1
 
 
+@pytest.mark.slow
 def test_text_reads_it_and_is_sure(runs: Runs, link: Transfer) -> None:
     (found,) = listen(runs, link, ["text"], 0)
     assert (found.delivered, found.read) == (1, 1)
@@ -197,6 +201,7 @@ def test_what_text_weighs_begins_to_agree_at_one_step_of_each_trajectory(
     assert len(steps[LOST].samples) == 1
 
 
+@pytest.mark.slow
 def test_verdicts_that_the_ends_lost_after_missed_steps_break_no_message() -> None:
     """40 % lost each way: who takes all for agreed reads none, who tries each number all three."""
     scenario = over(at_the_corners("encoder"), 0.4)
