@@ -266,6 +266,7 @@ def test_two_messages_and_one_under_way() -> None:
     assert under_way.bits_left > 8 * unsent
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("size", "short"), [(4, 2), (4, 9), (4, 15), (3, 2), (3, 9)])
 def test_a_message_of_which_the_check_alone_is_not_over_is_under_way(size: int, short: int) -> None:
     """She has its text, and waits for the check: she neither refutes it nor takes it for whole."""
