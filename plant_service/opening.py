@@ -99,7 +99,8 @@ def open_core(
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
     if observer is not None and sensors is None:  # a step is made again with the same d
-        noise = Stream(sensor_seed, DISTURBANCE, width=scenario.n)
+        widths = scenario.plant.disturbance.half_widths
+        noise = Stream(sensor_seed, DISTURBANCE, width=len(widths))
     disturbances = Disturbances(scenario, noise)
     plant: Plant
     x: Vector | None = None
@@ -117,16 +118,16 @@ def open_core(
         enters = scenario.plant.disturbance.enters or "state"
         plant = OperatedPlant(operated, disturbances, enters)
     try:
-        if spec is not None and not plant.device:
-            draws = sensors or Stream(sensor_seed, SENSOR, width=spec.dimension)
-        if spec is not None and observer is not None:
-            assert isinstance(plant, LinearModel), "validated"
-            state = scenario.initial_state if record is None else record.true_x
-            read = OutputPlant(plant, observer, spec, draws, state or scenario.initial_state)
-            if step is not None and step.measurement is not None:
+        draws = sensors or Stream(sensor_seed, SENSOR, width=scenario.readings)
+        if observer is not None and not plant.device:
+            state = scenario.initial_state if x is None else x
+            if record is not None and not plant.acts:
+                state = record.true_x or state
+            read = OutputPlant(plant, observer, spec, draws, state)
+            if step is not None and step.measurement is not None and not plant.acts:
                 read.begin(step.offer.k, (), step.u)
                 read.end(step.offer.k)
-            plant, x = read, read.read(0)
+            plant, x = read, read.read(0 if record is None else record.k + 1)
         elif spec is not None and not plant.device:
             noisy = NoisyPlant(plant, spec, draws)
             k = 0 if record is None else record.k + 1  # of a step that was cut short
@@ -143,7 +144,7 @@ def open_core(
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
         first = record or first_record(scenario, new_id(), x)._replace(
-            sensor_seed=sensor_seed if spec is not None else 0
+            sensor_seed=sensor_seed if spec is not None or observer is not None else 0
         )
         return PlantCore(
             rules_of(scenario),

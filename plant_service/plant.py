@@ -211,66 +211,72 @@ class NoisyPlant:
 
 
 class OutputPlant:
-    """A model that is read through some outputs alone: y(k) = C x(k) + n(k).
+    """A simulation that is read through some outputs alone: y(k) = C x(k) + n(k).
 
     Its state stands in the plant's journal, as no reading tells it. A step that the journal has and
-    did not count is made again: so n and d must come of streams that are the same after a restart.
+    did not count is made again, where it does not act: so n and d must come of streams that are the
+    same after a restart. Of one that acts the state is lost with the process, and is never told.
 
     Parameters
     ----------
-    model : LinearModel
+    plant : Plant
+        No device, whose sensors read what they read.
     observer : BoxObserver
         For C.
-    noise : SensorNoise
+    noise : SensorNoise, optional
+        None: the sensors are exact.
     draws : Stream
         Of as many uniform numbers as there are readings.
     x : tuple of float, shape (n,)
         Where the plant stands.
     """
 
-    acts = device = False
+    device = False
 
     def __init__(
         self,
-        model: LinearModel,
+        plant: Plant,
         observer: BoxObserver,
-        noise: SensorNoise,
+        noise: SensorNoise | None,
         draws: Stream,
         x: Vector,
     ) -> None:
-        self._model, self._observer = model, observer
+        self._plant, self._observer = plant, observer
         self._noise, self._draws = noise, draws
         self._x = x
         self._u: Vector = ()
+        self.acts = plant.acts
         self.truth: Truth | None = None
 
     def read(self, k: int) -> Vector:
         """y(k), of the state as it is."""
-        n = self._noise.drawn(self._draws.at(k))
-        return tuple(map(add, self._observer.read(self._x), n))
+        exact = self._observer.read(self._x)
+        if self._noise is None:
+            return exact
+        return tuple(map(add, exact, self._noise.drawn(self._draws.at(k))))
 
     def prepare(self, k: int) -> None:
-        """As the model."""
-        self._model.prepare(k)
+        """As the plant."""
+        self._plant.prepare(k)
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
         """Apply ``u`` where the plant stands; ``x`` is what was read of that."""
         self._u = u
-        self._model.begin(k, self._x, u)
+        self._plant.begin(k, self._x, u)
 
     def end(self, k: int) -> Vector:
         """y(k+1)."""
-        self._x = self._model.end(k)
-        self.truth = Truth(self._x, self._u)
+        self._x = self._plant.end(k)
+        self.truth = None if self.acts else Truth(self._x, self._u)
         return self.read(k + 1)
 
     def safe(self, why: str) -> None:
-        """As the model."""
-        self._model.safe(why)
+        """As the plant."""
+        self._plant.safe(why)
 
     def close(self) -> str:
-        """As the model."""
-        return self._model.close()
+        """As the plant."""
+        return self._plant.close()
 
 
 class OperatedPlant:

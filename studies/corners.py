@@ -1,4 +1,4 @@
-"""A million steps whose every draw of d and n is a corner of what both ends assume: keys, taps."""
+"""A million steps whose every draw of d and n is a corner of what both ends assume: the keys."""
 
 from collections.abc import Iterator
 from typing import Any, Final
@@ -9,18 +9,13 @@ from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import clopper_pearson, wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import listen
+from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-from wyner.sweeps.grid import TAP_SOURCES
 
-SOURCES: Final = ("studies/corners.py", *LOOP_SOURCES, *TAP_SOURCES)
+SOURCES: Final = ("studies/corners.py", *LOOP_SOURCES)
 """Where the numbers of this module come from."""
 
 RUNS, AT_ONCE, STEPS, SEED = 2000, 100, 500, 11
-TAPPED, TAPPED_STEPS = 10, 700
-MESSAGE: Final = b"We sail at dawn."
-TAPS: Final = ("nearest-centre", "list-decoder", "text")
 
 COLUMNS: Final = (
     "scenario",
@@ -33,10 +28,6 @@ COLUMNS: Final = (
     "wrong",
     "wrong_high",
     "impossible",
-    "tapped_runs",
-    "tapped_steps",
-    "delivered",
-    *(f"{tap} {what}" for tap in TAPS for what in ("keys right", "of keys", "read")),
 )
 
 
@@ -83,18 +74,4 @@ def corner_rows() -> Iterator[tuple[Any, ...]]:
             wrong,
             clopper_pearson(wrong, agreed, 0.05)[1],
             impossible,
-            *_heard(scenario),
         )
-
-
-def _heard(scenario: Scenario) -> Iterator[int]:
-    law = make_law(scenario, cached_design(scenario))
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(TAPPED), steps=TAPPED_STEPS, record=True
-    )
-    link = transfer(runs, payloads=[MESSAGE])
-    heard = [listen(runs, link, TAPS, place) for place in range(TAPPED)]
-    yield from (TAPPED, TAPPED_STEPS, sum(one[0].delivered for one in heard))
-    for place in range(len(TAPS)):
-        for what in ("right", "agreements", "read"):
-            yield sum(getattr(one[place], what) for one in heard)

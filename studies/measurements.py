@@ -17,7 +17,7 @@ from protocol.scenario import Scenario
 from runtime.files import PUBLIC_FILE, replacing
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies import corners, keys, network, noise, readings, shape, signalling, waiting
+from studies import corners, keys, network, noise, outputs, readings, shape, signalling, waiting
 from studies.attacks import study as attacks
 from studies.attacks import watermark
 from studies.secrecy.study import STUDIES, measure_study
@@ -311,6 +311,7 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "secrecy-shape": measure_rows(shape.COLUMNS, shape.shape_rows, shape.SOURCES),
     "readings": measure_rows(readings.COLUMNS, readings.reading_rows, readings.SOURCES),
     "corners": measure_rows(corners.COLUMNS, corners.corner_rows, corners.SOURCES),
+    "outputs": measure_rows(outputs.COLUMNS, outputs.output_rows, outputs.SOURCES),
     "waiting": measure_rows(waiting.COLUMNS, waiting.waiting_rows, waiting.SOURCES),
     "network": measure_rows(network.COLUMNS, network.network_rows, network.SOURCES),
     "key-controls": measure_rows(keys.CONTROL_COLUMNS, keys.control_rows, keys.SOURCES),

@@ -207,11 +207,10 @@ def open_plant(
     PlantError
         With one line that begins with ``plant``: something that it names is missing or unfit.
     """
-    plant, n, m = scenario.plant, scenario.n, scenario.m
-    point = _point(scenario, n, m)
-    start = point.reading(scenario.initial_state)
+    plant, m = scenario.plant, scenario.m
     try:
         adapter: PlantAdapter
+        start = _start(scenario)
         if own is None:
             foreign = isinstance(plant, ModelledElsewhere) and not plant.shipped
             make = partial(isolated, plant) if foreign else plant.adapter  # type: ignore[attr-defined]
@@ -220,6 +219,14 @@ def open_plant(
             adapter = _adapted(own, type(own).__name__, plant.period_s)
     except (PlantError, UserCodeError) as error:
         raise PlantError(f"plant: {error}") from error.__cause__
+    n = scenario.n if isinstance(adapter, SimulatedPlant) else scenario.readings
+    said = plant.operating_point.given if plant.operating_point is not None else 0
+    if said not in (0, n) or len(plant.limits or ()) not in (0, n):
+        adapter.close()
+        raise PlantError(
+            f"plant.operating_point, plant.limits: expected {n} numbers, as many as the plant gives"
+        )
+    point = _point(scenario, n, m)
     settle_s = getattr(plant, "settle_s", None)
     operated = Operated(
         adapter,
@@ -235,6 +242,14 @@ def open_plant(
             f"plant of kind {plant.kind!r} cannot be written to"
         )
     return operated
+
+
+def _start(scenario: Scenario) -> FiniteVector:
+    """Where a simulation starts, in its own units; empty where it starts as it stands."""
+    table = scenario.plant.operating_point
+    if table is not None and table.given not in (0, scenario.n):  # of a device
+        return ()
+    return _point(scenario, scenario.n, scenario.m).reading(scenario.initial_state)
 
 
 def _adapted(plant: Any, name: str, period_s: float) -> PlantAdapter:

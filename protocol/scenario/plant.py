@@ -57,11 +57,16 @@ class OperatingPointTable(ScenarioTable):
     """The plant's units to one of u, an input each; 1 where not given."""
 
     def problems(self, n: int, m: int) -> Iterator[str]:
-        """What does not fit ``n`` states and ``m`` inputs, a line each."""
+        """What does not fit a plant that gives ``n`` numbers and takes ``m``, a line each."""
         for name, size in (("state", n), ("input", m), ("state_scale", n), ("input_scale", m)):
             values = getattr(self, name)
             if values is not None:
                 yield from shape_problem(f"plant.operating_point.{name}", len(values), size)
+
+    @property
+    def given(self) -> int:
+        """Numbers that the plant is said to give; 0 where it is not said."""
+        return len(self.state or self.state_scale or ())
 
 
 class PlantTable(ScenarioTable):
@@ -124,11 +129,13 @@ class PlantTable(ScenarioTable):
         if self.C is not None:
             readings = len(self.C)
             yield from shape_problem("plant.C", shape(self.C), (readings, n))
-            if self.kind != "linear":
-                yield f"plant.C: got kind {self.kind!r}, expected 'linear' where outputs are read"
         if self.noise is not None:
             yield from shape_problem("plant.noise", self.noise.dimension, readings)
-        if self.operating_point is not None:
-            yield from self.operating_point.problems(n, m)
-        if self.limits is not None:
-            yield from shape_problem("plant.limits", len(self.limits), readings)
+        # a simulation gives its states, a device what its sensors read
+        point, limits = self.operating_point, self.limits
+        told = {point.given if point is not None else 0, len(limits or ())}
+        own = readings if readings in told else n
+        if point is not None:
+            yield from point.problems(own, m)
+        if limits is not None:
+            yield from shape_problem("plant.limits", len(limits), own)

@@ -262,14 +262,12 @@ class Scenario(Brief, ScenarioTable):
                 yield "defender.bounds: expected none, as the whole state is read (no plant.C)"
             return
         N = self.defender.noise
-        if N is None or N.half_widths is None or self.plant.noise is None:
-            yield "defender.noise: expected half_widths, and plant.noise, beside plant.C"
+        if N is None or N.half_widths is None:
+            yield "defender.noise: expected half_widths beside plant.C"
         if self.defender.bounds is None:
             yield "defender.bounds: got none, expected a half-width a state beside plant.C"
         if self.defender.disturbance.half_widths is None:
             yield "defender.disturbance: expected half_widths beside plant.C"
-        if self.plant.disturbance.enters not in (None, "state"):
-            yield "plant.disturbance.enters: expected 'state' beside plant.C"
         if self.attack is not None:
             yield "attack: expected none beside plant.C, as attacks know whole states only"
 

@@ -13,7 +13,7 @@ from typing import Final
 
 from protocol.statistics import Interval
 from studies import DATA
-from studies.secrecy.study import measure_study
+from studies.secrecy.study import ALL_READ, measure_study
 from tap_service.inference.message_reader import SURE
 from wyner.runs.score.report import over_runs, percent
 from wyner.runs.score.score import Proportion
@@ -126,6 +126,7 @@ def against_the_smoother(rows: Sequence[Row]) -> str:
         f"{bits[1]:.0f}."
     )
     told += f" Below it: {'; '.join(below)}." if below else " In none `smoother` alone has it."
+    told += f" One run each where `smoother` has every message ({', '.join(ALL_READ)})."
     return told + (f" Wrong claims of `text`: {'; '.join(wrong)}." if wrong else "")
 
 

@@ -59,7 +59,9 @@ def default_names(knowledge: Knowledge, *, clear: bool) -> tuple[str, ...]:
     clear : bool
         Whether the tap hears everything as it is.
     """
-    names = DEFAULT if clear or knowledge.C is not None else DEFAULT_UNCLEAR
+    names: tuple[str, ...] = DEFAULT
+    if not clear:
+        names = DEFAULT_UNCLEAR if knowledge.C is None else (*DEFAULT, "smoother")
     makes_keys = knowledge.keys is not None and schedule_of(knowledge.keys) is not None
     return (*names, KEY_SOLVER) if makes_keys else names
 

@@ -298,7 +298,8 @@ class Model:
         from tap_service.inference.output_model import OutputModel
 
         assert gauge.half_widths is not None, "a box, where outputs are read"
-        return OutputModel(k.A, k.B, k.C, gauge.half_widths)
+        gain = None if k.policy is None else k.policy.gain
+        return OutputModel(k.A, k.B, k.C, gauge.half_widths, noise=k.noise, gain=gain)
 
     def gauges(
         self,
@@ -472,7 +473,7 @@ class Following(Eavesdropper):
         return self.follower.belief(self.model)
 
 
-def opening_of(model: Measuring, *, certain: bool) -> "Opening | None":
+def opening_of(model: Measuring, size: int, *, certain: bool) -> "Opening | None":
     """What holds a session's first transitions; None where states are read, or none agrees for
     sure."""
     if not certain or isinstance(model, Model):
@@ -480,7 +481,7 @@ def opening_of(model: Measuring, *, certain: bool) -> "Opening | None":
     from tap_service.inference.opening import Opening
     from tap_service.inference.output_model import OutputModel
 
-    return Opening(model) if isinstance(model, OutputModel) else None
+    return Opening(model, size) if isinstance(model, OutputModel) else None
 
 
 def nearest(gauges: list[float]) -> tuple[float, ...]:

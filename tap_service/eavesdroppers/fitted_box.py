@@ -6,7 +6,8 @@ input may then outweigh the one that decides. She needs no D_c for more. Whateve
 its disturbance in one set; so she looks for the smallest set, with facets along those of D_e, that
 holds one residual of every step. She starts from each facet alone, decides along it, takes the
 widths that the decisions leave, decides in these, and so on, and keeps the start that ends with the
-smallest volume: for d uniform in such a set that is the likeliest.
+smallest volume: for d uniform in such a set that is the likeliest. Where outputs alone are read no
+step shows its residual: she takes the widths under which the readings are likeliest.
 """
 
 import math
@@ -20,7 +21,10 @@ from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Follower, Following, Guess
+from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess
+from tap_service.eavesdroppers.by_readings import ByReadings
+from tap_service.inference.output_fit import refitted
+from tap_service.inference.output_model import OutputModel
 
 KEPT: Final = 2048
 """Transitions that she fits to; at this many the older half goes."""
@@ -45,11 +49,22 @@ class FittedBox(Following):
     """Takes the nearest candidate in the shape that she found."""
 
     name: ClassVar[str] = "fitted-box"
-    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
+        self._readings: ByReadings | None = None
+        told = self.model
+        if isinstance(told, OutputModel):
+            self._readings = ByReadings(
+                self.scheme,
+                lambda heard, _: refitted(told, heard, each=True),
+                told=told,
+                first=FIRST,
+                growth=GROWTH,
+                kept=KEPT,
+            )
+            self.final_guesses = self._readings.final_guesses
         assert knowledge.disturbance_H is not None
         assert knowledge.disturbance_h is not None
         self._rows = np.array(knowledge.disturbance_H) / np.array(knowledge.disturbance_h)[:, None]
@@ -62,6 +77,8 @@ class FittedBox(Following):
 
     def observe(self, transition: Transition) -> Guess:
         """Follow the scheme; each fit decodes anew what is kept, while that is the whole past."""
+        if self._readings is not None:
+            return self._readings.observe(transition)
         if not transition.whole:
             self._kept.append((transition, None))
         guess = super().observe(transition)
@@ -116,8 +133,14 @@ class FittedBox(Following):
 
     def review(self) -> Sequence[Guess]:
         """Her guesses of the steps she kept, in the shape that she has now."""
+        if self._readings is not None:
+            return self._readings.review()
         self._fit()
         return [self._guess(t, along) for t, along in self._kept]
+
+    def belief(self) -> Belief:
+        """The message that her verdicts spell."""
+        return super().belief() if self._readings is None else self._readings.belief()
 
     @property
     def gauge(self) -> Gauge:

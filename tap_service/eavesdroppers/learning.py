@@ -7,7 +7,8 @@ identifies the model and the disturbance's support from the transcript
 has heard a quarter more she learns again and decodes her past anew, so that what she misread at
 first is read in the end. When she has heard as much as she keeps, the past stays as she read it
 last: she goes on learning A and B, measures in the support that she has found by then, and decodes
-on from where she is.
+on from where she is. Where outputs alone are read she learns how readings follow from readings and
+inputs before them (:mod:`tap_service.inference.output_fit`), and not even the number of states.
 """
 
 from collections.abc import Sequence
@@ -21,9 +22,11 @@ from protocol.knowledge import Knowledge
 from protocol.vectors import Matrix
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
+from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected, agreement_probability
 from tap_service.inference.identification import identify
 from tap_service.inference.list_decoding import ListDecoding
+from tap_service.inference.output_fit import identified
 
 KEPT: Final = 4096
 """Transitions that she keeps to learn from; at this many the older half goes."""
@@ -41,6 +44,12 @@ NEAR: Final = 1.2
 ERROR: Final = 1.001
 """Factor by which a gauge may be wrong for what her model still is; twice what was measured."""
 
+FIRST_BY_READINGS: Final = 24
+"""Transitions before she learns for the first time where outputs alone are read."""
+
+GROWTH_BY_READINGS: Final = 1.5
+"""She learns again when she has heard this many times as much of these."""
+
 SMALL_OFFSET: Final = 0.1
 """Offset over half-width below which she takes the disturbance for centred."""
 
@@ -49,12 +58,21 @@ class Learning(Eavesdropper):
     """Identifies the model as she listens, and decodes her past again with what she learned."""
 
     name: ClassVar[str] = "learning"
-    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
     told_model: ClassVar[bool] = False
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
+        self._readings: ByReadings | None = None
+        if knowledge.C is not None:
+            self._readings = ByReadings(
+                self.scheme,
+                lambda heard, before: identified(heard, knowledge.noise, before),
+                first=FIRST_BY_READINGS,
+                growth=GROWTH_BY_READINGS,
+                kept=KEPT,
+            )
+            self.final_guesses = self._readings.final_guesses
         self._even = even(self.size)
         self._kept: list[Transition] = []
         self._past_stays = False
@@ -74,6 +92,8 @@ class Learning(Eavesdropper):
 
     def observe(self, transition: Transition) -> Guess:
         """Guess with what she has learned so far, then learn from the step."""
+        if self._readings is not None:
+            return self._readings.observe(transition)
         t = transition
         self._kept.append(t)
         self._heard += t.whole
@@ -155,6 +175,8 @@ class Learning(Eavesdropper):
 
     def review(self) -> Sequence[Guess]:
         """Her guesses of the steps she kept, with the model that she has now."""
+        if self._readings is not None:
+            return self._readings.review()
         self.learn()
         return [self._second_thought(t) for t in self._kept]
 
@@ -165,6 +187,8 @@ class Learning(Eavesdropper):
 
     def belief(self) -> Belief:
         """The last whole message, the model, and what there is of the message under way."""
+        if self._readings is not None:
+            return self._readings.belief()
         return self._collected.belief(self._decoding, self._model)
 
 

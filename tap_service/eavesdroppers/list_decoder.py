@@ -4,10 +4,12 @@ She knows f_c and D_e (model 10), so t_e = 1 in units of D_e, and only t_c = 1 /
 Over N steps at most about N + 1 thresholds give different decodings. She keeps them all
 (:mod:`tap_service.inference.list_decoding`), and the frame's check picks the one: where there is no
 frame, English does. The key symbols are the nearest candidates', as for `nearest-centre`. Where
-outputs alone are read and every transition agrees but a session's first, no threshold is hidden
-but how many those are: she keeps a decoding for each number.
+outputs alone are read and every transition agrees but some at a session's beginning and after a
+stretch of missed steps, no threshold is hidden but how many those are: she keeps a decoding for
+each number.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import ClassVar
 
@@ -25,7 +27,7 @@ from tap_service.eavesdroppers.base import (
 )
 from tap_service.inference.kept import KEPT_MESSAGES
 from tap_service.inference.list_decoding import ListDecoding
-from tap_service.inference.opening import Opening
+from tap_service.inference.opening import Known, Opening
 
 
 class ListDecoder(Eavesdropper):
@@ -45,7 +47,7 @@ class ListDecoder(Eavesdropper):
         super().__init__(knowledge)
         self._model = Model.of(knowledge, self.name)
         self._even = even(self.size)
-        self._opening = opening_of(self._model, certain=self.certain)
+        self._opening = opening_of(self._model, self.size, certain=self.certain)
         self.decoding = ListDecoding(self.scheme, edge=1.0, framed=framed, certain=self.certain)
 
     def observe(self, transition: Transition) -> Guess:
@@ -65,19 +67,10 @@ class ListDecoder(Eavesdropper):
         return Guess(t.k, nearest(gauges), agreed)
 
     def _observe_outputs(self, opening: Opening, transition: Transition) -> Guess:
-        """Decode what she knows by now, under every number of steps that the ends lost at first."""
+        """Decode what she knows by now, under every number of steps that the ends lost."""
         known, gauges = opening.take(transition)
         for one in known:
-            t = one.transition
-            if t.start or t.gap:
-                self.decoding.restart()
-            self.decoding.session = t.session
-            if one.symbol is None or t.cipher is None:
-                self.decoding.step_missed(t.k, t.cipher)
-            elif one.doubtful:
-                self.decoding.step_doubtful(t.k, one.symbol, t.cipher)
-            else:
-                self.decoding.step(t.k, one.row(self.size), t.cipher)
+            decode_known(self.decoding, one, None if one.symbol is None else one.sure(self.size))
         if gauges is None:
             return Guess(transition.k, self._even, 0.5)
         return Guess(transition.k, nearest(gauges), 1.0 if self.decoding.testing() else 0.0)
@@ -85,6 +78,20 @@ class ListDecoder(Eavesdropper):
     def belief(self) -> Belief:
         """The last message whose check held, else what the best decoding spells so far."""
         return belief_of(self.decoding, self._model)
+
+
+def decode_known(decoding: ListDecoding, one: Known, shares: Sequence[float] | None) -> None:
+    """Count a transition of a plant that is read through outputs, as she knows it."""
+    t = one.transition
+    if t.start or t.gap:
+        decoding.restart()
+    elif one.again and not one.place:
+        decoding.doubt()
+    decoding.session = t.session
+    if one.doubtful:
+        decoding.step_doubtful(t.k, shares, t.cipher, one.loss)
+    else:
+        decoding.step_known(t.k, shares, t.cipher)
 
 
 def agreement_probability(decoding: ListDecoding, gauges: list[float]) -> float:

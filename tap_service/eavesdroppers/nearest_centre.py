@@ -8,7 +8,8 @@ grows towards the set's edge from inside. Under a law of which it is public that
 agrees, *when* is no question, and she needs no threshold. Where the plant's sensors are noisy she
 measures along the one row of D_e that tells the candidates apart. Where outputs alone are read she
 measures readings; where all agree but a session's first steps, she follows the scheme under every
-number of those, and takes the one whose frame has its check.
+number of those, and takes the one whose frame has its check. What the ends may have lost after a
+stretch of missed steps she takes for agreed.
 """
 
 from collections.abc import Sequence
@@ -43,7 +44,7 @@ class NearestCentre(Following):
         super().__init__(knowledge)
         self._largest = 0.0
         self.noisy = knowledge.noisy
-        self._opening = opening_of(self.model, certain=self.certain)
+        self._opening = opening_of(self.model, self.size, certain=self.certain)
         lost = () if self._opening is None else self._opening.lost
         self._followers = {number: Follower(self.scheme) for number in lost}
 
@@ -55,12 +56,13 @@ class NearestCentre(Following):
 
     def _observe_outputs(self, opening: "Opening", transition: Transition) -> Guess:
         known, gauges = opening.take(transition)
-        for t, symbol, place in known:
+        for one in known:
+            t, symbol = one.transition, one.symbol
             for lost, follower in self._followers.items():
                 if t.start or t.gap:
                     follower.restart()
-                follows = NO_SYMBOL if symbol is None or 0 <= place < lost else symbol
-                follower.step(t.k, follows, t.cipher)
+                early = not one.again and 0 <= one.place < lost
+                follower.step(t.k, NO_SYMBOL if symbol is None or early else symbol, t.cipher)
         if gauges is None:
             return Guess(transition.k, self.even, 0.5)
         return Guess(transition.k, nearest(gauges), float(self.model.settled))

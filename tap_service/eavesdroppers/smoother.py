@@ -5,6 +5,8 @@ She infers lost states and offers from later ones, by the law that she was told
 by what she learns of it (:mod:`tap_service.inference.gap_smoother`), and follows every outcome that
 remains likely, beside every threshold. She has to hear what came after before she can infer what
 was lost, so she decodes all that she keeps anew each time she has heard twice as much as before.
+Where outputs alone are read she finds how far disturbance and sensors scatter, and takes each
+candidate for as likely as some readings later say; a lost offer she infers nothing of.
 """
 
 from collections.abc import Sequence
@@ -16,11 +18,14 @@ import numpy as np
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even, nearest
+from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.offers_reader import OffersReader
+from tap_service.inference.output_fit import refitted
+from tap_service.inference.output_model import OutputModel
 from tap_service.inference.policy import KnownLaw
 
 KEPT: Final = 4096
@@ -51,12 +56,22 @@ class Smoother(Eavesdropper):
     """Infers what was missed, then decodes with every threshold and every likely outcome."""
 
     name: ClassVar[str] = "smoother"
-    reads_outputs: ClassVar[bool] = False
     heavy: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
-        self._model = Model.of(knowledge, self.name)
+        self._model = told = Model.of(knowledge, self.name)
+        self._readings: ByReadings | None = None
+        if isinstance(told, OutputModel):
+            self._readings = ByReadings(
+                self.scheme,
+                lambda heard, _: refitted(told, heard, each=False),
+                told=told,
+                first=FIRST,
+                growth=GROWTH,
+                kept=KEPT,
+            )
+            self.final_guesses = self._readings.final_guesses
         self._even = even(self.size)
         assert knowledge.disturbance_H is not None
         assert knowledge.disturbance_h is not None
@@ -89,6 +104,8 @@ class Smoother(Eavesdropper):
 
     def observe(self, transition: Transition) -> Guess:
         """Take the nearest candidate where the step was heard; what was lost must wait."""
+        if self._readings is not None:
+            return self._readings.observe(transition)
         t = transition
         self._kept.append(t)
         self._heard += 1
@@ -169,6 +186,8 @@ class Smoother(Eavesdropper):
 
     def review(self) -> Sequence[Guess]:
         """What she takes each step for, with what came after it."""
+        if self._readings is not None:
+            return self._readings.review()
         self.decode()
         return [self._second_thought(step) for step in self._steps]
 
@@ -181,6 +200,8 @@ class Smoother(Eavesdropper):
 
     def belief(self) -> Belief:
         """The last whole message, else what the best decoding spells so far."""
+        if self._readings is not None:
+            return self._readings.belief()
         if self._collected.solved_k < 0:
             self.decode()
         return self._collected.belief(self._decoding, self._model)

@@ -6,8 +6,9 @@ weighs them together with English, the frame's length, the silence after it and 
 (:mod:`tap_service.inference.message_search`). She says how sure she is, and how many bits are left.
 She has to hear what came after before she can infer what was lost, so she reads all that she keeps
 anew each time she has heard twice as much as before and when a message should be over; where that
-cannot be told, when she has heard a quarter more. Where outputs alone are read she infers nothing
-of what was missed, and weighs how many of a session's first steps the ends lost.
+cannot be told, when she has heard a quarter more, and half more where it is over. Where outputs
+alone are read she infers nothing of what was missed, and weighs how many of a session's first steps
+the ends lost.
 """
 
 from collections.abc import Sequence
@@ -124,7 +125,8 @@ class Text(Eavesdropper):
                 self._take(message)
             else:
                 self._open.append(message)
-                due = self._heard // 4
+                # of a message that is over, little more is said by what comes after
+                due = self._heard // (2 if message.whole and not message.refuted else 4)
                 if not message.whole and message.due_k >= 0:
                     due = min(self._heard // 2, message.due_k - self._kept[-1].k + SOON)
                 self._next = min(self._next, self._heard + max(due, SOON))

@@ -1,15 +1,15 @@
-"""Inference where outputs alone are read: which first steps of a session the two ends lost."""
+"""Inference where outputs alone are read: which steps of a session the two ends lost."""
 
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array
-from tap_service.capture.transcript import Transition, steps_in_a_row
+from protocol.arrays import Array, Integers
+from tap_service.capture.transcript import Transition, transitions_in_a_row
 from tap_service.inference.front import Inferred
 from tap_service.inference.gap_smoother import InferredStep
-from tap_service.inference.opening import Known, Opening
+from tap_service.inference.opening import AT_FIRST, Known, Opening, lost_after
 from tap_service.inference.output_model import LOST, OutputModel
 
 TRAJECTORIES: Final = 64
@@ -17,20 +17,31 @@ TRAJECTORIES: Final = 64
 
 
 def inferred(model: OutputModel, size: int, transitions: Sequence[Transition]) -> Inferred:
-    """A transcript as `text` reads it: how many first steps were lost is a trajectory of 64.
+    """A transcript as `text` reads it: how many steps were lost is a trajectory of 64.
 
-    Half of them lose one step, a quarter two, and so on.
+    Of a session's first, half of them lose one, a quarter two, and so on; after a stretch of missed
+    steps as many lose one as it was long, and half of these another.
     """
-    lost = np.minimum(1 + np.floor(-np.log2((np.arange(TRAJECTORIES) + 0.5) / TRAJECTORIES)), LOST)
     steps = []
-    for run in steps_in_a_row(transitions):
-        opening = Opening(model)
+    for run in transitions_in_a_row(transitions):
+        opening = Opening(model, size)
         known = [one for t in run for one in opening.take(t)[0]] + opening.flush()
-        steps += [InferredStep(one.transition, _samples(one, size, lost)) for one in known]
+        for one in known:
+            lost = _lost(lost_after(one.again)) if one.again else 1 + _lost(AT_FIRST)
+            samples = _samples(one, size, lost)
+            steps.append(InferredStep(one.transition, samples))
     return Inferred(steps, (0.0, 1.0))
 
 
-def _samples(one: Known, size: int, lost: Array) -> Array | None:
+def _lost(more: float) -> Integers:
+    """Steps lost in each trajectory: ``more`` of them lose one, half of these another."""
+    at = (np.arange(TRAJECTORIES) + 0.5) / TRAJECTORIES
+    lost = np.floor(1 + np.log2(more / at)).clip(0, LOST - 1)
+    out: Integers = lost.astype(int)
+    return out
+
+
+def _samples(one: Known, size: int, lost: Integers) -> Array | None:
     """Gauges that agree for all thresholds between 0 and 1, or for none."""
     if one.symbol is None:
         return None

@@ -2,7 +2,8 @@
 
 A planar plant with one input: by exact proposals (:mod:`tap_service.inference.line_smoother`), with
 the law as the policy gives it or as it is learned. Any other: by the law's pieces
-(:mod:`tap_service.inference.gap_smoother`), or by the policy where one direction alone is heard.
+(:mod:`tap_service.inference.gap_smoother`); by all readings together, where they are noisy
+(:mod:`tap_service.inference.mixture_smoother`); by the policy where offers alone are heard.
 """
 
 from collections.abc import Sequence
@@ -17,6 +18,7 @@ from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition, steps_in_a_row
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.line_smoother import LineSmoother
+from tap_service.inference.mixture_smoother import MixtureSmoother
 from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.planar_law import PlanarLaw, learned_law, matching
 from tap_service.inference.policy import KnownLaw
@@ -41,6 +43,9 @@ STRAY: Final = -7.0
 
 TRIAL: Final = 120
 """Steps on which scales are tried."""
+
+SAMPLES: Final = 96
+"""Trajectories drawn where the law is not known to the last digit."""
 
 FEW: Final = 120
 """Particles while scales are tried."""
@@ -92,7 +97,13 @@ class Inference:
         if self._law is not None and all(t.x is None for t in kept):
             reader = OffersReader(self._A, self._B, self._shape, self._law, self._noise)
             return Inferred(reader.infer(kept), reader.width or _among(reader.support))
-        smoother = GapSmoother(self._A, self._B, self._shape, self._noise, samples=96)
+        smoother: GapSmoother | MixtureSmoother = GapSmoother(
+            self._A, self._B, self._shape, self._noise, samples=SAMPLES
+        )
+        if self._noise:
+            smoother = MixtureSmoother(
+                self._A, self._B, self._shape, self._noise, self._law, samples=SAMPLES
+            )
         return Inferred(smoother.infer(kept), _among(smoother.support))
 
     # --- the law ----------------------------------------------------------------------------------

@@ -107,7 +107,7 @@ class ListDecoding:
         self.paths.forget_trunk()
         if self.certain:  # those that lost more or fewer steps are one again
             self.beam.keep(np.array([self.beam.best]))
-            self.beam.lo[0] = 0.0
+            self.doubt()
         everyone = slice(0, self.beam.n)
         self.beam.state[everyone] = 0
         self._frames.begin(everyone)
@@ -144,17 +144,49 @@ class ListDecoding:
         verdicts = np.where(agreed, gauges.index(nearest), NO_SYMBOL)
         self._advance(k, verdicts, self._values(cipher))
 
-    def step_doubtful(self, k: int, symbol: int, cipher: int) -> None:
-        """Count one of the first transitions of a session in which all agree from some one on.
+    def doubt(self) -> None:
+        """From here on all agree again from some transition on; ``lo`` says who has begun."""
+        self.beam.lo[: self.beam.n] = 0.0
+
+    def step_doubtful(
+        self, k: int, shares: Sequence[float] | None, cipher: int | None, loss: float
+    ) -> None:
+        """Count one of the transitions in which all agree from some one on.
 
         A hypothesis that has not begun to agree goes on as one that begins here, and one that does
-        not; ``lo`` says which has.
+        not; where its verdict does not count it need not be told.
+
+        Parameters
+        ----------
+        k : int
+        shares : sequence of float, shape (M,), optional
+            Probability of each candidate; None where each is as likely.
+        cipher : int, optional
+        loss : float
+            Probability that one more is lost.
         """
         h = self.beam
-        begins = h.copy(np.flatnonzero(h.lo[: h.n] == 0.0))
+        waiting = np.flatnonzero((h.lo[: h.n] == 0.0) & self._tested())
+        begins = h.copy(waiting)
         h.lo[begins] = 1.0
-        verdicts = np.where(h.lo[: h.n] > 0.0, symbol, NO_SYMBOL)
-        self._advance(k, verdicts, self._values(cipher))
+        h.score[begins] += np.log(1 - loss)
+        h.score[waiting] += np.log(loss)
+        self._step_known(k, shares, cipher)
+
+    def step_known(self, k: int, shares: Sequence[float] | None, cipher: int | None) -> None:
+        """Count a transition in which all agree, on a candidate that is known so well."""
+        self.beam.lo[: self.beam.n] = 1.0
+        self._step_known(k, shares, cipher)
+
+    def _step_known(self, k: int, shares: Sequence[float] | None, cipher: int | None) -> None:
+        row = np.full(self.size, 1 / self.size) if shares is None else np.array(shares)
+        values = self._values_of(cipher)
+        tested = np.flatnonzero(self._tested())
+        chances = np.zeros((len(tested), 1 + self.size))
+        begun = self.beam.lo[tested] > 0.0
+        chances[:, 0] = ~begun
+        chances[:, 1:] = begun[:, None] * row
+        self._branch(k, tested, chances, values)
 
     def restrict(self, lo: float, hi: float, edge_lo: float, edge_hi: float) -> None:
         """Begin with this rectangle: t_c and t_e from and to."""
@@ -194,9 +226,15 @@ class ListDecoding:
         cipher : int, optional
             None where it was missed: then every message symbol is possible.
         """
-        h = self.beam
         ordered = np.sort(samples, axis=1)
         choice = samples.argmin(axis=1)
+        values = self._values_of(cipher)
+        tested = np.flatnonzero(self._tested())
+        self._branch(k, tested, self._chances(tested, ordered, choice), values)
+
+    def _values_of(self, cipher: int | None) -> Indices:
+        """The message symbol that this step carries; where the cipher was missed, each one."""
+        h = self.beam
         values = self._values(0 if cipher is None else cipher)
         if cipher is None:
             carriers = np.flatnonzero(values != NO_SYMBOL)
@@ -204,8 +242,21 @@ class ListDecoding:
             for value in range(1, self.size):
                 values = np.append(values, np.full(len(h.copy(carriers)), value))
             h.score[: h.n][values != NO_SYMBOL] -= np.log(self.size)
-        tested = np.flatnonzero(self._tested())
-        chances = self._chances(tested, ordered, choice)
+        return values
+
+    def _branch(self, k: int, tested: Indices, chances: Array, values: Indices) -> None:
+        """Go on with each outcome that is likely enough.
+
+        Parameters
+        ----------
+        tested : integer array
+            Hypotheses whose verdict counts.
+        chances : array, shape (tested, 1 + M)
+            Probability of each outcome: no agreement, symbol 0, 1, ...
+        values : integer array
+            The message symbol that each hypothesis carries, or -1.
+        """
+        h = self.beam
         verdicts = np.full(h.n, NO_SYMBOL)
         best = chances.argmax(axis=1)
         for outcome in range(self.size + 1):

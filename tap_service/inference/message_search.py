@@ -7,6 +7,7 @@ frames of all lengths can be compared. What is dropped on the way is accounted f
 she claims for what she found.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -57,6 +58,12 @@ FEWEST: Final = 200
 
 CLEARLY: Final = float(np.log(20))
 """Log ratio by which silence must be likelier than a message for none to be searched."""
+
+LEAST_CHECKED: Final = 1e-4
+"""Share of texts whose check the transcript holds that is told from none: rounding."""
+
+NEARLY: Final = float(np.log(4))
+"""Log ratio behind the likeliest up to which the end of a message under way is waited for."""
 
 REFUTED: Final = 1e-3
 """Share let go on the way up to which a message that is none of those kept refutes what she takes
@@ -147,9 +154,22 @@ class Opened:
         self.missing: dict[int, float] = {}  # symbols, and the log weight of the likeliest
         self.unsent = 0.0
 
+    def add(self, total: float, best: float, text: bytes, unsent: float) -> None:
+        """Add some of log weight ``total``, the likeliest of them ``text``, of log weight ``best``.
+
+        Of that one ``unsent`` bits are not in the transcript.
+        """
+        self.total = float(np.logaddexp(self.total, total))
+        if best > self.best:
+            self.best, self.text, self.unsent = best, text, unsent
+
+    def lack(self, symbols: int, weight: float) -> None:
+        """The likeliest that lacks so many symbols has this log weight."""
+        self.missing[symbols] = max(self.missing.get(symbols, -np.inf), weight)
+
     def soonest(self) -> int:
         """Symbols that those lack which are nearly the likeliest, at least; -1 where none is."""
-        likely = [n for n, weight in self.missing.items() if weight > self.best - CLEARLY]
+        likely = [n for n, weight in self.missing.items() if weight > self.best - NEARLY]
         return min(likely, default=-1) if np.isfinite(self.best) else -1
 
 
@@ -325,7 +345,8 @@ class MessageSearch:
         graph = Graph()
         graph.begin(hypotheses)
         for j in range(int(plan.total.max())):
-            self._open(opened, hypotheses, plan.total[hypotheses.length] - j, low)
+            sizes = lengths[hypotheses.length]
+            self._open(opened, hypotheses, sizes, plan.total[hypotheses.length] - j, low)
             count = hypotheses.alpha.shape[1] // self._lattice.states + self._lattice.wait
             ahead = self._rows(np.maximum(plan.total - 1 - j, 0), low + 1, count)
             moved = growth.symbol(hypotheses, ahead, j, low)
@@ -342,7 +363,7 @@ class MessageSearch:
                 graph.merge(hypotheses)
                 over = hypotheses.count == lengths[hypotheses.length]
                 if over.any():
-                    self._drawn(ended, graph, hypotheses, over, low)
+                    self._drawn(ended, opened, graph, hypotheses, over, low)
             if over.all():
                 break
             if over.any():
@@ -368,19 +389,24 @@ class MessageSearch:
         ended.total = float(np.logaddexp.reduce([ended.total, *(e[1] for e in ended.list)]))
         return over
 
-    def _drawn(self, ended: "Ended", graph: Graph, beam: Beam, over: Flags, low: int) -> None:
+    def _drawn(
+        self, ended: "Ended", opened: "Opened", graph: Graph, beam: Beam, over: Flags, low: int
+    ) -> None:
         """Draw messages that are over but for their check, and judge them by it."""
         rows = np.flatnonzero(over)
-        ended.total = float(np.logaddexp.reduce([ended.total, *beam.score[rows]]))
-        share = np.exp(np.logaddexp.reduce(beam.score[rows]) - np.logaddexp.reduce(beam.score))
+        all_of_them = float(np.logaddexp.reduce(beam.score[rows]))
+        share = np.exp(all_of_them - np.logaddexp.reduce(beam.score))
         count = max(int(share * DRAWN), FEWEST)
         drawn = graph.draw(rows, beam.score[rows], np.random.default_rng(0), count)
         first = int(drawn.scores[:, -1].argmax())
-        if drawn.scores[first, -1] > ended.unchecked[0]:
-            node, text = int(drawn.nodes[first, -1]), drawn.texts[first].tobytes()
-            ended.unchecked = (float(drawn.scores[first, -1]), text, beam.alpha[node].copy(), low)
+        node, text = int(drawn.nodes[first, -1]), drawn.texts[first].tobytes()
+        best = float(drawn.scores[first, -1])
+        if best > ended.unchecked[0]:
+            ended.unchecked = (best, text, beam.alpha[node].copy(), low)
+        checked = self._checked(opened, beam, rows, low, (best - all_of_them, text))
+        ended.total = float(np.logaddexp(ended.total, all_of_them + checked))
         texts, plain, nodes, mass = self._joined(drawn, beam, rows, low)
-        ended.listed = float(np.logaddexp(ended.listed, mass))
+        ended.listed = float(np.logaddexp(ended.listed, mass + checked))
         if not len(texts):
             return
         gain, alpha, low = judge(
@@ -388,6 +414,50 @@ class MessageSearch:
         )
         for i in np.argsort(-(plain + gain))[:KEPT].tolist():
             ended.add(texts[i].tobytes(), float(plain[i] + gain[i]), float(plain[i]), alpha[i], low)
+
+    def _checked(
+        self, opened: "Opened", beam: Beam, rows: Indices, low: int, best: tuple[float, bytes]
+    ) -> float:
+        """Log share of texts in ``rows`` whose check the transcript holds to its end.
+
+        The others are under way: ``best`` is the log share of the likeliest, and it.
+        """
+        top = float(beam.level[rows].max())
+        alpha = np.exp(beam.level[rows] - top) @ beam.alpha[rows]
+        total = self._digits * CHECK_BYTES
+        weights = np.full(total, -np.inf)  # that it ends after so many symbols of the check
+        for j, (nodes, first, level) in zip(
+            range(total), self._onward(alpha, low, total), strict=False
+        ):
+            left = self._lattice.left[first : first + len(nodes) // self._lattice.states].ravel()
+            with np.errstate(divide="ignore"):
+                weights[j] = top + level + float(np.log(nodes[: len(left)] @ left))
+        under_way = float(np.logaddexp.reduce(weights))
+        if under_way == -np.inf:
+            return 0.0
+        opened.add(under_way, under_way + best[0], best[1], 0.0)
+        for j in np.flatnonzero(np.isfinite(weights)).tolist():
+            opened.lack(total - j, float(weights[j]) + best[0])
+        share = np.exp(under_way - float(np.logaddexp.reduce(beam.score[rows])))
+        return float(np.log(max(1.0 - share, LEAST_CHECKED)))
+
+    def _onward(self, alpha: Array, low: int, count: int) -> Iterator[tuple[Array, int, float]]:
+        """Weights of nodes before each of ``count`` symbols of any kind and after the last.
+
+        Each with the first step of its window and the log of what it was divided by.
+        """
+        E, level = self._lattice.states, 0.0
+        for _ in range(count):
+            yield alpha, low, level
+            alpha = self._lattice.moved(alpha[None], None, low)[0]
+            alpha, low = alpha[: (self._lattice.steps - low) * E], low + 1
+            if not alpha.any():
+                return
+            level += float(np.log(alpha.max()))
+            alpha = alpha / alpha.max()
+            used = np.flatnonzero(alpha.reshape(-1, E).max(axis=1) > NEGLIGIBLE)
+            alpha, low = alpha[used[0] * E : (used[-1] + 1) * E], low + int(used[0])
+        yield alpha, low, level
 
     def _joined(
         self, drawn: Drawn, beam: Beam, rows: Indices, low: int
@@ -410,7 +480,9 @@ class MessageSearch:
         texts = np.hstack([first.texts[a], second.texts[b]])
         return texts, first.scores[a] + second.scores[b], ends[b], mass
 
-    def _open(self, opened: "Opened", beam: Beam, missing: Indices, low: int) -> None:
+    def _open(
+        self, opened: "Opened", beam: Beam, sizes: Indices, missing: Indices, low: int
+    ) -> None:
         """Count the hypotheses of which the transcript holds no further symbol."""
         E = self._lattice.states
         left = np.zeros((beam.alpha.shape[1] // E, E))
@@ -421,15 +493,12 @@ class MessageSearch:
         with np.errstate(divide="ignore"):
             weight = beam.level + beam.said + np.log(beam.alpha @ left.ravel())
         row = int(weight.argmax())
-        if weight[row] > opened.best:
-            opened.best = float(weight[row])
-            opened.text = beam.text[row, : beam.count[row]].tobytes()
-            payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
-            opened.unsent = payload * float(np.log2(self._size))
+        payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
+        text = beam.text[row, : min(beam.count[row], sizes[row])].tobytes()
+        unsent = payload * float(np.log2(self._size))
+        opened.add(float(np.logaddexp.reduce(weight)), float(weight[row]), text, unsent)
         for symbols in np.unique(missing).tolist():
-            best = float(weight[missing == symbols].max())
-            opened.missing[symbols] = max(opened.missing.get(symbols, -np.inf), best)
-        opened.total = float(np.logaddexp(opened.total, np.logaddexp.reduce(weight)))
+            opened.lack(symbols, float(weight[missing == symbols].max()))
 
     def _found(
         self, ended: "Ended", kept: float, opened: "Opened", likely: float, longest: float
@@ -475,16 +544,12 @@ class MessageSearch:
 
     def _after_any(self, alpha: Array, low: int, count: int) -> Array:
         """Log weights of the nodes after ``count`` symbols of any kind."""
-        E = self._lattice.states
-        for _ in range(count if len(alpha) else 0):
-            alpha = self._lattice.moved(alpha[None], None, low)[0]
-            alpha, low = alpha[: (self._lattice.steps - low) * E], low + 1
-            if not alpha.any():
-                break
-            alpha /= alpha.max()
-            used = np.flatnonzero(alpha.reshape(-1, E).max(axis=1) > NEGLIGIBLE)
-            alpha, low = alpha[used[0] * E : (used[-1] + 1) * E], low + int(used[0])
-        return self._nodes(alpha, low)
+        out = self._nodes(np.zeros(0), 0)
+        if len(alpha):
+            for number, (nodes, first, _) in enumerate(self._onward(alpha, low, count)):
+                if number == count:
+                    out = self._nodes(nodes, first)
+        return out
 
     def any_bytes(self, begin: Array, rng: np.random.Generator, count: int = 24) -> AnyMessage:
         """What is known of a message of any bytes, by drawing from all that are possible.

@@ -1,30 +1,70 @@
 """Transitions where outputs alone are read: held until the readings show what was applied."""
 
 from collections import deque
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
+from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.inference.output_model import LATER, LOST, OutputModel
+from tap_service.inference.output_model import BRIDGED, LATER, LOST, OutputModel
+
+AGAIN: Final = 8
+"""Steps after a stretch of missed ones, one of which is the first that the ends agreed on again."""
+
+AT_FIRST: Final = 0.5
+"""Probability that the two ends lose one more of a session's first steps."""
+
+TOO_MANY: Final = 6
+"""Missed steps in a row that widen the box so far that the step after them is lost."""
+
+MOST_SURE: Final = 0.9
+"""Probability of that at most."""
 
 
 class Known(NamedTuple):
-    """A transition, the candidate applied (None: not heard), and its place in its session.
+    """A transition, the candidate applied, and its place where the two ends may have lost it.
 
-    ``place`` is -1 where the session's beginning was not heard.
+    Parameters
+    ----------
+    transition : Transition
+    symbol : int, optional
+        None: no offer was heard.
+    place : int
+        Steps since the session's beginning, or since a stretch of missed steps; -1 where she heard
+        neither.
+    again : int
+        Missed steps of the stretch; 0 at a session's beginning.
+    shares : tuple of float, shape (M,)
+        Probability of each candidate.
     """
 
     transition: Transition
     symbol: int | None
     place: int
+    again: int = 0
+    shares: Vector = ()
 
     @property
     def doubtful(self) -> bool:
         """Whether the two ends may have lost it."""
-        return 0 <= self.place < LOST
+        return 0 <= self.place < (AGAIN if self.again else LOST)
+
+    @property
+    def loss(self) -> float:
+        """Probability that they lost it, where they lost those before it."""
+        return lost_after(self.again) if self.again and not self.place else AT_FIRST
 
     def row(self, size: int) -> list[float]:
         """Gauges of M candidates that say as much."""
         return [0.0 if i == self.symbol else 1.0 for i in range(size)]
+
+    def sure(self, size: int) -> list[float]:
+        """All probability on the likeliest candidate."""
+        return [1.0 if i == self.symbol else 0.0 for i in range(size)]
+
+
+def lost_after(missed: int) -> float:
+    """Probability that the two ends lose the step after so many missed ones."""
+    return min((missed / TOO_MANY) ** 2, MOST_SURE)
 
 
 class Opening:
@@ -33,41 +73,51 @@ class Opening:
     Parameters
     ----------
     model : OutputModel
+    size : int
+        M.
     """
 
     lost = range(1, LOST + 1)
     """Numbers of first steps that the two ends may have lost."""
 
-    def __init__(self, model: OutputModel) -> None:
-        self._model = model
-        self._held: deque[Transition] = deque()
-        self._place = -1
+    def __init__(self, model: OutputModel, size: int) -> None:
+        self._model, self._size = model, size
+        self._held: deque[tuple[Transition, int, int]] = deque()
+        self._place, self._again = -1, 0
+        self._session, self._k = "", -1
 
     def take(self, t: Transition) -> tuple[list[Known], list[float] | None]:
         """The transitions that are known by this one, in order; and its gauges at first sight."""
         given: list[Known] = []
-        if t.start or t.gap:
+        anew = t.start or t.gap or t.session != self._session
+        if anew:
             given = self.flush()
-            self._place = 0 if t.start else -1
-        if t.x is None or t.candidates is None or t.x_next is None:
-            return [*given, *self.flush(), self._known(t, None)], None
-        if self._held and self._held[-1].x_next != t.x:
-            given += self.flush()
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next)
-        self._held.append(t)
+            self._place, self._again = 0 if t.start else -1, 0
+        elif t.k != self._k:
+            if not 0 <= t.k - self._k <= BRIDGED:
+                given = self.flush()
+            self._place, self._again = 0, max(t.k - self._k, 1)
+        self._session, self._k = t.session, t.k + 1
+        gauges = self._model.observe(t)
+        self._held.append((t, self._place, self._again))
+        self._place += self._place >= 0
         if len(self._held) > LATER:
-            given.append(self._known(self._held.popleft(), self._model.applied[0]))
+            given += self._out(1)
         return given, gauges
 
     def flush(self) -> list[Known]:
         """What is held, with what she knows by now."""
-        held = list(self._held)
-        self._held.clear()
-        applied = self._model.applied[-len(held) :] if held else []
-        return [self._known(t, symbol) for t, symbol in zip(held, applied, strict=True)]
+        return self._out(len(self._held))
 
-    def _known(self, t: Transition, symbol: int | None) -> Known:
-        place = self._place
-        if place >= 0:
-            self._place += 1
-        return Known(t, symbol, place)
+    def _out(self, count: int) -> list[Known]:
+        """The oldest of those held."""
+        shares, applied = self._model.shares(self._size), self._model.applied
+        past = len(self._held) - len(applied)  # of these the model knows no more
+        given = []
+        for i in range(count):
+            t, place, again = self._held.popleft()
+            known = i >= past and applied[i - past] >= 0
+            symbol = applied[i - past] if known else None
+            row = tuple(shares[i - past].tolist()) if known else ()
+            given.append(Known(t, symbol, place, again, row))
+        return given

@@ -112,7 +112,7 @@ class Device:
     def start(self, seed: int | None) -> Sample:
         self.calls.append("start")
         self.y = START
-        return Sample(self.y, self._tick())
+        return Sample(self.reading(self.y), self._tick())
 
     def apply(self, u: Vector) -> None:
         self.calls.append("apply")

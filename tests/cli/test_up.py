@@ -79,7 +79,7 @@ def test_who_wants_whole_states_is_refused_before_anything_starts(tmp_path: Path
         "class Mine(NearestCentre):\n    name = 'mine'\n    reads_outputs = False\n"
     )
     encoder = scenario_of("encoder")
-    for name in ("learning", f"{tmp_path}/mine.py:Mine"):
+    for name in ("oracle", f"{tmp_path}/mine.py:Mine"):
         with pytest.raises(UsageError, match=r"--eavesdropper: .*plant\.C"):
             up.eavesdroppers_of(RunOptions(eavesdropper=name), encoder)
     assert up.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)

@@ -311,8 +311,11 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
     silent = replace(alone.taps["nearest-centre"], guesses={})
     assert secrecy(replace(state, taps={"nearest-centre": silent})).why == "nobody guessed"
     assert secrecy(replace(state, taps={})).why == "nobody listens"
-    own = told(bits_left=2.5)
+    own = told(bits_left=2.5, solved_k=12)
     assert own.why == "her own account"
+    unsure = told(bits_left=11.551, solved_k=-1)  # what she can follow, of a message under way
+    assert (unsure.left, own.why in unsure.why) == (told_left(11.551, unsure.claimed_bits), True)
+    assert "no whole message" in unsure.why
     assert state.plant is not None
     all_there_are = state.plant.agreements * math.log2(state.candidates)
     assert own.left == told_left(2.5, all_there_are)

@@ -114,13 +114,6 @@ def test_who_hears_readings_alone_guesses_most_keys() -> None:
         ({"defender": {"noise": {"half_widths": [0.1, 0.1]}}}, "defender.noise: got shape 2"),
         ({"plant": {"C": [[1.0]]}}, "plant.C: got shape"),
         ({"plant": {"C": None}}, "defender.bounds: expected none"),
-        (
-            {
-                "plant": {"kind": "ode", "object": "a:b", "A": None, "B": None},
-                "defender": {"A": [[1.0, 0.1], [0.0, 0.8]], "B": [[0.01], [0.2]]},
-            },
-            "expected 'linear' where outputs are read",
-        ),
         ({"control": {"disturbance": {"half_widths": [0.0005, 0.01]}}}, "control.disturbance"),
     ],
 )

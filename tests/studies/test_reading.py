@@ -17,6 +17,7 @@ from studies.secrecy.reading_tables import (
     results,
     views,
 )
+from studies.secrecy.study import ALL_READ, VIEWS, tasks
 from studies.secrecy.tables import PAGE, against_the_smoother
 from tap_service.inference.message_reader import SURE
 
@@ -49,6 +50,15 @@ def test_a_tap_that_is_sure_is_wrong_no_oftener_than_the_limits_of_her_account_s
     wrong = sum(not int(r["likeliest_exact"]) for r in sure)
     assert wrong, "one claim at .996 is known to be wrong: it counts"
     assert wilson(wrong, len(sure)).high <= MISSTATED
+
+
+def test_text_is_run_once_where_another_tap_has_every_message_already() -> None:
+    for condition in ALL_READ:
+        its = [r for r in views() if (r["condition"], r["tap"]) == (condition, "smoother")]
+        assert len(its) == 20
+        assert all(int(r["messages_exact"]) == int(r["messages"]) == 1 for r in its)
+    again = [t for t in tasks() if t.study == "view" and t.tap == "text" and t.seed]
+    assert {t.condition for t in again} == set(VIEWS) - set(ALL_READ)
 
 
 def test_what_text_states_comes_true_as_often_as_it_is_stated(rows: Sequence[Row]) -> None:

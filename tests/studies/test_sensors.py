@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import DATA, corners, waiting
+from studies import DATA, corners, outputs, waiting
 from studies.__main__ import main
 
 
@@ -25,9 +25,8 @@ def test_a_million_corner_steps_of_each_noisy_scenario_are_on_record_without_a_w
 
 def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one, measured now: 4 runs of 100 steps."""
-    for name, value in (("RUNS", 4), ("AT_ONCE", 2), ("STEPS", 100), ("TAPPED", 1)):
+    for name, value in (("RUNS", 4), ("AT_ONCE", 2), ("STEPS", 100)):
         monkeypatch.setattr(corners, name, value)
-    monkeypatch.setattr(corners, "TAPPED_STEPS", 60)
     rows = {row[0]: dict(zip(corners.COLUMNS, row, strict=True)) for row in corners.corner_rows()}
     assert rows.keys() == {"encoder", "noisy"}
     for name, row in rows.items():
@@ -37,6 +36,25 @@ def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.Monk
         assert scenario.plant.noise is not None
         assert scenario.defender.noise is not None
         assert scenario.plant.noise.half_widths == scenario.defender.noise.half_widths
+
+
+def test_the_page_has_the_listeners_at_an_encoder_as_they_are_on_record() -> None:
+    page = outputs.PAGE.read_text(encoding="utf-8")
+    assert page == outputs.written(page, outputs.recorded())
+
+
+def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small one: 1 run of 60 steps, the lightest listeners."""
+    for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "smoother"))):
+        monkeypatch.setattr(outputs, name, value)
+    rows = [dict(zip(outputs.COLUMNS, row, strict=True)) for row in outputs.output_rows()]
+    assert [(row["condition"], row["tap"]) for row in rows] == [
+        (condition, tap) for condition in outputs.CONDITIONS for tap in outputs.TAPS
+    ]
+    for row in rows:
+        assert 0 <= row["later_low"] <= row["later"] / row["keys_of"] <= row["later_high"] <= 1
+        if row["tap"] == "smoother" and row["condition"] == "clear":
+            assert row["later"] > 0.9 * row["keys_of"]
 
 
 def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers_condition(

@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from studies.capacity.blocks import most_keys
+from studies.capacity.blocks import chained_keys, most_keys
 from studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
 from wyner.sweeps.grid import ROOT
 
@@ -91,6 +91,7 @@ def test_five_keys_are_agreed_always_from_seven_thirds_on_exactly() -> None:
     assert min(nearest) == 2 * unit
     assert Fraction(max(farthest), unit) == Fraction(7, 3)
     assert most_keys(7 / 3, 2) == 5  # the volume allows no sixth
+    assert chained_keys(Fraction(12, 5), 2)[-1] == 4  # so what chaining reaches bounds no code
 
 
 @pytest.mark.parametrize(

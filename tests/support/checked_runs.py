@@ -56,7 +56,7 @@ def _run_with_keys(folder: Path) -> None:
     options = RunOptions(
         scenario="keys",
         message="hi",
-        pace="fast",
+        pace="x10",
         steps=100_000,
         until_delivered=True,
         eavesdropper="nearest-centre,smoother,key-solver",

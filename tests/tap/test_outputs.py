@@ -10,11 +10,15 @@ from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from protocol.schemes.registry import make_scheme
 from studies.corners import at_the_corners
+from studies.outputs import CONDITIONS, heard_by, over
+from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import default_names, named
 from tap_service.eavesdroppers.base import Model
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.opening import Known, Opening
+from tap_service.inference.output_fit import applied_in, identified, refitted
 from tap_service.inference.output_model import LATER, LOST, OutputModel
 from tests.support.small_run import law_of
 from wyner.simulate.engine import Runs, simulate_runs, transfer
@@ -49,7 +53,7 @@ def model_of(scenario: Scenario) -> OutputModel:
 
 
 def known(model: OutputModel, heard: Sequence[Transition]) -> list[Known]:
-    opening = Opening(model)
+    opening = Opening(model, 2)
     return [one for t in heard for one in opening.take(t)[0]] + opening.flush()
 
 
@@ -94,6 +98,81 @@ def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Tr
             assert found.right > 0.97 * found.agreements
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["smoother", "fitted-box"])
+def test_who_fits_how_far_sensors_scatter_reads_it_too(
+    runs: Runs, link: Transfer, name: str
+) -> None:
+    for place in range(2):
+        (found,) = listen(runs, link, [name], place)
+        assert (found.delivered, found.read) == (1, 1)
+        assert found.right > 0.97 * found.agreements
+
+
+@pytest.mark.slow
+def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
+    scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    """y(k+1) = 1.819 y(k) - 0.819 y(k-1) + 0.0094 u(k) + 0.0088 u(k-1), of two states."""
+    kind = named("learning")
+    told = View().told(scenario.knowledge(), model=kind.told_model)
+    assert (told.A, told.B, told.disturbance_H, told.policy) == (None, None, None, None)
+    for place in (0, 4):
+        tap = kind(told)
+        for t in transcript(runs, link, place):
+            tap.observe(t)
+        later = {g.k: g.best for g in tap.review()}
+        wrong = [k for k, coin in enumerate(runs.coin[:, place]) if later[k] != coin]
+        assert len(wrong) < 0.03 * STEPS
+        assert tap.belief().whole == (MESSAGE,)
+        A, B = np.array(tap.belief().A), np.array(tap.belief().B)
+        assert A[:, 0] == pytest.approx([1.81873, -0.81873], abs=0.05)
+        assert B[:, 0] == pytest.approx([0.0094, 0.0088], abs=0.001)
+
+
+def test_where_she_hears_badly_the_smoother_listens_unasked(scenario: Scenario) -> None:
+    assert "smoother" in default_names(scenario.knowledge(), clear=False)
+    assert "smoother" not in default_names(scenario.knowledge(), clear=True)
+
+
+def test_too_little_makes_no_model(runs: Runs, link: Transfer) -> None:
+    heard = list(transcript(runs, link, 0))
+    assert identified(heard[:2], 0.0, None) is None
+
+
+def test_deviations_are_found_from_readings_alone(
+    scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    """Draws are corners, so that a deviation is a half-width: D_c, a twelfth of D_e, and N."""
+    found = refitted(model_of(scenario), list(transcript(runs, link, 0)), each=False)
+    assert found.deviations == pytest.approx([0.000468, 0.00906], rel=0.5)
+    assert found.sensors == pytest.approx([0.00012], rel=1.0)
+
+
+@pytest.mark.slow
+def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
+    scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    """Eight times the encoder's noise: the smoother's probabilities beside her hits, 3 runs."""
+    view = CONDITIONS["her noise 0.001"][1]
+    kind = named("smoother")
+    sure: list[float] = []
+    hits: list[bool] = []
+    at_once = 0
+    for place in range(3):
+        heard = heard_by(list(transcript(runs, link, place)), view)
+        tap = kind(view.told(scenario.knowledge()))
+        at_once += sum(tap.observe(t).best == runs.coin[t.k, place] for t in heard)
+        for g in tap.review():
+            sure.append(max(g.symbol))
+            hits.append(g.best == runs.coin[g.k, place])
+    assert np.mean(hits) > at_once / len(hits) + 0.1
+    assert np.mean(sure) == pytest.approx(np.mean(hits), abs=0.05)
+    doubtful = [hit for hit, p in zip(hits, sure, strict=True) if p < 0.9]
+    assert np.mean(doubtful) < np.mean(hits) - 0.1
+
+
+@pytest.mark.slow
 def test_text_reads_it_and_is_sure(runs: Runs, link: Transfer) -> None:
     (found,) = listen(runs, link, ["text"], 0)
     assert (found.delivered, found.read) == (1, 1)
@@ -103,8 +182,8 @@ def test_each_number_of_lost_steps_is_a_decoding_of_its_own() -> None:
     decoding = ListDecoding(make_scheme("switched", 2), edge=1.0, certain=True)
     for k in range(LOST):
         assert decoding.hypotheses == k + 1
-        decoding.step_doubtful(k, 1, 0)
-    decoding.step(LOST, [0.0, 1.0], 0)
+        decoding.step_doubtful(k, [0.0, 1.0], 0, 0.5)
+    decoding.step_known(LOST, [1.0, 0.0], 0)
     assert decoding.hypotheses == LOST + 1
     decoding.restart()
     assert decoding.hypotheses == 1
@@ -120,6 +199,50 @@ def test_what_text_weighs_begins_to_agree_at_one_step_of_each_trajectory(
     assert agrees[1].mean() == pytest.approx(0.5, abs=0.05)
     assert steps[LOST].samples is not None
     assert len(steps[LOST].samples) == 1
+
+
+@pytest.mark.slow
+def test_verdicts_that_the_ends_lost_after_missed_steps_break_no_message() -> None:
+    """40 % lost each way: who takes all for agreed reads none, who tries each number all three."""
+    scenario = over(at_the_corners("encoder"), 0.4)
+    law = law_of("encoder")[1]
+    runs = simulate_runs(scenario, law, seed=2, runs=range(7), steps=STEPS + 100, record=True)
+    link = transfer(runs, payloads=[MESSAGE])
+    assert runs.missed is not None
+    for place in (0, 3, 6):
+        lost = (runs.symbol[:, place] == NO_SYMBOL) & ~runs.missed[:, place]
+        assert lost[LOST:].sum() > 3
+        takes, tries = listen(runs, link, ["nearest-centre", "list-decoder"], place)
+        assert (takes.delivered, takes.read, tries.read) == (1, 0, 1)
+        assert tries.right > 0.98 * tries.agreements
+
+
+@pytest.mark.parametrize("fallback", ["zero", "hold", "regulator"])
+def test_the_fallback_shows_in_the_readings(fallback: str) -> None:
+    """She is not told which: over missed steps she goes along each."""
+    data = over(at_the_corners("encoder"), 0.3).model_dump(mode="json", exclude_none=True)
+    scenario = parse_scenario(data | {"link": {"fallback": fallback}}, "encoder")
+    law = law_of("encoder")[1]
+    runs = simulate_runs(scenario, law, seed=4, runs=range(1), steps=STEPS, record=True)
+    assert runs.missed is not None
+    assert runs.missed.sum() > 10
+    heard = list(transcript(runs, transfer(runs, payloads=[MESSAGE]), 0))
+    applied = applied_in(model_of(scenario), heard)
+    right = [symbol == runs.coin[t.k, 0] for t, symbol in zip(heard, applied, strict=True)]
+    assert np.mean(right[:-LATER]) > 0.98
+
+
+def test_after_a_stretch_each_decoding_may_lose_the_next_step() -> None:
+    decoding = ListDecoding(make_scheme("switched", 2), edge=1.0, certain=True)
+    decoding.step_known(0, [0.0, 1.0], 0)  # agreed: the next one carries
+    decoding.doubt()
+    decoding.step_doubtful(1, [0.0, 1.0], 0, 0.1)
+    assert decoding.hypotheses == 1, "its verdict does not count"
+    decoding.step_doubtful(2, [0.0, 1.0], 0, 0.1)
+    assert decoding.hypotheses == 2
+    decoding.doubt()
+    decoding.step_doubtful(3, None, 1, 0.1)  # no offer was heard: each symbol
+    assert decoding.hypotheses == 4
 
 
 def test_steps_that_a_network_takes_break_no_message_for_text() -> None:

@@ -266,6 +266,22 @@ def test_two_messages_and_one_under_way() -> None:
     assert under_way.bits_left > 8 * unsent
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "short"), [(4, 2), (4, 9), (4, 15), (3, 2), (3, 9)])
+def test_a_message_of_which_the_check_alone_is_not_over_is_under_way(size: int, short: int) -> None:
+    """She has its text, and waits for the check: she neither refutes it nor takes it for whole."""
+    payload = b"Send the spare keys by noon"
+    steps = stretch(payload, size, "pipelined", 2, missed=0.1, agree=1.0)
+    over = 9 + len(encode_frame(payload, size))
+    reader = MessageReader(make_scheme("pipelined", size), english(), certain=True, beam=400)
+    (message,) = reader.read(steps[: over + 1 - short], (0.0, 1.0), {})
+    assert (message.payload, message.whole, message.refuted) == (payload, False, False)
+    assert abs(message.due_k - over) <= 2
+    assert message.bits_left < 4 * len(payload)
+    (message,) = reader.read(steps[: over + 1], (0.0, 1.0), {})
+    assert (message.payload, message.whole) == (payload, True)
+
+
 @pytest.mark.parametrize(("seed", "at", "steps"), [(5, 1, 14), (1, 7, 15)])
 def test_fewer_steps_than_a_check_has_symbols_hold_no_whole_message(
     seed: int, at: int, steps: int

@@ -100,7 +100,8 @@ def secrecy_line(state: State) -> str:
         return f"secrecy: {told}, true unknown: {its.why}{failed}"
     loud = "PAPER'S RULE EXCEEDS TRUE: " if its.exceeds else ""
     left = f"{printable(its.strongest)} leaves at most {its.left_bits:.0f} bit"
-    return f"secrecy: {loud}{told}, {left}{failed}"
+    why = f" ({its.why})" if its.why else ""
+    return f"secrecy: {loud}{told}, {left}{why}{failed}"
 
 
 def run_headless(

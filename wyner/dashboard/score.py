@@ -182,7 +182,10 @@ def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) 
         return SecrecyScore(claimed, None, "", exceeds, when, 0, why, failed)
     left, tap, its = best
     own = tap.status.bits_left is not None and not tap.exact
-    why = "a true message" if tap.exact else "her own account" if own else ""
+    account = "her own account"
+    if tap.status.solved_k < 0:
+        account += ", and she has no whole message yet"
+    why = "a true message" if tap.exact else account if own else ""
     return SecrecyScore(claimed, left, tap.status.name, exceeds, when, its.scored, why, failed)
 
 

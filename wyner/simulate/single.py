@@ -154,6 +154,11 @@ def simulate_plant(
     SimulationError
         When a state leaves every set, or the plant fails; the message names run and step.
     """
+    if scenario.plant.C is not None:
+        raise SimulationError(
+            f"plant.C: expected none for a plant of kind {scenario.plant.kind!r} here; the two "
+            "ends and wyner up run it"
+        )
     n, m, M = scenario.n, scenario.m, scenario.secrecy.candidates
     spec = scenario.plant.disturbance
     width = len(spec.half_widths)

@@ -1,0 +1,162 @@
+"""Every kind of plant read through its position alone: keys, none wrong, also where processes die.
+
+Of a simulation the plant service reads C x and adds the noise; a device's own sensors give y.
+"""
+
+import json
+import random
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import make_law, synthesise
+from plant_service.adapters import PlantAdapter, PlantError
+from plant_service.adapters.registry import open_plant
+from protocol.agreement import NO_SYMBOL
+from protocol.scenario import Scenario
+from protocol.vectors import Vector
+from tests.adapters.plants import KINDS, Device, line
+from tests.adapters.test_device import line as scenario_of_a_line
+from tests.support.safety import violations
+from wyner.api import build
+from wyner.simulate.engine.loop import SimulationError
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
+from wyner.simulate.single import simulate_plant
+
+NOISE = 0.001
+SCALE = 2.0
+
+PUT_BACK = ("linear", "ode", "gymnasium")
+"""Kinds that go on from a state: that of the others is lost with a process, and never told."""
+
+
+def by_position(*, device: bool, **plant: Any) -> Scenario:
+    """The double integrator as somebody's own plant, of which the position alone is read."""
+    data = json.loads(scenario_of_a_line().model_dump_json(exclude_none=True, exclude_unset=True))
+    data["plant"]["C"] = [[1.0, 0.0]]
+    data["plant"] |= plant
+    data["defender"] |= {
+        "disturbance": {"half_widths": [0.005, 0.01]},
+        "noise": {"half_widths": [NOISE]},
+        "bounds": [20.0, 20.0],
+    }
+    data["secrecy"] |= {"alpha": 20.0, "candidates": 2}
+    if device:
+        point = {"state": [0.0], "input": [0.0], "state_scale": [SCALE], "input_scale": [SCALE]}
+        data["plant"]["operating_point"] = point
+    else:
+        data["plant"]["noise"] = {"kind": "corners", "half_widths": [NOISE]}
+    return build(data)
+
+
+@cache
+def law_of(scenario: Scenario) -> CandidateLaw:
+    return make_law(scenario, synthesise(scenario))
+
+
+def encoder() -> Callable[[Vector], Vector]:
+    """A device's sensor: its position, off by a corner of N, in its own unit."""
+    draw = random.Random(5)
+    return lambda y: (y[0] + SCALE * draw.choice((-NOISE, NOISE)),)
+
+
+def plants(kind: str, folder: Path) -> Callable[[], PlantAdapter]:
+    """What makes a plant of this kind for each life of its process."""
+    if kind == "device":
+        return lambda: Device(encoder())
+    return lambda: line(kind, folder)
+
+
+@pytest.mark.parametrize("kind", [*KINDS, "device"])
+def test_keys_are_agreed_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
+    """200 steps, seed 2: all but a session's first steps agree on the coin, at both ends."""
+    scenario = by_position(device=kind == "device")
+    both = Simulation(
+        scenario,
+        law_of(scenario),
+        seed=2,
+        step_s=1.0 if kind == "device" else None,
+        own=plants(kind, tmp_path),
+    )
+    history = both.run(steps=200)
+    made = list(history.plant.values())
+    assert len(made) >= 190
+    late = [t for t in made if t.tested and t.k > 16]
+    assert all(t.symbol == t.coin for t in late)
+    assert all(t.symbol in (NO_SYMBOL, t.coin) for t in made)
+    assert all(len(t.x) == len(t.x_next) == 1 for t in made)
+    for t in made:
+        assert (t.truth is None) == (kind not in PUT_BACK)
+        if t.truth is not None:
+            assert t.verdict.estimate is not None
+            low, high = t.verdict.estimate.box
+            assert all(a <= v <= b for a, v, b in zip(low, t.truth.x_next, high, strict=True))
+    for at, t in history.controller.items():
+        assert history.plant[at].shared == t.shared
+
+
+@pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium", "device"])
+def test_deaths_lose_nothing(kind: str, tmp_path: Path) -> None:
+    """Exactly once, and no wrong key, over 3 seeds."""
+    scenario = by_position(device=kind == "device")
+    for seed in range(3):
+        both = Simulation(
+            scenario,
+            law_of(scenario),
+            seed=seed,
+            payloads=(b"one",),
+            faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
+            step_s=1.0,
+            own=plants(kind, tmp_path),
+        )
+        history = both.run(
+            seconds=4000,
+            until=lambda b=both: len(b.history.delivered) >= 1,  # type: ignore[misc]
+        )
+        assert list(violations(history, (b"one",))) == []
+        assert history.inbox == [b"one"]
+        assert history.crashes > 0
+        wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
+        assert not wrong
+
+
+def test_a_scenario_of_each_kind_may_state_outputs() -> None:
+    more: dict[str, dict[str, Any]] = {
+        "fmu": {"file": "a.fmu", "sha256": "0" * 64, "inputs": ["u"], "outputs": ["a", "b"]},
+        "gymnasium": {"id": "Pendulum-v1", "state": "state"},
+        "ode": {"object": "a.py:f", "initial_state": [0.0, 0.0]},
+        "python": {"object": "a.py:Plant"},
+    }
+    data = json.loads(
+        by_position(device=False).model_dump_json(exclude_none=True, exclude_unset=True)
+    )
+    plant = {k: v for k, v in data["plant"].items() if k not in ("kind", "object")}
+    for kind, fields in more.items():
+        scenario = build({**data, "plant": {**plant, "kind": kind, **fields}})
+        assert scenario.readings == 1
+        assert scenario.observer is not None
+
+
+def test_numbers_that_the_plant_does_not_give_are_one_line(tmp_path: Path) -> None:
+    """A simulation gives its states, a device its readings."""
+    for device, own in ((True, line("ode", tmp_path)), (False, Device(encoder()))):
+        with pytest.raises(PlantError, match="as many as the plant gives"):
+            open_plant(by_position(device=device), own=own)
+
+
+def test_the_engine_says_that_it_runs_no_such_plant(tmp_path: Path) -> None:
+    scenario = by_position(device=False)
+    with pytest.raises(SimulationError, match=r"plant\.C"):
+        simulate_plant(
+            scenario,
+            law_of(scenario),
+            lambda: open_plant(scenario, own=line("ode", tmp_path)),
+            seed=1,
+            runs=range(1),
+            steps=2,
+        )

@@ -1,0 +1,48 @@
+"""Keys owe nothing to control: two who merely talk make keys of the same worth."""
+
+import ast
+import random
+from pathlib import Path
+
+import pytest
+
+import protocol.secret
+from protocol.secret.blocks import OpenBlock
+from protocol.secret.bound import Assumption
+from protocol.secret.extractor import extract
+from protocol.secret.nonces import Contribution
+from tap_service.inference.key_solver import held
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_chat_over_datagrams_makes_the_same_keys_at_both_ends_and_none_at_hers(seed: int) -> None:
+    """Questions and answers with nonces, no plant and no input; a fiftieth is lost on the way.
+
+    She misses three datagrams of ten. One who hears all computes every key.
+    """
+    rng, claim = random.Random(seed), Assumption(0.3)
+    alice, bob, hers = OpenBlock(claim), OpenBlock(claim), list[bytes | None]()
+    for j in range(1, 257):
+        ask, answer = rng.randbytes(32), rng.randbytes(32)
+        came = [nonce if rng.random() < 0.98 else None for nonce in (ask, answer)]
+        for block in (alice, bob):
+            block.add(Contribution(j, 1, came[0], came[1]))
+        hers += [None if rng.random() < 0.3 else n for n in came if n is not None]
+    one, other = (block.close("chat", 0, 256) for block in (alice, bob))
+    assert one.rows == other.rows > 40
+    keys = extract(one.nonces, one.rows)
+    assert keys == extract(other.nonces, other.rows)
+    assert held(hers, one.rows).bits == 0
+    assert held(list(one.nonces), one.rows).bits == 256 * one.rows
+
+
+def test_what_makes_keys_knows_nothing_of_states_inputs_or_sets() -> None:
+    (folder,) = protocol.secret.__path__
+    found = set[str]()
+    for path in Path(folder).glob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
+            found |= {name for name in names if name.split(".")[0] == "protocol"}
+    assert found
+    assert all(name.startswith("protocol.secret.") for name in found)
