@@ -4,6 +4,7 @@ import base64
 import json
 import sqlite3
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -97,9 +98,9 @@ def send_copy_0_again(lines: list[Line]) -> None:
 
 
 def change_a_tag(lines: list[Line]) -> None:
-    """Of a message that is not the first to show it."""
-    told = [m for m in of_the_loop(lines) if m["block"] == 0 and "x" in m]
-    told[1]["tag"] = "0" * 32
+    """Of a message that is not the first to show it; she missed some."""
+    told = [m for m in of_the_loop(lines) if m["block"] >= 0 and "x" in m]
+    next(m for one, m in pairwise(told) if one["block"] == m["block"])["tag"] = "0" * 32
 
 
 def count_otherwise(lines: list[Line]) -> None:

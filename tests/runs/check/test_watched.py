@@ -44,7 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         else:
             loop.crash_at(side, after=draw.randrange(4), since="transition")
     loop.run(lambda: loop.transitions >= STEPS)
-    assert min(loop.lives.values()) > 3
+    assert min(loop.lives[side] for side in SIDES) > 3
     loop.stop()
     return folder
 
