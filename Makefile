@@ -59,8 +59,9 @@ lint: $(STAMPS)/dev
 test: $(STAMPS)/dev
 	@$(MAKE) --no-print-directory --jobs=2 lint tests
 
+# Each process has a core already: a second thread of the numerics would take another's.
 tests: $(STAMPS)/dev
-	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # Needs a Docker engine; says how to get one where none runs.
 test-compose: $(STAMPS)/dev

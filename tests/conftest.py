@@ -61,7 +61,9 @@ LONGEST = (
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort; files that are not named, and the tests of a file, stay in their order."""
+    """Sort where several processes share the files; the others, and a file's tests, keep order."""
+    if "PYTEST_XDIST_WORKER" not in os.environ:
+        return
     places = {TESTS / name: place for place, name in enumerate(LONGEST)}
     items.sort(key=lambda item: places.get(item.path, len(LONGEST)))
 

@@ -20,7 +20,7 @@ UNREADABLE: Final = (sqlite3.Error, UnicodeDecodeError)
 """What a damaged file raises. SQLite's message may quote bytes that are no text."""
 
 BUSY_S: Final = 30.0
-"""Seconds to wait for another process's transaction: the key maker runs where a core is idle."""
+"""Seconds to wait for another process's transaction: the key maker comes after the loops."""
 
 _TABLES: Final = """
 CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT, check_ INTEGER);

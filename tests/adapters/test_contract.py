@@ -116,9 +116,10 @@ def test_a_plain_object_can_neither_be_resumed_nor_disturbed() -> None:
     ],
 )
 def test_a_bad_reading_makes_it_safe(reading: tuple[float, ...], says: str) -> None:
-    device = Device(lambda _: reading)
+    device = Device()
     plant = operated(device, limits=((-50.0, 50.0), (-50.0, 50.0)), name="tank")
     plant.start(None)
+    device.reading = lambda _: reading
     plant.apply((0.0,))
     with pytest.raises(PlantError, match=f"^tank: .*{says}"):
         plant.sample()

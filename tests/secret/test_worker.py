@@ -17,6 +17,7 @@ from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.tasks import Broken, Done
 from runtime.keys import worker as worker_module
 from runtime.keys.key_maker import KeyMaker, KeyMakerAt
+from runtime.keys.key_process import NICENESS
 from runtime.keys.store import KeyStore
 from runtime.keys.worker import KeyWorker
 
@@ -93,7 +94,8 @@ def test_it_makes_what_a_keeper_makes_and_shows_nothing(tmp_path: Path) -> None:
         (core,) = (x for x in (process / "limits").read_text().splitlines() if "core" in x)
         assert core.split()[4:6] == ["0", "0"]
         own = os.getpriority(os.PRIO_PROCESS, 0) > 0  # then it stays where its service is
-        assert os.sched_getscheduler(pid) == (os.SCHED_OTHER if own else os.SCHED_IDLE)
+        assert os.sched_getscheduler(pid) == (os.SCHED_OTHER if own else os.SCHED_BATCH)
+        assert own or os.getpriority(os.PRIO_PROCESS, pid) == NICENESS
         status = (process / "status").read_text().splitlines()
         (resident,) = (int(x.split()[1]) for x in status if x.startswith("VmRSS:"))
         assert resident < 56 * 1024

@@ -74,10 +74,14 @@ def test_what_lasts_is_a_loop_and_its_steps_are_counted_one_by_one(tmp_path: Pat
 def test_a_byte_is_followed_through_three_real_processes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert follow.main(["--walk"]) == 0
-    text = capsys.readouterr().out
-    for name in ("wyner.cli.send:answers", "Host._hear", "encrypt", "decrypt"):
-        assert name in text
+    way_points = ("wyner.cli.send:answers", "Host._hear", "encrypt", "decrypt")
+    for _ in range(3):  # on a busy machine most steps are missed, and the byte goes another way
+        assert follow.main(["--walk"]) == 0
+        text = capsys.readouterr().out
+        if all(name in text for name in way_points):
+            break
+    else:
+        pytest.fail(f"expected {way_points} in:\n{text}")
     for part in ("send", "queue", "decide", "decode"):
         found = next(line for line in text.splitlines() if line.startswith(part))
         assert not found.startswith(f"{part:<8}0 frames"), found

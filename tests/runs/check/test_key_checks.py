@@ -62,9 +62,10 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     for hers in live["newest"]:
         block = exact[hers["session"], hers["number"]]
         # what she takes for counted where she missed the word on it
-        assert 0 <= hers["counted"] - block.counted <= 4
+        too_many = hers["counted"] - block.counted
+        assert 0 <= too_many <= 4
         assert (hers["bits"], block.held_bits) == (0, 0)
-        assert hers["rows"] - hers["missed"] >= block.rows - block.missed
+        assert hers["rows"] - hers["missed"] >= block.rows - block.missed - too_many
     assert live["bits"] == 0
     assert [(t["known_bits"], t["text"]) for t in live["sealed"]] == [(0, "·" * len(TEXT))]
     assert main(["score", str(run)]) == 0
