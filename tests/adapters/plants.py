@@ -3,15 +3,19 @@
 import hashlib
 import time
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters import Operated, OperatingPoint, PlantAdapter, Sample, SimulatedPlant
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.ode import Ode
 from protocol.agreement import Gauge
+from protocol.scenario import Scenario
 from protocol.vectors import Vector
 
 A = ((1.0, 1.0), (0.0, 1.0))
@@ -143,3 +147,18 @@ class Failing(PythonLine):
 
     def step(self, u: Any, period_s: float) -> list[float]:
         raise RuntimeError("the belt is torn")
+
+
+@cache
+def law_of(scenario: Scenario) -> CandidateLaw:
+    """Its law, designed once."""
+    return make_law(scenario, synthesise(scenario))
+
+
+def lives_of(
+    kind: str, folder: Path, sensor: Callable[[], Callable[[Vector], Vector]]
+) -> Callable[[], PlantAdapter]:
+    """What makes a plant of this kind for each life of its process; a device has this sensor."""
+    if kind == "device":
+        return lambda: Device(sensor())
+    return lambda: line(kind, folder)

@@ -7,19 +7,15 @@ assume a set for it (``defender.noise``).
 import json
 import random
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from controller_service.laws.base import CandidateLaw
-from controller_service.laws.registry import make_law, synthesise
-from plant_service.adapters import PlantAdapter
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from tests.adapters.plants import KINDS, Device, line
+from tests.adapters.plants import KINDS, law_of, lives_of
 from tests.adapters.test_device import line as scenario_of_a_line
 from tests.support.safety import violations
 from wyner.api import build
@@ -38,22 +34,10 @@ def noisy(*, simulated: bool) -> Scenario:
     return build(data)
 
 
-@cache
-def law_of(scenario: Scenario) -> CandidateLaw:
-    return make_law(scenario, synthesise(scenario))
-
-
 def own_noise() -> Callable[[Vector], Vector]:
     """A device's sensors: what they add in each reading, at the corners of N, in its own units."""
     draw = random.Random(5)
     return lambda y: tuple(v + 2.0 * draw.choice((-w, w)) for v, w in zip(y, NOISE, strict=True))
-
-
-def plants(kind: str, folder: Path) -> Callable[[], PlantAdapter]:
-    """What makes a plant of this kind for each life of its process."""
-    if kind == "device":
-        return lambda: Device(own_noise())
-    return lambda: line(kind, folder)
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "device"])
@@ -65,7 +49,7 @@ def test_keys_are_agreed_through_noise_and_none_is_wrong(kind: str, tmp_path: Pa
         law_of(scenario),
         seed=2,
         step_s=1.0 if kind == "device" else None,
-        own=plants(kind, tmp_path),
+        own=lives_of(kind, tmp_path, own_noise),
     )
     history = both.run(steps=200)
     made = list(history.plant.values())
@@ -99,7 +83,7 @@ def test_deaths_lose_nothing_of_what_is_read_through_noise(kind: str, tmp_path: 
             payloads=payloads,
             faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
             step_s=1.0,
-            own=plants(kind, tmp_path),
+            own=lives_of(kind, tmp_path, own_noise),
         )
         history = both.run(
             seconds=4000,

@@ -6,20 +6,17 @@ Of a simulation the plant service reads C x and adds the noise; a device's own s
 import json
 import random
 from collections.abc import Callable
-from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from controller_service.laws.base import CandidateLaw
-from controller_service.laws.registry import make_law, synthesise
-from plant_service.adapters import PlantAdapter, PlantError
+from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from tests.adapters.plants import KINDS, Device, line
+from tests.adapters.plants import KINDS, Device, law_of, line, lives_of
 from tests.adapters.test_device import line as scenario_of_a_line
 from tests.support.safety import violations
 from wyner.api import build
@@ -54,22 +51,10 @@ def by_position(*, device: bool, **plant: Any) -> Scenario:
     return build(data)
 
 
-@cache
-def law_of(scenario: Scenario) -> CandidateLaw:
-    return make_law(scenario, synthesise(scenario))
-
-
 def encoder() -> Callable[[Vector], Vector]:
     """A device's sensor: its position, off by a corner of N, in its own unit."""
     draw = random.Random(5)
     return lambda y: (y[0] + SCALE * draw.choice((-NOISE, NOISE)),)
-
-
-def plants(kind: str, folder: Path) -> Callable[[], PlantAdapter]:
-    """What makes a plant of this kind for each life of its process."""
-    if kind == "device":
-        return lambda: Device(encoder())
-    return lambda: line(kind, folder)
 
 
 @pytest.mark.parametrize("kind", [*KINDS, "device"])
@@ -81,7 +66,7 @@ def test_keys_are_agreed_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
         law_of(scenario),
         seed=2,
         step_s=1.0 if kind == "device" else None,
-        own=plants(kind, tmp_path),
+        own=lives_of(kind, tmp_path, encoder),
     )
     history = both.run(steps=200)
     made = list(history.plant.values())
@@ -112,7 +97,7 @@ def test_deaths_lose_nothing(kind: str, tmp_path: Path) -> None:
             payloads=(b"one",),
             faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
             step_s=1.0,
-            own=plants(kind, tmp_path),
+            own=lives_of(kind, tmp_path, encoder),
         )
         history = both.run(
             seconds=4000,
