@@ -29,14 +29,14 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
 def test_schedules_find_a_wrong_keyed_coin(
     wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    seeds = [seed for seed in range(4000) if schedules.watched(seed)][:40]
+    seeds = [seed for seed in range(8000) if schedules.watched(seed)][:40]
     wrong(monkeypatch)
     assert any(schedules.outcome_of(seed).wrong for seed in seeds)
 
 
 @pytest.mark.slow
 def test_schedules_watch_steps_with_a_keyed_coin() -> None:
-    seeds = [seed for seed in range(4000) if schedules.watched(seed)][:12]
+    seeds = [seed for seed in range(8000) if schedules.watched(seed)][:12]
     found = [schedules.outcome_of(seed) for seed in seeds]
     assert not [outcome.wrong for outcome in found if outcome.wrong]
     assert sum(outcome.watched for outcome in found) > 100
