@@ -16,6 +16,7 @@ from runtime.keys.secret_file import SecretError
 from runtime.keys.store import KeyStore
 
 if TYPE_CHECKING:
+    from protocol.defence.base import Defence
     from protocol.link.guarded import Guarded
 
 
@@ -135,19 +136,48 @@ def guarded(
     """
     if at is None or not scenario.defence.guards:
         return None
-    from protocol.link.guarded import MARGIN, Guarded
-
     defence = scenario.defence.guard(scenario.readings, scenario.secrecy.candidates)
     assert defence is not None, "its messages are guarded"
+    try:
+        with KeyStore(at.path, at.side) as store:
+            return guarded_by(end, store, defence, record, halt)
+    except StoreError as error:
+        raise UsageError(str(error)) from None
+
+
+def guarded_by(
+    end: End,
+    store: KeyStore,
+    defence: "Defence",
+    record: Counting | None,
+    halt: Callable[[], Actions] | None = None,
+) -> "Guarded":
+    """The end with its messages guarded, by the keys that its open store holds.
+
+    Parameters
+    ----------
+    end : End
+    store : KeyStore
+        Of its side.
+    defence : Defence
+        That codes or tags.
+    record : Counting, optional
+        The journal's.
+    halt : callable, optional
+        What the end does over a forgery, beside telling it.
+
+    Raises
+    ------
+    StoreError
+        When the store cannot be used.
+    """
+    from protocol.link.guarded import MARGIN, Guarded
+
     session = None if record is None else record.session
     keys = None
     if record is not None and session is not None:
-        sends = at.side == "plant" or defence.tags
+        sends = store.side == "plant" or defence.tags
         words = (defence.session_words, defence.step_words) if sends else (0, 0)
-        try:
-            with KeyStore(at.path, at.side) as store:
-                task = GuardTask(session, end.instance, record.k, record.k + MARGIN, *words)
-                keys = guards.serve(store, task)
-        except StoreError as error:
-            raise UsageError(str(error)) from None
-    return Guarded(end, at.side, defence, end.instance, end.end_session, session, keys, halt)
+        task = GuardTask(session, end.instance, record.k, record.k + MARGIN, *words)
+        keys = guards.serve(store, task)
+    return Guarded(end, store.side, defence, end.instance, end.end_session, session, keys, halt)

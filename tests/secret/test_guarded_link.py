@@ -69,9 +69,9 @@ def test_messages_are_guarded_through_deaths_and_no_slot_serves_two(
 ) -> None:
     guard = made(1, 2)
     world = shaken(guarded_ends(guard), 3, 40)
-    sides = {side for side, _, _ in world.slots}
-    assert sides == (set(SIDES) if guard.tags else {"plant"})
-    assert len(world.slots) > 60
+    topics = {topic for topic, _, _ in world.slots.served}
+    assert topics == ({"measurement", "offer"} if guard.tags else {"measurement"})
+    assert len(world.slots.served) > 60
     assert world.deaths > 5
     for side in SIDES:
         uses = [use for use, _ in world.stores[side].uses().values() if use.startswith("guard ")]
@@ -110,9 +110,9 @@ def test_a_journal_that_was_put_back_puts_no_two_messages_under_one_word(
     made: Callable[[int, int], Defence], side: Side, steps: int
 ) -> None:
     world = put_back(made(1, 2), side, steps)
-    before = len(world.slots)
+    before = len(world.slots.served)
     world.well(60)
-    assert len(world.slots) > before, "nothing is guarded any more"
+    assert len(world.slots.served) > before, "nothing is guarded any more"
     world.close()
 
 
@@ -150,9 +150,10 @@ def no_farewell(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Guard, "closed", wrong)
 
 
-@pytest.mark.parametrize(
-    "wrong", [every_process_goes_on_with_the_batch, a_slot_serves_two_steps, no_farewell]
-)
+WRONG_GUARDS = [every_process_goes_on_with_the_batch, a_slot_serves_two_steps, no_farewell]
+
+
+@pytest.mark.parametrize("wrong", WRONG_GUARDS)
 def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
         wrong(patch)
@@ -180,9 +181,9 @@ def test_a_loop_goes_on_when_an_end_has_lost_its_keys(
     later = world.journals["plant"].load()
     assert isinstance(later, ReceiverRecord)
     assert later.applied_k > plant.k, "the loop stands still"
-    before = len(world.slots)
+    before = len(world.slots.served)
     world.well(400)
-    assert len(world.slots) > before, "nothing is guarded any more"
+    assert len(world.slots.served) > before, "nothing is guarded any more"
     world.close()
 
 

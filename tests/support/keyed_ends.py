@@ -5,7 +5,6 @@ from typing import Any, Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm, Event, Forged
-from protocol.link.guard import ANEW
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import BlockResult, Schedule
@@ -14,7 +13,7 @@ from protocol.secret.records import Key, Side, TooFewKeys, UnknownKeys
 from tests.support.giving import deliver, deliver_named
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
-from tests.support.once import Copies, Digits
+from tests.support.once import Copies, Digits, Slots
 from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
@@ -33,8 +32,8 @@ class KeyedEnds(LineEnds):
     ----------
     given : list of Key
         By the servers.
-    slots : dict
-        What was sent under each slot of a key, without what a copy has anew.
+    slots : Slots
+        What was sent under each slot of a key.
     tampers : bool
         Whether messages may be refused as forged.
     """
@@ -43,7 +42,7 @@ class KeyedEnds(LineEnds):
         self.copies, self.digits = Copies(), Digits()
         self.counted: dict[Name, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
-        self.slots: dict[tuple[Name, str, str], bytes] = {}
+        self.slots = Slots()
         self.tampers = False
         super().__init__(rules, **more)
 
@@ -76,10 +75,7 @@ class KeyedEnds(LineEnds):
         said = message.kind.model_validate_json(message.payload)
         assert isinstance(said, Measurement | Offer)
         self.copies.left(said)
-        if said.guard and not said.guard.endswith("/"):  # a farewell is the same in all
-            at = side, said.session, said.guard
-            plain = ANEW.sub(b"", message.payload, 1)
-            assert self.slots.setdefault(at, plain) == plain, "a slot served two messages"
+        self.slots.left(*message)
 
     def traced(self, side: Name, event: Event) -> None:
         if isinstance(event, BlockResult):

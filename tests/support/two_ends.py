@@ -26,18 +26,17 @@ from typing import Any, Final, Literal
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.defence.base import Defence
-from protocol.link import guarded
 from protocol.link.events import Event
-from protocol.link.guarded import Guarded
 from protocol.link.peer import Actions, Notice, Peer, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
 from protocol.secret.records import Key, Side
-from protocol.secret.tasks import Done, GuardTask, Task
+from protocol.secret.tasks import Done, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
-from runtime.keys import coins, guards
+from runtime.key_opening import guarded_by
+from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.sealed_book import SealedBook
@@ -431,8 +430,11 @@ class LineEnds(TwoEnds):
         end = self._plant(ports) if side == "plant" else self._controller(side)
         if side == "rival" or not self.stores:
             return Alive(end, end, ports, tasks=tasks)
-        peer: Peer = end if self.guard is None else self._guarded(side, end, self.guard)
-        return Alive(end, peer, ports, KeyMaker(self.stores[side]), tasks=tasks)
+        store = self.stores[side]
+        peer: Peer = end
+        if self.guard is not None:
+            peer = guarded_by(end, store, self.guard, self.journals[side].load())
+        return Alive(end, peer, ports, KeyMaker(store), tasks=tasks)
 
     def _controller(self, side: Name) -> ControllerCore:
         journal = self.journals[side]
@@ -471,16 +473,3 @@ class LineEnds(TwoEnds):
         if record is None or not self.rules.keyed:
             return ()
         return coins.held(self.stores[side], record.session)
-
-    def _guarded(self, side: Side, end: ControllerCore | PlantCore, guard: Defence) -> Guarded:
-        """The end with its messages guarded by the keys that its store holds."""
-        record = self.journals[side].load()
-        keys = None
-        if record is not None and record.session is not None:
-            sends = side == "plant" or guard.tags
-            words = (guard.session_words, guard.step_words) if sends else (0, 0)
-            begins = record.k + guarded.MARGIN
-            task = GuardTask(record.session, end.instance, record.k, begins, *words)
-            keys = guards.serve(self.stores[side], task)
-        session = None if keys is None else keys.session
-        return Guarded(end, side, guard, end.instance, end.end_session, session, keys)

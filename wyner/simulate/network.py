@@ -25,14 +25,17 @@ from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
-from protocol.messages import Measurement, Message, Offer, Status
+from protocol.messages import KeyAnswer, KeyRequest, Measurement, Message, Offer, Status
 from protocol.scenario import Scenario
 from protocol.secret.records import Key
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.journal import ReceiverJournal
+from runtime.key_opening import End, guarded_by
 from runtime.keys import coins
+from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
+from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.model import load_model
@@ -113,14 +116,19 @@ class _Ports:
 
 
 class SimulatedEnd:
-    """One end: its journal and, while it lives, its endpoint."""
+    """One end: its journal and, while it lives, its endpoint.
+
+    ``asker`` asks the other end which keys may be given, where a defence takes some.
+    """
 
     def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
         self.side: Side = side
+        self.partner: Side = partner
         self.journal = journal
         self.ports = CrashingPorts(_Ports(world, side, partner, journal))
         self.endpoint: Peer | None = None
         self.key_maker = world.key_maker(side)
+        self.asker: Asker | None = None
         self.wakes_at = inf
         self.incarnations = 0
 
@@ -325,22 +333,45 @@ class Simulation:
         end.ports.crash_at()
         end.key_maker = self.key_maker(side)
         end.endpoint = self._behind_the_network(side, end.incarnations)
+        if self.scenario.defence.takes_keys and side in self.stores:
+            end.asker = Asker(SealedBook(self.stores[side]))
+            self._ask(end, end.incarnations)
         self._perform(end, end.endpoint.start(self.now_s))
+
+    def _ask(self, end: SimulatedEnd, incarnation: int) -> None:
+        """A process asks what it has to ask about its keys, and will again."""
+        if end.asker is None or end.endpoint is None or end.incarnations != incarnation:
+            return
+        for request in end.asker.wake(self.now_s):
+            self.send(end.partner, request)
+        wait_s = end.asker.wake_at() - self.now_s
+        self.after(wait_s, lambda: self._ask(end, incarnation))
 
     def _behind_the_network(self, side: Side, incarnations: int) -> Peer:
         """A new process of an end; its channel begins anew, too."""
-        core: Peer
+        record: SenderRecord | ReceiverRecord | None
+        core: End
         kind: type[Measurement] | type[Offer]
         way: Direction
+        halt = None
         if side == "plant":
+            record = self._plant_journal.load()
             core, kind, way = self._new_plant(incarnations), Offer, "to_plant"
         else:
+            record = self._queue.load()
             core, kind, way = self._new_controller(), Measurement, "to_controller"
+            halt = self._controller.halt
+        defence = self.scenario.defence.guard(
+            self.scenario.readings, self.scenario.secrecy.candidates
+        )
+        end: Peer = core
+        if defence is not None:
+            end = guarded_by(core, self.stores[side], defence, record, halt)
         scale = 1.0 if self._step_s is None else self._step_s / self.scenario.plant.period_s
         channel = channel_of(
             self.scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
         )
-        return behind(channel, core, kind)
+        return behind(channel, end, kind)
 
     def _new_controller(self) -> ControllerCore:
         record = self._queue.load()
@@ -383,9 +414,14 @@ class Simulation:
     def deliver(self, to: Side, message: Message) -> None:
         """A message arrives; nobody is there while the process is dead."""
         end = self.ends[to]
-        if end.endpoint is not None:
-            heard = end.endpoint.receive(type(message), message.wire(), self.now_s)
-            self._perform(end, heard)
+        if end.endpoint is None:
+            return
+        kind, payload = type(message), message.wire()
+        if not isinstance(message, KeyRequest | KeyAnswer):
+            self._perform(end, end.endpoint.receive(kind, payload, self.now_s))
+        elif end.asker is not None:
+            for answer in end.asker.receive(kind, payload).publish:
+                self.send(end.partner, answer)
 
     def _wake(self, end: SimulatedEnd, at_s: float) -> None:
         if end.endpoint is None or at_s != end.wakes_at:  # overtaken by an earlier one, or dead
