@@ -68,6 +68,8 @@ class Attacker:
     """
 
     def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
+        if scenario.plant.C is not None:
+            raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         self.failed = ""
         self._process: SandboxProcess = acquire("attacker_service.sandboxed")
         try:

@@ -134,8 +134,6 @@ def open_core(
             if step is not None and step.measurement is not None:
                 noisy.recall(step.measurement.k, step.measurement.x, step.u)
             plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and observer is not None:
-            raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         if attacker is not None and attacker.at == "bus":
             attacker.close()
         elif attacker is not None:

@@ -19,11 +19,10 @@ from protocol.vectors import Vector
 from tests.adapters.plants import KINDS, Device, law_of, line, lives_of
 from tests.adapters.test_device import line as scenario_of_a_line
 from tests.support.safety import violations
-from wyner.api import build
+from wyner.api import build, run
 from wyner.simulate.engine.loop import SimulationError
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
-from wyner.simulate.single import simulate_plant
 
 NOISE = 0.001
 SCALE = 2.0
@@ -134,14 +133,16 @@ def test_numbers_that_the_plant_does_not_give_are_one_line(tmp_path: Path) -> No
             open_plant(by_position(device=device), own=own)
 
 
-def test_the_engine_says_that_it_runs_no_such_plant(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium"])
+def test_runs_agree_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
+    """2 runs of 100 steps of :func:`wyner.run`, seed 2."""
     scenario = by_position(device=False)
-    with pytest.raises(SimulationError, match=r"plant\.C"):
-        simulate_plant(
-            scenario,
-            law_of(scenario),
-            lambda: open_plant(scenario, own=line("ode", tmp_path)),
-            seed=1,
-            runs=range(1),
-            steps=2,
-        )
+    own = None if kind == "linear" else lives_of(kind, tmp_path, encoder)
+    found = run(scenario, steps=100, runs=2, seed=2, plant=None if own is None else own())
+    assert found.x.shape == (2, 101, 1)
+    assert (found.key[:, 16:] == found.coin[:, 16:]).all()
+
+
+def test_a_device_whose_states_nobody_knows_is_one_line() -> None:
+    with pytest.raises(SimulationError, match=r"plant\.C: expected none of a device"):
+        run(by_position(device=True), steps=2, plant=Device(encoder()))

@@ -103,6 +103,8 @@ def _k(run: Path) -> int:
         (("--attack", "gost@5"), "attack.kind: got 'gost', expected ghost"),
         (("--attack", "ghost@50", "--steps", "50"), "--attack: got onset 50, expected one below"),
         (("--attack", 'ghost@5,knows=["bus"]'), "attack.knows: ghost needs 'model'"),
+        (("--scenario", "encoder", "--attack", "ghost@5"), "attack: expected none beside plant.C"),
+        (("--scenario", "encoder", "--attack", "covert@5"), "attack: expected none beside plant.C"),
     ],
 )
 def test_what_cannot_be_is_one_line_and_nothing_starts(

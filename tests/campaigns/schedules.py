@@ -45,7 +45,9 @@ from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
 from wyner.sweeps.grid import code_version
 
-EACH: Final = 5000
+SAVED_S: Final = 60.0
+"""Seconds after which what was found is saved, and told."""
+
 COUNTED: Final = ("schedules", "acting", "cut", "keys", "watched", "guarded")
 PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
@@ -60,7 +62,7 @@ WATCHED_STEPS: Final = 96
 DIGITS: Final = 5
 """Of a key there, so that keys change all the time."""
 
-SOON: Final = {"AHEAD": 8, "MARGIN": 2, "UNOPENED": 16}
+SOON: Final[dict[str, Any]] = {"AHEAD": 8, "MARGIN": 2, "UNOPENED": 16}
 """How far a guard there looks ahead, so that its keys change all the time."""
 
 WELL_S: Final = 20.0
@@ -383,6 +385,7 @@ def main(argv: list[str] | None = None) -> int:
     version = code_version()
     done["versions"].setdefault(version, [done["schedules"], 0])
     began, until = time.monotonic(), time.monotonic() + args.seconds
+    saved = began
     first = done["schedules"]
     for made in (False, True):
         loop(keyed=True, acts=made)
@@ -398,11 +401,13 @@ def main(argv: list[str] | None = None) -> int:
             done["broken"].append([seed, *outcome.wrong])
             print(f"seed {seed}: {outcome.wrong}")
         done["schedules"] = done["versions"][version][1] = seed + 1
-        over = time.monotonic() > until or seed + 1 == args.count
-        if over or seed % EACH == 0:
+        now = time.monotonic()
+        over = now > until or seed + 1 == args.count
+        if over or now >= saved + SAVED_S:
+            saved = now
             write_atomically(args.results, json.dumps(done).encode())
-            rate = (seed + 1 - first) / (time.monotonic() - began)
-            told = f"{seed + 1:,} schedules, {done['keys']:,} keys, {rate:.0f} a second"
+            rate = (seed + 1 - first) / (now - began)
+            told = f"{seed + 1:,} schedules, {done['keys']:,} keys, {rate:.3g} a second"
             print(told, file=sys.stderr, flush=True)
         if over:
             break

@@ -2,14 +2,16 @@
 
 from typing import Any
 
+import numpy as np
 import pytest
 
-from protocol.agreement import NO_SYMBOL
+from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine
 from tests.support.safety import violations
 from tests.support.small_run import law_of
+from wyner import api
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
 from wyner.simulate.faults import Faults
@@ -49,6 +51,43 @@ def test_the_engine_is_the_two_ends_to_the_last_bit(
     _, law = law_of("encoder")
     step_s = None if network is None else 0.1
     assert all(held(t) for t in beside_the_engine(scenario, law, 150, step_s))
+
+
+@pytest.mark.parametrize("network", [None, LOSSES])
+def test_a_plant_of_ones_own_gives_the_engines_run_to_the_last_bit(
+    network: dict[str, Any] | None,
+) -> None:
+    """Readings, verdicts and what they take of alpha, over missed steps too; seed 3."""
+    tables = {} if network is None else {"network": network}
+    scenario = encoder(plant={"disturbance": {"enters": "none"}}, **tables)
+
+    class Own:
+        """The scenario's plant as an object."""
+
+        def reset(self, seed: int | None) -> tuple[float, ...]:
+            self.x = scenario.initial_state
+            return self.x
+
+        def step(self, u: tuple[float, ...], period_s: float) -> tuple[float, ...]:
+            self.x = predict(scenario.A, scenario.B, self.x, u)
+            return self.x
+
+    still = encoder(plant={"disturbance": {"half_widths": [0.0, 0.0]}}, **tables)
+    own = api.run(scenario, steps=80, runs=2, seed=3, plant=Own())
+    together = api.run(still, steps=80, runs=2, seed=3)
+    pairs: list[tuple[Any, Any]] = [
+        (own.x, together.x),
+        (own.u, together.u),
+        (own.candidates, together.candidates),
+        (own.gauges, together.gauges),
+        (own.coin, together.coin),
+        (own.key, together.key),
+        (own.record.largest, together.record.largest),
+        (own.record.truth, together.record.truth),
+    ]
+    for mine, theirs in pairs:
+        assert np.array_equal(mine, theirs, equal_nan=True)
+    assert own.agreements.sum() > 60
 
 
 def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:

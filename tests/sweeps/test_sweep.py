@@ -14,7 +14,9 @@ from typing import Any
 
 import pytest
 
+from runtime.shipped import scenario_file_of
 from studies.measurements import TAP_SOURCES
+from wyner import api
 from wyner.cli.main import main
 from wyner.sweeps.grid import (
     SOURCES,
@@ -130,6 +132,8 @@ def test_what_the_tap_loses_makes_points_where_somebody_goes_for_keys(tmp_path: 
         (('"secrecy.alpha"', '"control.law.x"'), "law.x: expected the path of a scenario's field"),
         (('"secrecy.alpha"', '"link.repeats_per_period"'), "repeats_per_period: changes none of"),
         (('"secrecy.alpha"', '"name"'), "grid: name: changes none of the numbers"),
+        (('"secrecy.alpha"', '"attack.onset"'), "grid: attack.onset: changes none of"),
+        (('"secrecy.alpha"', '"defence.kind"'), "grid: defence.kind: changes none of"),
         (('"sustained"', "[]"), "scenario: got none, expected at least one"),
         (('"sustained"', '"nowhere"'), "nowhere: cannot be read"),
         (("[grid]", "[grid"), "not TOML"),
@@ -144,6 +148,20 @@ def test_a_bad_file_gets_one_line_a_field_and_exit_2(
     assert line in error
     assert all(text.startswith("wyner: ") for text in error.splitlines())
     assert not (tmp_path / "x.csv").exists()
+
+
+def test_an_attack_that_would_be_left_out_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    attacked = scenario_file_of("sustained").read_text() + '[attack]\nkind = "bias"\nonset = 5\n'
+    (tmp_path / "attacked.toml").write_text(attacked)
+    path = small(tmp_path, text=TEXT.replace('"sustained"', '"attacked.toml"'))
+    assert main(["sweep", str(path), "--output", str(tmp_path / "x.csv")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("wyner: ")
+    assert "attack: expected none" in line
+    with pytest.raises(ValueError, match="attack: expected none"):
+        api.run(str(tmp_path / "attacked.toml"), steps=2)
 
 
 def test_one_scenario_in_two_spellings_is_told(

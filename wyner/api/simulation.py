@@ -20,7 +20,7 @@ from runtime.errors import needs
 from wyner.api.systems import System, design
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow, whole_messages
-from wyner.simulate.single import simulate_plant
+from wyner.simulate.single import UNATTACKED, simulate_plant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -218,7 +218,7 @@ def run(
     PlantError
         When the plant cannot be opened.
     ValueError
-        When a number is none that can be, or the message is text.
+        When a number is none that can be, the message is text, or the scenario has an attack.
     """
     given: object = message  # the annotation is not what a notebook passes
     if not isinstance(given, bytes):
@@ -228,6 +228,8 @@ def run(
         if not isinstance(value, int | np.integer) or value < least:
             raise ValueError(f"{name}: got {value!r}, expected a whole number, {least} or more")
     s = system if isinstance(system, System) else design(system)
+    if s.scenario.attack is not None:
+        raise ValueError(f"{s.scenario.name}: {UNATTACKED}")
     linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
     if plant is None and linear:
         record = simulate_runs(

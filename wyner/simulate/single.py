@@ -15,9 +15,11 @@ import numpy as np
 
 from plant_service.adapters import Operated, PlantError
 from plant_service.disturbance import disturbance
-from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult
+from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult, spread
 from protocol.agreement import predict as predict_linear
+from protocol.box_observer import Box, Estimate
 from protocol.link.fallback import Fallback
+from protocol.link.outputs import OutputRule
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.scenario.plant import Disturbance
@@ -50,6 +52,9 @@ class Moved(NamedTuple):
     verdict: AgreementResult
     u: Vector
 
+
+UNATTACKED: Final = "attack: expected none, as these loops are honest (wyner up attacks one)"
+"""Over a scenario whose attack would be left out."""
 
 NO_VERDICT: Final = AgreementResult((), NO_SYMBOL)
 """Of a step without an offer."""
@@ -112,6 +117,49 @@ def closed_loop(
         x = x_next
 
 
+class Boxed:
+    """What both ends reckon with where outputs alone are read: a box that each transition moves.
+
+    Its methods are the `candidates`, ``judge`` and ``fallback`` of :func:`closed_loop`, whose x are
+    readings.
+
+    Parameters
+    ----------
+    rule : OutputRule
+    propose : callable
+        A state to the M inputs.
+    """
+
+    def __init__(self, rule: OutputRule, propose: Callable[[Vector], tuple[Vector, ...]]) -> None:
+        self._rule, self._propose = rule, propose
+        self._estimate: Estimate | None = None
+        self._missed = 0
+        self._box: Box
+
+    def candidates(self, y: Vector) -> tuple[Vector, ...]:
+        """Around the centre of the box."""
+        self._box = self._rule.box(self._estimate, self._missed, y)
+        return self._propose(self._box.centre)
+
+    def judge(
+        self, _y: Vector, candidates: tuple[Vector, ...], _predictions: object, y_next: Vector
+    ) -> AgreementResult:
+        """The verdict; the box moves on."""
+        verdict = self._rule.judge(self._box, candidates, y_next)
+        self._estimate, self._missed = verdict.estimate, 0
+        return verdict
+
+    def fallback(self, _y: Vector, u: Vector) -> Vector:
+        """The input of one more missed step."""
+        instead = self._rule.instead(self._estimate, self._missed, u)
+        self._missed += 1
+        return instead
+
+    def widest(self, candidates: tuple[Vector, ...]) -> float:
+        """The least alpha at which she finds each candidate of the last transition possible."""
+        return 1.0 + spread(self._rule.apart, self._rule.predictions(self._box, candidates))
+
+
 def step_plant(
     plant: Operated, spec: Disturbance, u: Vector, d: tuple[float, ...] | None
 ) -> tuple[Vector, Vector]:
@@ -152,13 +200,9 @@ def simulate_plant(
     Raises
     ------
     SimulationError
-        When a state leaves every set, or the plant fails; the message names run and step.
+        When a state leaves every set, or the plant fails; the message names run and step. Also for
+        a device of which outputs alone are read: its states are not known.
     """
-    if scenario.plant.C is not None:
-        raise SimulationError(
-            f"plant.C: expected none for a plant of kind {scenario.plant.kind!r} here; the two "
-            "ends and wyner up run it"
-        )
     n, m, M = scenario.n, scenario.m, scenario.secrecy.candidates
     spec = scenario.plant.disturbance
     width = len(spec.half_widths)
@@ -171,12 +215,13 @@ def simulate_plant(
     f_c = predict or partial(predict_linear, scenario.A, scenario.B)
     coin = np.empty((steps, R), dtype=symbol_type(M))
     symbol = np.empty((steps, R), dtype=symbol_type(M))
-    xs = np.empty((steps + 1, n, R))
+    xs = np.empty((steps + 1, scenario.readings, R))
     us = np.empty((steps, M, m, R))
     gs = np.empty((steps, M, R))
     applied = np.empty((steps, m, R))
-    noise_of = scenario.plant.noise
-    truth = None if noise_of is None else np.empty((steps + 1, n, R))
+    noise_of, outputs = scenario.plant.noise, rules.outputs
+    whole = noise_of is None and outputs is None
+    truth = None if whole else np.empty((steps + 1, n, R))
     missed = missed_steps(scenario, seed=seed, runs=runs, steps=steps, folder=folder)
     fallback = Fallback.of(scenario).input
     largest = np.empty((steps, R))
@@ -184,14 +229,17 @@ def simulate_plant(
         coins = SeededSymbols(seed, COIN, run=run)
         noise = Stream(seed, DISTURBANCE, width=width, run=run)
         plant, k = open_plant(), -1
-        sensors = Stream(seed, SENSOR, width=n, run=run)
+        sensors = Stream(seed, SENSOR, width=scenario.readings, run=run)
+        boxed = None if outputs is None else Boxed(outputs, law.candidates)
 
         def read(k: int, x: Vector, place: int = place, sensors: Stream = sensors) -> Vector:
-            if noise_of is None or truth is None:
+            if truth is None:
                 return x
-            y = tuple(map(add, x, noise_of.drawn(sensors.at(k))))
             truth[k, :, place] = x
-            return y
+            exact = x if outputs is None else outputs.observer.read(x)
+            if noise_of is None:
+                return exact
+            return tuple(map(add, exact, noise_of.drawn(sensors.at(k))))
 
         def move(
             k: int,
@@ -204,13 +252,21 @@ def simulate_plant(
             d = None if width == 0 else disturbance(spec, k, noise.at(k))
             return read(k + 1, step_plant(plant, spec, u, d)[1])
 
+        propose = law.candidates
+        test: Judge = judge
+        instead: Callable[[Vector, Vector], Vector] = fallback
+        if boxed is not None:
+            propose, test, instead = boxed.candidates, boxed.judge, boxed.fallback
         try:
+            if outputs is not None and plant.device:
+                text = "plant.C: expected none of a device here, as its states are not known; the "
+                raise SimulationError(f"{text}two ends and wyner up run it")
             x = read(0, plant.start(seed + run))
             xs[0, :, place] = x
             toss = partial(coins.symbol, size=M)
             holes = () if missed is None else missed[:, place].tolist()
             for t in closed_loop(
-                law.candidates, judge, toss, move, x, steps, predict, holes, fallback, (0.0,) * m
+                propose, test, toss, move, x, steps, predict, holes, instead, (0.0,) * m
             ):
                 k = t.k
                 coin[k, place] = t.coin
@@ -225,6 +281,9 @@ def simulate_plant(
                 symbol[k, place] = inside[0] if len(inside) == 1 else NO_SYMBOL
                 us[k, :, :, place] = t.candidates
                 gs[k, :, place] = gauges
+                if boxed is not None:
+                    largest[k, place] = boxed.widest(t.candidates)
+                    continue
                 by_rule = own_shape or rule.apart is not None
                 predictions = [f_c(t.x, u) for u in t.candidates] if by_rule else ()
                 largest[k, place] = rule.widest(predictions, t.x_next) if by_rule else max(gauges)

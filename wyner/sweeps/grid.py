@@ -19,15 +19,16 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from wyner.simulate.single import UNATTACKED
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"
 FILE: Final = "file"
 """A column of a sweep over several scenarios: as the sweep names each. Two may have one name."""
 
-NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap"})
+NEUTRAL: Final = frozenset({"name", "description", "source", "link", "tap", "defence", "attack"})
 """Fields of a scenario that the numbers do not depend on, but for ``tap.loss`` where keys are gone
-for."""
+for. Nobody attacks these loops, and an honest one never alarms."""
 
 Row = dict[str, Any]
 
@@ -271,6 +272,8 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                 except ScenarioError as error:
                     problems += [p for p in error.problems if p not in problems]
                     continue
+                if scenario.attack is not None:
+                    problems += [p for p in [f"{where}: {UNATTACKED}"] if p not in problems]
                 task = _hash(
                     {
                         "scenario": _substance(scenario),
