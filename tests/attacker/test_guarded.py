@@ -249,6 +249,24 @@ def test_ends_that_begin_anew_are_bare_for_a_while_and_covert_is_seen_after(
     assert found["away"] > 1
 
 
+def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: Path) -> None:
+    """It rewrites what leaves; a message that is lost after it moves nothing, as it reckons."""
+    attack = attack_of("covert@50")
+    loop = RecordedLoop(tmp_path, name="network", pace="realtime", attack=attack)
+    attacker = Attacker(loop.scenario, attack, None)
+    loop.relay = Rewriter(attacker)
+    loop.run(lambda: loop.plant.record.k >= 200)
+    attacker.close()
+    assert attacker.failed == ""
+    loop.stop()
+    found = told(tmp_path)
+    missed = [e for e in TraceReader(tmp_path / PLANT_TRACE).lines() if e["event"] == "missed"]
+    assert len(missed) > 5
+    assert not found["alarms"]
+    assert found["away"] > 4
+    assert loop.wrong() == []
+
+
 # --- live -----------------------------------------------------------------------------------------
 
 

@@ -18,10 +18,12 @@ from attacker_service.relay import Rewriter
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.attacked import AttackedPlant
 from plant_service.service import PlantConfig, open_plant
-from protocol.messages import FIELD, Message, Offer, SendCommand
+from protocol.link.networked import behind
+from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
 from protocol.scenario import Attack, parse_scenario
 from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
+from runtime.network import channel_of
 from runtime.pace import Pace
 from runtime.ports import LoopPorts
 from runtime.recording import TraceWriter
@@ -63,7 +65,7 @@ class RecordedLoop(TwoEnds):
         ``realtime``: a step takes its period, and the ends ask each other about keys as often as
         the services do. ``fast``: lock-step, and they ask all the time.
     attack : Attack, optional
-        At the plant's sensor or actuator.
+        One on the bus needs a :attr:`relay` besides.
 
     Attributes
     ----------
@@ -125,7 +127,13 @@ class RecordedLoop(TwoEnds):
                 clear_alarm=self._clear_alarm,
             )
             core, files = open_controller(made)
-        peer = files.guarded or core
+        channel = channel_of(
+            self.scenario,
+            "to_plant" if side == "plant" else "to_controller",
+            self.folder,
+            scale=self._pace.scale,
+        )
+        peer = behind(channel, files.guarded or core, Offer if side == "plant" else Measurement)
         publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
         tasks: deque[Task] = deque()
         key_maker = None if files.key_maker is None else files.key_maker.open()

@@ -10,7 +10,7 @@ from protocol.box_observer import Box, Estimate
 from protocol.convex import Polytope
 from protocol.link.fallback import Fallback
 from protocol.vectors import Vector
-from wyner.runs.check.attacked import lies, unlike_manifest, wrong_labels
+from wyner.runs.check.attacked import lies, rewrites, unlike_manifest, wrong_labels
 from wyner.runs.check.base import EDGE, Check, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.records import Break, MissedLine, TracedTransition, Walked
@@ -282,8 +282,11 @@ class Admissible(Check):
             return
         _, law = self._sets
         of: dict[int, list[TracedTransition]] = {}
+        e = self.evidence
         for plant, controller in part.pairs:
             t = (controller or plant).t  # type: ignore[union-attr]
+            if controller is None and e.plant is not None and rewrites(e.plant.attack, t.k):
+                continue  # what the plant was offered is hers
             try:
                 of.setdefault(law.index(_state(t)), []).append(t)
             except LookupError as error:
