@@ -134,7 +134,7 @@ def test_what_cannot_be_made_is_one_line(
     [
         ("ghost", "--attack: got 'ghost', expected KIND@ONSET"),
         ("ghost@x", "--attack: got 'ghost@x', expected KIND@ONSET"),
-        ("ghost@0", "--attack: onset: got 0: input should be greater"),
+        ("ghost@0", "--attack: onset: got 0, expected greater"),
         ("ghost@9", "--attack: got onset 9, expected one below --steps 9"),
         ("ghost@3,share", "--attack: got 'share', expected NAME=VALUE"),
     ],

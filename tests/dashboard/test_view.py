@@ -8,7 +8,6 @@ import os
 import re
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,12 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from protocol.messages import PlantModel, PlantStatus
+from protocol.messages import PlantModel
+from tests.dashboard.states import USUAL, plant_of, state_after
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
 from wyner.dashboard.keymap import KEYS, Action, action_of
-from wyner.dashboard.model import Arrival, State, reduce, reduce_all
+from wyner.dashboard.model import Arrival, State, reduce
 from wyner.dashboard.parts import VALUE_AT, InAscii, labelled
 from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
 from wyner.dashboard.screenshot import save, to_svg, to_text
@@ -53,7 +53,6 @@ from wyner.dashboard.view import (
 SCREENS = Path(__file__).parent / "screens"
 PLAIN = ViewState()
 
-USUAL = Rehearsal()
 FOUR_STATES = Rehearsal(
     A=(
         (0.99, 0.0, 0.02, 0.0),
@@ -65,19 +64,6 @@ FOUR_STATES = Rehearsal(
     half_widths=(0.03, 0.03, 0.03, 0.03),
     gain=((-1.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, 0.0)),
 )
-
-
-@cache
-def state_after(steps: int, rehearsal: Rehearsal = USUAL) -> State:
-    state = State()
-    for batch in rehearsal.arrivals(steps):
-        state = reduce_all(state, batch)
-    return state
-
-
-def plant_of(state: State) -> PlantStatus:
-    assert state.plant is not None
-    return state.plant
 
 
 def with_plant(state: State, **changes: object) -> State:
