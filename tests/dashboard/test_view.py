@@ -516,6 +516,18 @@ def test_only_a_tap_that_was_watched_is_called_wrong(watched: bool, exact: bool,
     assert next(line for line in text.splitlines() if " 100 [" in line).endswith(f" {told}")
 
 
+def test_of_a_tap_that_is_far_behind_it_is_told_how_much_she_has_still_to_read() -> None:
+    """Else the screen of a machine that is too slow for her would flatter the scheme."""
+    state = with_tap(state_after(700), "list-decoder", behind=12_421, solved_k=-1)
+    state = with_tap(state, "nearest-centre", behind=5, solved_k=-1)
+    lines = shown(state, 80, 24).splitlines()
+    row = {
+        name: next(x for x in lines if x.startswith(f" {name}") and "[" in x) for name in state.taps
+    }
+    assert row["list-decoder"].endswith("12421 to read")
+    assert row["nearest-centre"].endswith("not yet")
+
+
 def test_figures_of_the_table_keep_to_their_columns() -> None:
     state = with_controller(state_after(700), sending="x" * 65_000)
     state = with_tap(state, "list-decoder", message="x" * 2000, solved_k=1_234_567)
