@@ -77,14 +77,13 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     assert "Eve        mine            FAILED: not scored" in lines
     assert lines[-2].endswith("bits by the paper's rule. True: unknown, she failed.")
     assert lines[-1] == "FAILED     mine: step 21: ValueError: no idea"
-    record |= {"failed": "", "steps": 0}
-    (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
-    summary = summarise(Run.load(tmp_path), PAYLOAD)
-    assert summary["failed"] == []
-    assert render(summary).splitlines()[-1].endswith("True: unknown, nobody guessed.")
+    record |= {"failed": ""}
     # killed while she was behind: what she leaves is unknown, whatever she had guessed by then
-    summary["taps"]["mine"] |= {"unscored": UNFINISHED}
-    assert render(summary).splitlines()[-1].endswith(f"True: unknown, {UNFINISHED}.")
+    for symbols, why in ((None, UNFINISHED), ([], "nobody guessed")):
+        (tmp_path / BELIEFS).write_text(json.dumps({"mine": record | {"symbols": symbols}}))
+        summary = summarise(Run.load(tmp_path), PAYLOAD)
+        assert summary["failed"] == []
+        assert render(summary).splitlines()[-1].endswith(f"True: unknown, {why}.")
 
 
 def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:
