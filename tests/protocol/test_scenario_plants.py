@@ -95,7 +95,7 @@ def test_the_model_is_the_defenders() -> None:
         ),
         (
             {"plant.operating_point": {"input": [0.0], "state_scale": [0.0, 1.0]}},
-            "plant.operating_point.state_scale.0: got 0.0, input should be greater than 0",
+            "plant.operating_point.state_scale.0: got 0.0, expected greater than 0",
         ),
         ({"plant.limits": [[0.0, 1.0]]}, "plant.limits: got shape 1, expected 2"),
         (
