@@ -111,6 +111,7 @@ WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [
 ]
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
