@@ -44,7 +44,9 @@ SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "link": (
-        *_files("link", "tallies refusals told keying events fallback pacing timers channel"),
+        *_files(
+            "link", "tallies refusals told guarded keying events fallback pacing timers channel"
+        ),
         *_files("link", "transcripts meeting predictions appearances last_keys"),
         *_files("link", "plant_session controller_session session_tables"),
         *_files("secret", "guarded_link keyed_coin"),
@@ -153,7 +155,7 @@ def prepare(wanted: Collection[str]) -> dict[str, list[Mutant]]:
         ["git", "ls-files", "-co", "--exclude-standard"], capture_output=True, text=True, check=True
     ).stdout.splitlines()
     index = json.loads(INDEX.read_text()) if INDEX.exists() else {}
-    made_by = "".join(map(inspect.getsource, (generate, changed))).encode()
+    made_by = (inspect.getsource(generate) + inspect.getsource(changed)).encode()
     kept = {}
     for name in listed:
         path = Path(name)

@@ -168,7 +168,9 @@ class Sieve:
                 continue
             parted += len(tests) < len(reached[m.key])
             if is_whole:
-                self._note({"outlived": [m.key, path.name, digest], "reached": bool(reached[m.key])})
+                self._note(
+                    {"outlived": [m.key, path.name, digest], "reached": bool(reached[m.key])}
+                )
         self._alive = [m for m in self._alive if m.key not in dead]
         took = time.process_time() - began + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
         print(

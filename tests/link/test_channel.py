@@ -7,9 +7,9 @@ import pytest
 
 from protocol.link.channel import COPIES, Channel
 from protocol.link.networked import Networked
-from protocol.link.peer import NOTHING_TO_DO, Actions
-from protocol.messages import ControllerHello, Message, Offer
+from protocol.messages import ControllerHello, Offer
 from protocol.scenario.network import ChannelTable
+from tests.support.hearing import Hearing
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
 BAD_HALF: dict[str, Any] = {"loss_bad": 1.0, "to_bad": 0.4, "to_good": 0.5}
@@ -60,44 +60,6 @@ def test_a_fate_is_the_same_whatever_was_sent_before() -> None:
 # --- an end behind it -----------------------------------------------------------------------------
 
 
-class Hearing:
-    """An end that keeps what it hears, and is due at one time."""
-
-    hears: tuple[type[Message], ...] = (Offer, ControllerHello)
-    says: tuple[type[Message], ...] = ()
-    code = None
-
-    def __init__(self, due: float) -> None:
-        self.due, self.heard, self.woken = due, list[tuple[float, bytes]](), list[float]()
-
-    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        self.heard.append((now, payload))
-        return NOTHING_TO_DO
-
-    def wake_at(self) -> float:
-        return self.due
-
-    def wake(self, now: float) -> Actions:
-        self.woken.append(now)
-        self.due = now + 10.0
-        return NOTHING_TO_DO
-
-    def start(self, now: float) -> Actions:
-        return NOTHING_TO_DO
-
-    def finish_step(self) -> Actions:
-        return NOTHING_TO_DO
-
-    def key_task_done(self, done: object, now: float) -> Actions:
-        return NOTHING_TO_DO
-
-    def appear(self, count: int) -> Actions:
-        return NOTHING_TO_DO
-
-    def stop(self, now: float) -> Actions:
-        return NOTHING_TO_DO
-
-
 def offer(k: int) -> bytes:
     return Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0).wire()
 
@@ -110,8 +72,8 @@ def test_an_offer_is_heard_when_it_arrives_and_a_hello_at_once(due: float) -> No
         peer.receive(Offer, offer(k), float(k))
     assert end.heard == []
     peer.receive(ControllerHello, b"hello", 2.0)
-    assert end.heard.pop() == (2.0, b"hello")
+    assert end.heard.pop() == (2.0, ControllerHello, b"hello")
     while len(end.heard) < 3:
         peer.wake(peer.wake_at())
-    assert end.heard == [(k + 2.0, offer(k)) for k in range(3)]
+    assert end.heard == [(k + 2.0, Offer, offer(k)) for k in range(3)]
     assert end.woken == ([0.5] if due < 1 else []), "what was due before it goes first"
