@@ -44,16 +44,16 @@ SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "link": (
-        *_files(
-            "link", "tallies refusals told guarded keying events fallback pacing timers channel"
-        ),
-        *_files("link", "transcripts meeting predictions appearances last_keys"),
-        *_files("link", "plant_session controller_session session_tables"),
-        *_files("secret", "guarded_link keyed_coin"),
-        *_files("runtime", "perform sealing"),
+        *_files("link", "refusals told guarded keying events fallback pacing timers channel"),
+        *_files("link", "transcripts plant_session controller_session session_tables"),
+        *_files("link", "predictions last_keys"),
+        *_files("secret", "keyed_coin guarded_link"),
+        *_files("link", "meeting appearances tallies"),
+        *_files("runtime", "sealing perform"),
+        *_files("simulate", "outputs missed"),
         *_files("secret", "keyed_link"),
         *_files("link", "session_machine"),
-        *_files("simulate", "outputs missed network"),
+        *_files("simulate", "network"),
     ),
     "check": _files(
         "runs/check",
