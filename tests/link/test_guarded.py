@@ -170,8 +170,8 @@ def test_an_offer_that_was_changed_is_refused_and_told_once_and_the_right_one_is
     ((at, kind, heard),) = ends.at_plant.heard
     assert (at, kind) == (1.0, Offer)
     assert Offer.from_wire(heard) == offer(12)
-    told = ends.plant.told()
-    assert (told.guarded, told.unguarded, told.forged, told.forged_k) == (1, 0, 2, 12)
+    status = ends.plant.status()
+    assert (status.guarded, status.unguarded, status.forged, status.forged_k) == (1, 0, 2, 12)
 
 
 def test_a_measurement_that_was_changed_is_refused_at_the_controller() -> None:
@@ -264,7 +264,7 @@ def test_more_keys_are_asked_for_before_the_last_step_is_covered_and_not_twice()
     ]
     assert later == [1.0 + LACKING_S], "where there were none, once in a while"
     ends.plant.key_task_done(GuardKeys(S, (batch(2, task.begins),)), 3.0)
-    assert ends.plant.told().ahead == 3 * (next_first(defence) - FIRST) - 1
+    assert ends.plant.status().ahead == 3 * (next_first(defence) - FIRST) - 1
 
 
 def test_another_session_has_keys_of_its_own() -> None:

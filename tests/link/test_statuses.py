@@ -1,4 +1,4 @@
-"""What an end tells beside its record: the first word of a life, statuses, lines of the log."""
+"""What an end reports beside its record: the first messages of a life, statuses, notices."""
 
 from dataclasses import replace
 
