@@ -239,5 +239,25 @@ def test_a_batch_that_nobody_marks_is_asked_after_ever_less_often() -> None:
     assert controller.tasks(now + 0.01) == (CoinTask("s", "k1", 32),)
 
 
+def test_an_empty_store_is_asked_again_once_a_block_is_confirmed() -> None:
+    controller = OfferedCoins(2, on=True)
+    controller.begin("s")
+    assert controller.tasks(0.0)
+    controller.done(CoinKeys("s"), 0.0)
+    assert controller.tasks(100.0) == ()
+    controller.confirmed()
+    assert controller.tasks(100.0)
+
+
+def test_keys_serve_in_the_order_in_which_they_came_and_more_come_after_those_held() -> None:
+    controller = OfferedCoins(2, on=True)
+    controller.begin("s", keys(1))
+    controller.tasks(0.0)
+    controller.done(CoinKeys("s", tuple(keys(3)[1:])), 0.0)
+    assert controller.left == 3
+    named = [controller.named(k)[:2] for k in range(0, 4 * DIGITS, DIGITS)]
+    assert named == [("k0", 0), ("k1", DIGITS), ("k2", 2 * DIGITS), ("", 0)]
+
+
 def test_a_scenario_without_it_says_nothing() -> None:
     assert OfferedCoins(2, on=False).named(3) == (None, None, None)
