@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
+from protocol.wrong_fields import expected_of
 from runtime.errors import UsageError
 
 SLOTS = 20
@@ -29,7 +30,7 @@ all at once would wait for one another."""
 STATUS_S = 1.0
 """Seconds between statuses of each loop."""
 
-LARGEST = 10_000
+LARGEST_FLEET = 10_000
 
 
 class FleetLoop(BaseModel):
@@ -56,8 +57,8 @@ def numbered(count: int, scenario: str, message: str = "", seed: int | None = No
     UsageError
         When that is no number of loops.
     """
-    if not 1 <= count <= LARGEST:
-        raise UsageError(f"--loops: got {count}, expected 1 to {LARGEST}")
+    if not 1 <= count <= LARGEST_FLEET:
+        raise UsageError(f"--loops: got {count}, expected 1 to {LARGEST_FLEET}")
     loops = [
         FleetLoop(
             id=f"loop-{number:04d}",
@@ -98,7 +99,7 @@ def read_fleet(path: Path) -> dict[str, FleetLoop]:
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
             field = ".".join(map(str, first["loc"]))
-            problems.append(f"{path}: loop {number}: {field}: {first['msg']}")
+            problems.append(f"{path}: loop {number}: {field}: {expected_of(first)}")
             continue
         except ValueError as error:
             problems.append(f"{path}: loop {number}: id: {error}")

@@ -146,7 +146,7 @@ def heard(
     transitions = heard_by(list(transcript(runs, link, 0)), view)
     out = []
     for kind in map(named, taps):
-        tap = offline(kind, view.told(scenario.knowledge(), model=kind.told_model))
+        tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))
         first = {t.k: tap.observe(t).best for t in transitions}
         second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
         whole = tap.belief().whole

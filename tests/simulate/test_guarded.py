@@ -67,7 +67,7 @@ def test_a_guarded_scenario_is_guarded_in_a_simulation(messages: str) -> None:
     assert history.missed == 0
     controller = both.ends["controller"].endpoint
     assert isinstance(controller, Guarded)
-    assert controller.told().guarded > 200
+    assert controller.status().guarded > 200
     assert len(both.slots.served) > 200
 
 

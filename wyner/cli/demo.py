@@ -79,6 +79,10 @@ CLAIM: Final = "eps_E = 0.3"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
+    parser.description = (
+        "Make five short runs, a minute in all, and say in four lines what came of them: messages "
+        "and keys, each beside an eavesdropper, and an attack."
+    )
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
@@ -104,7 +108,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 @dataclass
-class _Told:
+class _Outcome:
     """What the acts came to, so far."""
 
     lines: list[str] = field(default_factory=list)
@@ -113,10 +117,10 @@ class _Told:
     interrupted: bool = False
 
 
-def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Told:
+def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
     """The runs, one after the other; what was left or interrupted is the last."""
     folder = run_dir_of(args.run_dir)
-    told = _Told()
+    told = _Outcome()
     acts: tuple[tuple[str, Callable[..., Act]], ...] = (
         ("spoken", _spoken),
         ("sealed", _sealed),
@@ -171,7 +175,7 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path, *, secret: b
 Act = tuple[Outcome, str, bool]
 
 
-def _spoken(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _spoken(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
     options = _options(args, "packed", folder, secret=False)
     outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
@@ -187,7 +191,7 @@ def _spoken(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage 
     return outcome, line, bool(summary["delivered"] and had)
 
 
-def _sealed(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _sealed(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """Keys from what the tap misses, and a message under a one-time pad of them."""
     payload = SEALED.encode()
     messages: list[SealedMessage] = []
@@ -211,7 +215,7 @@ def _sealed(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage 
     return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
 
 
-def _control(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _control(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     text = _changed("keys", DEAF, CLAIM)
 
@@ -229,7 +233,7 @@ def _control(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage
     return outcome, line_of(outcome.summary), made == 0
 
 
-def _caught(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _caught(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
     with _scenario("secret-key", _listened(_changed("watched"))) as scenario:
 
@@ -254,7 +258,7 @@ def _caught(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage 
     return outcome, line, bool(caught and not found.get("false_alarms"))
 
 
-def _unseen(args: argparse.Namespace, folder: Path, told: _Told, stage: "Stage | None") -> Act:
+def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The same by one who hears all, so that she has the key and every digit of it."""
     before = tuple(told.lines)
     onset = (told.summaries["caught"]["attack"] or {}).get("onset", ONSETS[0])

@@ -88,10 +88,10 @@ def distilled(state: State, width: int) -> list[Row]:
     lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
     of = "key" if plant.keys_made == 1 else "keys"
     made = f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {lost}"
-    told_of = line(made)
+    knowledge_of = line(made)
     hers, style = held(state, room - cell_len(made))
-    told_of.append(hers, style=STYLES[style])
-    keys: Row = "distilled keys", told_of
+    knowledge_of.append(hers, style=STYLES[style])
+    keys: Row = "distilled keys", knowledge_of
     against = [*contradictions(state)]
     if plant.keys_stopped:
         against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")
@@ -216,12 +216,19 @@ def keys_right(its: Score) -> str:
     return f"{100 * its.right // its.scored} [{low},{high}]"
 
 
+BEHIND: Final = 0.1
+"""Share of the steps heard from which on it is told how many she has still to read."""
+
+
 def _broke(tap: TapState) -> str:
     if tap.status.failed:
         return "FAILED, exact" if tap.exact else "FAILED"
     solved = tap.status.solved_k
-    if solved < 0:
-        return "exact, unsure" if tap.exact else "not yet"
+    if solved < 0 and tap.exact:
+        return "exact, unsure"
+    if solved < 0:  # what she will make of the steps that she has not read is no secret yet
+        behind = tap.status.behind
+        return f"{count(behind)} to read" if behind > BEHIND * tap.status.steps else "not yet"
     if tap.exact or tap.watched:
         judged = "exact" if tap.exact else "WRONG"
         return longest(14, f"{solved} {judged}", f"{count(solved)} {judged}")

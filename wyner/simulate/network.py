@@ -333,7 +333,8 @@ class Simulation:
         end.ports.crash_at()
         end.key_maker = self.key_maker(side)
         end.endpoint = self._behind_the_network(side, end.incarnations)
-        if self.scenario.defence.takes_keys and side in self.stores:
+        defence = self.scenario.defence
+        if (defence.keyed or defence.guards) and side in self.stores:
             end.asker = Asker(SealedBook(self.stores[side]))
             self._ask(end, end.incarnations)
         self._perform(end, end.endpoint.start(self.now_s))

@@ -7,7 +7,7 @@ or did not guess nobody knows what she leaves. Intervals are those of :mod:`prot
 
 import base64
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import index
 from typing import Any, Final
@@ -23,6 +23,9 @@ from wyner.runs.score.by_step import BySteps, Step
 
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
+
+UNFINISHED: Final = "she did not finish"
+SILENT: Final = "she guesses at no symbol of the loop"
 
 
 class ScoreError(RunError):
@@ -176,7 +179,7 @@ class EavesdropperScore:
         Steps that she takes for the message's, and that are none of it: they shift her frame.
     behind : int
         Steps captured that she never looked at.
-    told_left : float, optional
+    stated_left : float, optional
         Bits left by her own account, where she gives one.
     unfinished : bool
         Whether she was stopped before she had looked at all: what she leaves nobody knows then.
@@ -197,7 +200,7 @@ class EavesdropperScore:
     held: KeysHeld | None = None
     stray: int = 0
     behind: int = 0
-    told_left: float | None = None
+    stated_left: float | None = None
     unfinished: bool = False
 
     @property
@@ -208,8 +211,8 @@ class EavesdropperScore:
         if self.failed:
             return f"she failed: {self.failed}"
         if self.unfinished:
-            return "she did not finish"
-        return "" if self.keys_reviewed.of or self.told_left is not None else "she guessed nothing"
+            return UNFINISHED
+        return "" if self.keys_reviewed.of or self.stated_left is not None else SILENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +277,7 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
         held=belief.keys,
         stray=_stray(truth, said),
         behind=said.behind,
-        told_left=None if said.failed else belief.bits_left,
+        stated_left=None if said.failed else belief.bits_left,
         unfinished=not (said.heard_out or said.failed),
     )
 
@@ -332,10 +335,10 @@ def read_said(run: Run) -> list[TapOutput]:
     for event in run.guesses():
         mine = guesses.setdefault(event["name"], {"guess": BySteps(), "review": BySteps()})
         mine[event["event"]][event["session"], event["k"]] = event["symbol"]
-    return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
+    return [output_of(record, guesses.get(name, {})) for name, record in records.items()]
 
 
-def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
+def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
     """What one eavesdropper said, from her record and her guesses by kind."""
     symbols = record["symbols"]
     belief = Belief(
@@ -370,11 +373,22 @@ def read_truth(run: Run) -> Truth:
         When its plant's trace cannot be read.
     """
     taker = TruthTaker()
+    feed_the_plant(run, taker.take)
+    return taker.truth(hidden_widths(run))
+
+
+def feed_the_plant(run: Run, take: Callable[[Mapping[str, Any]], None]) -> None:
+    """Hand over the plant's events, one after another.
+
+    Raises
+    ------
+    ScoreError
+        When its trace cannot be read.
+    """
     try:
-        run.feed("plant", taker.take)
+        run.feed("plant", take)
     except TraceError as error:
         raise ScoreError(str(error)) from None
-    return taker.truth(hidden_widths(run))
 
 
 def hidden_widths(run: Run) -> int:
