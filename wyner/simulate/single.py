@@ -53,9 +53,6 @@ class Moved(NamedTuple):
     u: Vector
 
 
-UNATTACKED: Final = "attack: expected none, as these loops are honest (wyner up attacks one)"
-"""Over a scenario whose attack would be left out."""
-
 NO_VERDICT: Final = AgreementResult((), NO_SYMBOL)
 """Of a step without an offer."""
 
