@@ -298,7 +298,7 @@ class Run:
 
         common = ["--scenario", self.scenario, "--run-dir", str(self.folder / "run")]
         services = [
-            self._start("plant", ["plant", *common, "--pace", "x5", *self._plant]),
+            self._start("plant", ["plant", *common, "--pace", "x2", *self._plant]),
             self._start("controller", ["controller", *common, *self._controller]),
         ]
         try:

@@ -19,6 +19,7 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
+from tests.support.patience import PATIENCE_S
 from wyner.cli.main import GONE, commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -93,7 +94,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         [sys.executable, "-m", f"{service}_service", "--help"],
         capture_output=True,
         text=True,
-        timeout=30,
+        timeout=PATIENCE_S,
         check=False,
         cwd=ROOT,
     )
@@ -427,7 +428,7 @@ def test_told_to_end_a_second_time_it_ends_at_once_and_quietly(
         with suppress(OSError):  # the end of a terminal that nobody holds any more
             while select.select([leader], [], [], 20)[0]:
                 seen += os.read(leader, 65536)
-        assert process.wait(20) == 130
+        assert process.wait(PATIENCE_S) == 130
         assert b"Traceback" not in seen
         assert b"Error" not in seen
     finally:
@@ -459,7 +460,7 @@ def test_told_to_end_the_command_gives_the_terminal_back(number: signal.Signals)
         while b"\x1b[?1049l" not in seen:
             assert select.select([leader], [], [], 20)[0], seen
             seen += os.read(leader, 65536)
-        assert process.wait(20) == 130
+        assert process.wait(PATIENCE_S) == 130
         assert termios.tcgetattr(follower) == before
         assert seen.rfind(b"\x1b[?25h") > seen.rfind(b"\x1b[?25l")
     finally:
@@ -505,7 +506,7 @@ def test_a_full_disk_is_one_line(unbuffered: str) -> None:
             stdout=full,
             stderr=subprocess.PIPE,
             text=True,
-            timeout=30,
+            timeout=PATIENCE_S,
             check=False,
             cwd=ROOT,
             env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
@@ -522,7 +523,7 @@ def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
         stdout=writer,
         stderr=subprocess.PIPE,
         text=True,
-        timeout=30,
+        timeout=PATIENCE_S,
         check=False,
         cwd=ROOT,
         env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
