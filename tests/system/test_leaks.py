@@ -191,7 +191,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
         if (run / MANIFEST).exists():
             seen.look()
         time.sleep(0.1)
-        return min(status(run, side).get("keys_made", 0) for side in ("controller", "plant"))
+        return min(int(status(run, end).get("keys_made", 0)) for end in ("controller", "plant"))
 
     try:
         wait_for(lambda: keys_made() > 10)
