@@ -373,7 +373,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     assert "nearest-centre failed" in (tmp_path / "tap" / "health").read_text()
 
 
-def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline, f"no {what} within {timeout_s} s"
