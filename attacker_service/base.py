@@ -71,7 +71,7 @@ class Model:
 
 
 @dataclass(frozen=True, slots=True)
-class Told:
+class Observation:
     """What she has at the reading x(k).
 
     Parameters
@@ -172,7 +172,7 @@ class SensorAttack(Attack):
         """Before the onset: ``reading``, shape (..., n), is reported as it is."""
 
     @abstractmethod
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, observed: Observation) -> Array:
         """What is reported as x(k), shape (..., n)."""
 
 

@@ -57,7 +57,7 @@ class Coins:
         self._transcript = Transcript()
         self._solver: KeySolver | None
         try:
-            self._solver = KeySolver(seen.told(knowledge))
+            self._solver = KeySolver(seen.knowledge(knowledge))
         except KnowledgeError:
             self._solver = None  # no keys are made here
 

@@ -17,7 +17,7 @@ from protocol.vectors import Vector
 from runtime.bus import Bus
 from runtime.inbox import Inbox
 
-LOOK_S: Final = 0.1
+POLL_S: Final = 0.1
 
 KEPT: Final = 256
 """Steps whose rewritten messages are remembered."""
@@ -115,7 +115,7 @@ class Relay:
         """Pass messages on until ``stopping``."""
         while not stopping.is_set():
             try:
-                kind, payload = self._inbox.get(LOOK_S)
+                kind, payload = self._inbox.get(POLL_S)
             except queue.Empty:
                 continue
             self._put[kind](self._rewriter.rewritten(kind, payload))

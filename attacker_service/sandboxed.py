@@ -17,8 +17,8 @@ from attacker_service.base import (
     AttackError,
     BusAttack,
     Model,
+    Observation,
     SensorAttack,
-    Told,
 )
 from attacker_service.holdings import TYPES, Coins, Offers
 from protocol.arrays import Array
@@ -94,10 +94,10 @@ class AttackServer:
         self._shown = np.asarray(attack.sensor(self._told(attack, k, true, shown)), float)
         return self._shown.tolist()
 
-    def _told(self, attack: SensorAttack, k: int, true: Array, shown: Array) -> Told:
+    def _told(self, attack: SensorAttack, k: int, true: Array, shown: Array) -> Observation:
         offer = None if self._offers is None else self._offers.at(k - 1)
         sees, coins = attack.options.sees, self._coins
-        return Told(
+        return Observation(
             k=k,
             shown=shown,
             candidates=None if offer is None else np.asarray(offer.candidates),

@@ -44,7 +44,7 @@ class Sight:
         self._x = x
 
     def coins(self, candidates: Array, seen: Array) -> Integers:
-        """The candidate that fits best to what is seen, shape (...,), for Told's arrays."""
+        """The candidate that fits best to what is seen, shape (...,), for Observation's arrays."""
         assert self._x is not None
         off = seen[..., None, :] - self._model.predict(self._x[..., None, :], candidates)
         if self._exact:

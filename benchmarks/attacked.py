@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from attacker_service.attacks.ghost import Ghost
-from attacker_service.base import Model, Told
+from attacker_service.base import Model, Observation
 from benchmarks.engine import shipped, timed
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
@@ -57,7 +57,7 @@ def scalar_run(scenario: Scenario, law: CandidateLaw, steps: int) -> int:
         digit = int(coins.at(k)[0] * size)
         plant.begin(k, x, offered[digit])
         x = plant.end(k)
-        told = Told(k + 1, np.array(shown), np.array(offered), np.array(digit))
+        told = Observation(k + 1, np.array(shown), np.array(offered), np.array(digit))
         reported = tuple(ghost.sensor(told).tolist())
         predictions = tuple(predict(scenario.A, scenario.B, shown, u) for u in offered)
         verdict = judge(shown, offered, predictions, reported)

@@ -28,7 +28,7 @@ PROBE_S: Final = 5.0
 PROBE_STEPS: Final = 1000
 """Seconds, and steps at most, of a first look at a rate."""
 
-LOOK_S: Final = 1.0
+POLL_S: Final = 1.0
 """Time between two looks at a run that ends with its first missed step."""
 
 RATES_HZ: Final = (20, 50, 100, 150, 200, 300, 400, 500, 700, 1000)
@@ -90,7 +90,7 @@ def _wait_for_a_miss(plant: ServiceProcess, folder: Path) -> None:
     """Wait until a plant has missed a step after the warm-up, and ask it to end; or for its end."""
     in_warm_up: int | None = None
     while plant.process.poll() is None:
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
         try:
             status = json.loads((folder / PLANT_STATUS).read_bytes())
         except FileNotFoundError:

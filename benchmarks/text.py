@@ -31,7 +31,7 @@ def measure(progress: Callable[[str], None] | None = None) -> dict[str, Any]:
             payload = SENTENCES[seed].encode("ascii")
             run = simulate(STEPS, seed, name="packed", payloads=[payload])
             view = View(seed=seed, loss=loss)
-            tap = Text(view.told(run.scenario.knowledge()))
+            tap = Text(view.knowledge(run.scenario.knowledge()))
             begun = time.process_time()
             for transition in heard_by(run, view):
                 tap.observe(transition)

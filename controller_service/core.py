@@ -379,7 +379,7 @@ class ControllerCore:
             predictions = self._predictions(x, candidates)
         except LookupError as error:
             return self._without_offer(measurement, following, judged, str(error), "outside")
-        block, tag = self.keying.word()
+        block, tag = self.keying.announcement()
         coin_key, coin_from, coin_last = self.coins.named(measurement.k)
         offer = Offer(
             session=measurement.session,

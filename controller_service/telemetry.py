@@ -114,8 +114,8 @@ class ControllerTelemetry:
             coin_keys=coins.left,
             alarms=self._alarms,
             **self._last_alarm(),
-            **({} if self.guard is None else self.guard.told().fields()),
-            **keying.told(self._keys_refused),
+            **({} if self.guard is None else self.guard.status().fields()),
+            **keying.status_fields(self._keys_refused),
         )
 
     def _last_alarm(self) -> dict[str, Any]:

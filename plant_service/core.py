@@ -64,7 +64,7 @@ MEETING_S: Final = 10.0
 """Least seconds before the watchdog of a plant that has never moved: its controller is still
 starting."""
 
-LAST_WORD_S: Final = 1.0
+FAREWELL_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
 
 LAST_KEYS_S: Final = 20.0
@@ -233,7 +233,7 @@ class PlantCore:
         # the end
         self._last_at = -inf
         self._gives_up_at: float | None = None
-        self._last_word_s = LAST_WORD_S + round_trip_s
+        self._farewell_s = FAREWELL_S + round_trip_s
         self._counted = False  # the last step, by the controller
         self._keys_until: float | None = None
         self._waiting_there = 1  # until it says how many
@@ -322,7 +322,7 @@ class PlantCore:
             self.code = USAGE
             return NOTHING_TO_DO
         if self._finished:
-            return self._last_word()
+            return self._farewell()
         if now >= self._watchdog_at:
             why = f"the watchdog: no offer was applied for {self._patience_s:g} s"
             self.plant.safe(why)
@@ -388,7 +388,7 @@ class PlantCore:
     def stop(self, now: float) -> Actions:
         """The last status. The plant goes to its safe state and is closed."""
         self.now = now
-        self._tell_stopped()
+        self._report_stopped()
         self.plant.safe("the process ended")
         failed = self.plant.close()
         self._status_soon()
@@ -511,7 +511,7 @@ class PlantCore:
     def _report(self, offer: Offer, x_next: Vector) -> Measurement:
         """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""
         record = self.record
-        block, tag = self.keying.word()
+        block, tag = self.keying.announcement()
         self._left = False
         return Measurement(
             session=record.session,
@@ -658,7 +658,7 @@ class PlantCore:
         if self._telemetry is not None:
             self._telemetry.last_message, self._telemetry.message_k = payload, k
         if self._finished:
-            self._tell_stopped()
+            self._report_stopped()
         self._status_soon()
         notice = Notice(f"message recovered at step {k}: {len(payload)} bytes")
         recovered = Milestone("recovered", payload)
@@ -723,7 +723,7 @@ class PlantCore:
     def _missed(self, u: Vector, x_next: Vector) -> None:
         """Count a step without a transition, with ``u`` in force."""
         record = self.record
-        block, tag = self.keying.word()
+        block, tag = self.keying.announcement()
         self.record = record._replace(
             k=record.k + 1,
             x=x_next,
@@ -820,13 +820,13 @@ class PlantCore:
                 f"the controller's model is {hello.fingerprint[:8]}, "
                 f"this plant's is {self.rules.fingerprint[:8]}"
             )
-            self._tell_phase("refused", detail)
+            self._set_phase("refused", detail)
             return _logged(f"{detail}: the two ends must share one scenario", "error")
         return NOTHING_TO_DO
 
     def _accepted_by(self, hello: ControllerHello) -> Actions:
         self._met = True
-        self._tell_phase("running")
+        self._set_phase("running")
         taken_up = (hello.instance, self.record.session)
         if taken_up == self._taken_up:
             return NOTHING_TO_DO
@@ -886,7 +886,7 @@ class PlantCore:
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """The actions of a new session, added to those of ``before``."""
-        self._tell_phase("greeting")
+        self._set_phase("greeting")
         record = self._to_save()
         write = before.write if isinstance(before.write, Save) else Save(record)
         return before._replace(
@@ -933,11 +933,11 @@ class PlantCore:
 
     # --- the end ----------------------------------------------------------------------------------
 
-    def _last_word(self) -> Actions:
+    def _farewell(self) -> Actions:
         """Report the last transition until the controller has answered, or a second has passed."""
         now = self.now
         if self._gives_up_at is None:
-            self._gives_up_at = now + self._last_word_s
+            self._gives_up_at = now + self._farewell_s
         elif now >= self._gives_up_at and not self._counted:
             self.code = DONE
             return NOTHING_TO_DO
@@ -995,7 +995,7 @@ class PlantCore:
         if self._telemetry is not None:
             self._status_at = self._telemetry.health_at = self.now
 
-    def _tell_phase(
+    def _set_phase(
         self, phase: Literal["greeting", "running", "refused"], detail: str = ""
     ) -> None:
         """Set the status's phase and detail."""
@@ -1003,7 +1003,7 @@ class PlantCore:
             self._telemetry.phase = phase
             self._telemetry.detail = detail or self._telemetry.detail
 
-    def _tell_stopped(self) -> None:
+    def _report_stopped(self) -> None:
         """Set the status's phase to stopped, unless the plant was refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"

@@ -397,7 +397,7 @@ MISSTATED: Final = 0.04
 (``docs/data``; a test holds it)."""
 
 
-def told_left(bits: float, most: float) -> Interval:
+def stated_left(bits: float, most: float) -> Interval:
     """Bits that one leaves who says herself how many, with limits.
 
     Her account is right but for a share :data:`MISSTATED` of messages; of those all may be left.

@@ -29,7 +29,7 @@ all at once would wait for one another."""
 STATUS_S = 1.0
 """Seconds between statuses of each loop."""
 
-LARGEST = 10_000
+LARGEST_FLEET = 10_000
 
 
 class FleetLoop(BaseModel):
@@ -56,8 +56,8 @@ def numbered(count: int, scenario: str, message: str = "", seed: int | None = No
     UsageError
         When that is no number of loops.
     """
-    if not 1 <= count <= LARGEST:
-        raise UsageError(f"--loops: got {count}, expected 1 to {LARGEST}")
+    if not 1 <= count <= LARGEST_FLEET:
+        raise UsageError(f"--loops: got {count}, expected 1 to {LARGEST_FLEET}")
     loops = [
         FleetLoop(
             id=f"loop-{number:04d}",

@@ -31,7 +31,7 @@ from runtime.keys.worker import KeyWorker
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
 
-LOOK_S: Final = 0.1
+POLL_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
 
 CHORE_S: Final = 1.0
@@ -314,7 +314,7 @@ class Host:
                     else:
                         self._schedule(name, loop)
                 until = self._wakes[0][0] if self._wakes else inf
-                self._sleeps_until = min(until, now + LOOK_S)
+                self._sleeps_until = min(until, now + POLL_S)
 
     def _take(self) -> None:
         """Wait for a message on the management bus, or for the next wake."""

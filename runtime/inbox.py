@@ -44,8 +44,8 @@ class Inbox(Generic[T]):
         self._items: deque[tuple[T, int]] = deque()
         self._came = self._taken = 0
         self._putting = threading.Lock()
-        self._news = threading.Lock()  # released when something new may be there
-        self._news.acquire()
+        self._filled = threading.Lock()  # released when something new may be there
+        self._filled.acquire()
 
     def __len__(self) -> int:
         return len(self._items)
@@ -63,7 +63,7 @@ class Inbox(Generic[T]):
             self._came += cost
         self._items.append((item, cost))
         with suppress(RuntimeError):  # released before, and nobody has looked since
-            self._news.release()
+            self._filled.release()
 
     def get(self, timeout: float) -> T:
         """Take the oldest item; wait for one up to ``timeout`` seconds.
@@ -75,7 +75,7 @@ class Inbox(Generic[T]):
         """
         until = time.monotonic() + timeout
         while not self._items:  # what was new may have been taken since
-            if not self._news.acquire(timeout=max(until - time.monotonic(), 0.0)):
+            if not self._filled.acquire(timeout=max(until - time.monotonic(), 0.0)):
                 raise queue.Empty
         item, cost = self._items.popleft()
         self._taken += cost  # by the one thread that takes

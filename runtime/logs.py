@@ -33,7 +33,7 @@ def logger(service: str) -> logging.Logger:
 class RateLimitedLog:
     """Counts what goes wrong and logs it once a second at most, with the count since.
 
-    The owner calls :meth:`tell_rest` now and then and at its end: it logs what was held back.
+    The owner calls :meth:`report_held_back` now and then and at its end.
     """
 
     def __init__(self, log: logging.Logger) -> None:
@@ -48,9 +48,9 @@ class RateLimitedLog:
         self.total += 1
         self._text = text
         self._untold += 1
-        self.tell_rest()
+        self.report_held_back()
 
-    def tell_rest(self, *, last: bool = False) -> None:
+    def report_held_back(self, *, last: bool = False) -> None:
         """Log the newest that was not logged, with the count before it, once the second is over.
 
         Parameters

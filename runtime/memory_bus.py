@@ -74,20 +74,20 @@ class MemoryChannel:
 
     def __init__(self, capacity: int) -> None:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=capacity)
-        self._news = threading.Condition()
+        self._changed = threading.Condition()
         self._closed = False
 
     def deliver(self, key: str, payload: bytes, _t_ns: int) -> None:
         """Put a message in; the oldest makes room for it."""
-        with self._news:
+        with self._changed:
             self._waiting.append((key, payload))
-            self._news.notify()
+            self._changed.notify()
 
     def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
         """All that wait; with ``wait`` at least one."""
-        with self._news:
+        with self._changed:
             while wait and not self._waiting and not self._closed:
-                self._news.wait()
+                self._changed.wait()
             if self._closed:
                 raise ChannelClosed
             taken = list(self._waiting)
@@ -96,9 +96,9 @@ class MemoryChannel:
 
     def close(self) -> None:
         """Wake whoever waits; nothing comes any more."""
-        with self._news:
+        with self._changed:
             self._closed = True
-            self._news.notify_all()
+            self._changed.notify_all()
 
 
 class MemoryBus(Bus):

@@ -86,10 +86,10 @@ class BusPorts:
             self.limited[subject] = RateLimitedLog(self.log)
         return self.limited[subject]
 
-    def tell_rest(self, *, last: bool = False) -> None:
+    def report_held_back(self, *, last: bool = False) -> None:
         """Tell what the log still owes of floods."""
         for limited in tuple(self.limited.values()):  # a flood is told beside the turns
-            limited.tell_rest(last=last)
+            limited.report_held_back(last=last)
 
 
 class LoopPorts(BusPorts):
@@ -133,11 +133,11 @@ class LoopPorts(BusPorts):
     def health(self, status: Status) -> None:
         """Have the status and the health line replaced; tell what the log still owes."""
         self.tell_health(status)
-        self.tell_rest()
+        self.report_held_back()
 
     def close(self) -> None:
         """Tell the rest of the log, and close the files."""
-        self.tell_rest(last=True)
+        self.report_held_back(last=True)
         self.files.close()
 
 

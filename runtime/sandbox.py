@@ -49,7 +49,7 @@ ANSWER: Final = 8 * 2**20
 FORKS: Final = 64
 """Processes that a guest may start beside those of its user; root is not held to it."""
 
-LOOK_S: Final = 1.0
+POLL_S: Final = 1.0
 """Seconds after which the supervisor looks at the processor time again."""
 
 OVERSPENT: Final = 3
@@ -306,7 +306,7 @@ def _guard(guest: int, meter: Meter) -> int:
     watched.register(0, 0)  # the pipe of the questions: its other end closes with the asker
     watched.register(told, select.POLLIN)
     with suppress(ChildProcessError):
-        while guest not in _dead() and all(fd == told for fd, _ in watched.poll(LOOK_S * 1000)):
+        while guest not in _dead() and all(fd == told for fd, _ in watched.poll(POLL_S * 1000)):
             with suppress(BlockingIOError):
                 os.read(told, 4096)
             if meter.overspent(used_s(), time.monotonic()):

@@ -20,7 +20,7 @@ from runtime.keys.store import KeyStore
 from runtime.perform import perform
 from runtime.ports import BusPorts
 
-LOOK_S: Final = 0.2
+POLL_S: Final = 0.2
 
 
 class SealedThread:
@@ -64,7 +64,7 @@ class SealedThread:
 
     def _run(self) -> None:
         while not self._stopping.is_set():
-            wait_s = max(0.0, min(self._end.wake_at() - time.monotonic(), LOOK_S))
+            wait_s = max(0.0, min(self._end.wake_at() - time.monotonic(), POLL_S))
             try:
                 item = self._inbox.get(timeout=wait_s)
             except queue.Empty:
@@ -80,8 +80,8 @@ class SealedThread:
             except Exception as error:  # a fault: told, and no reason to seal nothing any more
                 what = f"unexpected {type(error).__name__}: {error}"
                 self._complain(f"sealed messages: {' '.join(what.split())}")
-            self._ports.tell_rest()
-        self._ports.tell_rest(last=True)
+            self._ports.report_held_back()
+        self._ports.report_held_back(last=True)
 
     def _complain(self, text: str) -> None:
         self._ports.log_notice(Notice(text, "warning", "sealed messages"))

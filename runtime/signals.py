@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from math import inf
 from typing import Final
 
-LOOK_S: Final = 0.2
+POLL_S: Final = 0.2
 """Longest sleep in seconds of a program that only a signal can end."""
 
 STOP_WITH_STDIN: Final = "WYNER_STOP_WITH_STDIN"
@@ -24,7 +24,7 @@ class Stop(threading.Event):
     to another thread of the process, as it does where threads are being started, and then a main
     thread that waits for a lock sleeps on. And a handler that takes the lock of the event that
     its own thread is about to wait for waits for itself. So whoever waits here looks again every
-    `LOOK_S`, and nothing is locked.
+    `POLL_S`, and nothing is locked.
     """
 
     def __init__(self) -> None:
@@ -43,7 +43,7 @@ class Stop(threading.Event):
         """Sleep until the program shall stop, for so many seconds at most; whether it shall."""
         until = inf if timeout is None else time.monotonic() + timeout
         while not self._asked and (left := until - time.monotonic()) > 0:
-            time.sleep(min(left, LOOK_S))
+            time.sleep(min(left, POLL_S))
         return self._asked
 
 

@@ -130,7 +130,7 @@ def _counts(condition: str, run: int) -> list[list[int]]:
     heard = heard_by(list(transcript(runs, link, 0)), view)
     out = []
     for kind in map(named, TAPS):
-        tap = offline(kind, view.told(scenario.knowledge(), model=kind.told_model))
+        tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))
         first = {t.k: tap.observe(t).best for t in heard}
         second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
         whole = tap.belief().whole

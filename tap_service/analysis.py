@@ -133,11 +133,11 @@ def analyse(assignment: Assignment, line: Line) -> None:
         except CaptureError as error:
             complaints.add(str(error))
         if line.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
-            complaints.tell_rest(last=True)
+            complaints.report_held_back(last=True)
             log.close()
             line.send(None)
             return
-    complaints.tell_rest(last=True)
+    complaints.report_held_back(last=True)
     transcript = Transcript()
     finishing = False
     next_belief = 0.0

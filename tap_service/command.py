@@ -76,7 +76,7 @@ class TapOptions(ServiceOptions):
     finish: float | None = None
 
 
-class ToldKnowledge(NamedTuple):
+class GivenKnowledge(NamedTuple):
     """What the tap is started with besides its options.
 
     Parameters
@@ -222,10 +222,10 @@ def read_knowledge(path: str) -> "Knowledge":
 
 def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
-    return run_told(picked(TapOptions, vars(args)), told_by(args.knowledge))
+    return run_with_knowledge(picked(TapOptions, vars(args)), knowledge_in(args.knowledge))
 
 
-def told_by(path: str) -> ToldKnowledge:
+def knowledge_in(path: str) -> GivenKnowledge:
     """What a file of knowledge tells; the oracle is told where the file has alpha.
 
     Raises
@@ -234,17 +234,17 @@ def told_by(path: str) -> ToldKnowledge:
         As :func:`read_knowledge`.
     """
     knowledge = read_knowledge(path)
-    return ToldKnowledge(knowledge, knowledge if knowledge.alpha is not None else None)
+    return GivenKnowledge(knowledge, knowledge if knowledge.alpha is not None else None)
 
 
-def run_told(
+def run_with_knowledge(
     options: TapOptions,
-    told: ToldKnowledge | None,
-    told_of: "Callable[[FleetLoop], ToldKnowledge] | None" = None,
+    told: GivenKnowledge | None,
+    knowledge_of: "Callable[[FleetLoop], GivenKnowledge] | None" = None,
 ) -> int:
     """Run the service with what it was told, until it is told to stop.
 
-    In a fleet ``told_of`` says what the tap of each loop is told; without it all are told alike.
+    In a fleet ``knowledge_of`` says what each loop's tap is told; without it all are told alike.
     """
     from pathlib import Path
 
@@ -273,7 +273,7 @@ def run_told(
     fleet = fleet_of(options)
     with_metrics = partial(noted, options.metrics)
 
-    def config_of(told: ToldKnowledge | None, loop: str, folder: Path) -> TapConfig:
+    def config_of(told: GivenKnowledge | None, loop: str, folder: Path) -> TapConfig:
         assert told is not None, "a fleet's taps are told by loop"
         names = names_of(options.eavesdropper)
         names, where = (names, "") if names else (told.names, told.where)
@@ -294,7 +294,7 @@ def run_told(
         return config
 
     def config_in_fleet(loop: "FleetLoop") -> TapConfig:
-        told_here = told if told_of is None else told_of(loop)
+        told_here = told if knowledge_of is None else knowledge_of(loop)
         config = config_of(told_here, loop.id, Path(options.run_dir) / loop.id)
         for name in config.names:
             if guarded(name).heavy:

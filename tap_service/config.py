@@ -58,7 +58,7 @@ class TapConfig:
             if self.oracle_knowledge is None:
                 raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
             return self.oracle_knowledge
-        return self.view.told(self.knowledge, model=guarded(name).told_model)
+        return self.view.knowledge(self.knowledge, model=guarded(name).told_model)
 
     def header(self) -> dict[str, Any]:
         """The public part of what a recording's header says."""

@@ -337,7 +337,7 @@ class TapService:
         if self._put is not None:
             for status in statuses:
                 self._put(status.wire())
-        self._complaints.tell_rest(last=last)
+        self._complaints.report_held_back(last=last)
 
     def _behind(self) -> int:
         """Steps, of two messages each, that the light eavesdroppers have not heard yet."""
@@ -376,4 +376,4 @@ class TapService:
         self._guesses.close()
         if self.heavy is not None:
             self.heavy.close()
-        self._complaints.tell_rest(last=True)
+        self._complaints.report_held_back(last=True)

@@ -48,7 +48,7 @@ MEMORY_DISK: Final = Path("/dev/shm")
 WAIT_S: Final = 120.0
 """For a mutant that waits for what never comes: it and all that it started stand still so long."""
 
-LOOK_S: Final = 1.0
+POLL_S: Final = 1.0
 """How often it is looked whether they do."""
 
 UNTOLD: Final = 200
@@ -230,7 +230,7 @@ def waited_for(child: int) -> int | None:
             return os.waitstatus_to_exitcode(status)
         time.sleep(nap)
         waited, nap = waited + nap, min(0.02, nap * 1.5)
-        if waited - looked >= LOOK_S:
+        if waited - looked >= POLL_S:
             now = used_by_s(child)
             waited, looked = (0.0, 0.0) if now > used else (waited, waited)
             used = now

@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from attacker_service.base import UNKNOWN, AttackError, Model, SensorAttack, Told
+from attacker_service.base import UNKNOWN, AttackError, Model, Observation, SensorAttack
 from attacker_service.base import Options as CommonOptions
 from attacker_service.sight import Sight, chosen
 from protocol.arrays import Array, Integers
@@ -54,25 +54,25 @@ class Ghost(SensorAttack):
         if self._sight is not None:
             self._sight.stand(reading)
 
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, observed: Observation) -> Array:
         """The next state of the quiet plant."""
-        d = self._disturbance(told.shown.shape)
-        if told.candidates is None:
-            u = np.zeros((*told.shown.shape[:-1], self.model.B.shape[1]))
+        d = self._disturbance(observed.shown.shape)
+        if observed.candidates is None:
+            u = np.zeros((*observed.shown.shape[:-1], self.model.B.shape[1]))
         else:
-            u = chosen(told.candidates, self._coins(told, told.candidates))
-        if self._sight is not None and told.seen is not None:
-            self._sight.step(u, told.seen)
-        return self.model.predict(told.shown, u) + d
+            u = chosen(observed.candidates, self._coins(observed, observed.candidates))
+        if self._sight is not None and observed.seen is not None:
+            self._sight.step(u, observed.seen)
+        return self.model.predict(observed.shown, u) + d
 
-    def _coins(self, told: Told, candidates: Array) -> Integers:
+    def _coins(self, observed: Observation, candidates: Array) -> Integers:
         """What she takes for applied in each run."""
         runs, size = candidates.shape[:-2], candidates.shape[-2]
-        if self._sight is not None and told.seen is not None:
-            guess: Integers = self._sight.coins(candidates, told.seen)
+        if self._sight is not None and observed.seen is not None:
+            guess: Integers = self._sight.coins(candidates, observed.seen)
         else:
             guess = self.rng.integers(size, size=runs)
-        held = np.full(runs, UNKNOWN) if told.coins is None else told.coins
+        held = np.full(runs, UNKNOWN) if observed.coins is None else observed.coins
         return np.where(held == UNKNOWN, guess, held)
 
     def _disturbance(self, shape: tuple[int, ...]) -> Array:

@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 import numpy as np
 from pydantic import Field
 
-from attacker_service.base import Model, SensorAttack, Told
+from attacker_service.base import Model, Observation, SensorAttack
 from attacker_service.base import Options as CommonOptions
 from protocol.arrays import Array
 
@@ -33,9 +33,9 @@ class Replay(SensorAttack):
         """Record it."""
         self._recorded.append(reading)
 
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, observed: Observation) -> Array:
         """The oldest reading, which goes behind the others; the last report where none is there."""
         if not self._recorded:
-            return told.shown
+            return observed.shown
         self._recorded.rotate(-1)
         return self._recorded[-1]

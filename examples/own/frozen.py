@@ -6,5 +6,5 @@ from attacker_service.base import SensorAttack
 class Frozen(SensorAttack):
     name = "frozen"
 
-    def sensor(self, told):
-        return told.shown
+    def sensor(self, observed):
+        return observed.shown

@@ -32,7 +32,7 @@ LACKING_S: Final = 1.0
 """Seconds until keys are asked for again while they are marked, and where there were none."""
 
 
-class GuardTold(NamedTuple):
+class GuardStatus(NamedTuple):
     """What a status says of it.
 
     Parameters
@@ -110,7 +110,7 @@ class Guarded:
         self._again_at = -inf
         self._promise, self._unsaid = Promise(), False
         self._lacking = self._looked = self._looks = -1
-        self._told = GuardTold()
+        self._status = GuardStatus()
         if session is not None:
             self._begin(session)
             if keys is not None:
@@ -121,10 +121,10 @@ class Guarded:
         """The end's exit code."""
         return self._end.code
 
-    def told(self) -> GuardTold:
+    def status(self) -> GuardStatus:
         """What a status says of it."""
         ahead = self._out.until(self._k) - self._k if self._out.on else 0
-        return self._told._replace(ahead=max(0, ahead))
+        return self._status._replace(ahead=max(0, ahead))
 
     def start(self, now: float) -> Actions:
         """The end's first word."""
@@ -159,9 +159,9 @@ class Guarded:
         if opened.number >= 0:
             self._in.drop_below(opened.needs)
         if opened.slot >= 0:
-            self._told = self._told._replace(guarded=self._told.guarded + 1)
+            self._status = self._status._replace(guarded=self._status.guarded + 1)
         else:
-            self._told = self._told._replace(unguarded=self._told.unguarded + 1)
+            self._status = self._status._replace(unguarded=self._status.unguarded + 1)
         actions = self._closed(self._end.receive(kind, opened.plain, now), now)
         return actions._replace(keys=(*actions.keys, *tasks)) if tasks else actions
 
@@ -300,8 +300,8 @@ class Guarded:
         )
 
     def _forgery(self, k: int, why: str) -> Actions:
-        before = self._told
-        self._told = before._replace(forged=before.forged + 1, forged_k=k)
+        before = self._status
+        self._status = before._replace(forged=before.forged + 1, forged_k=k)
         event = Forged(self._session, k, self._heard.topic, why)
         # a step's repeats are told once
         events = (event,) if before.forged_k != k else ()

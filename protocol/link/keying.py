@@ -108,9 +108,9 @@ class Keying:
         self.appearances = count
         return bool(self.crowded) != bool(before)
 
-    def word(self) -> tuple[int, str]:
+    def announcement(self) -> tuple[int, str]:
         """The block to announce in a new message, with its tag."""
-        return (-1, self.no_tag) if self.blocks is None else self.blocks.word()
+        return (-1, self.no_tag) if self.blocks is None else self.blocks.announcement()
 
     def again(self, offer: Offer) -> Offer:
         """Another copy of an offer that may have left, with a dummy for its nonce (rule 8)."""
@@ -155,7 +155,7 @@ class Keying:
 
     def block_announcement(self, side: Side, session: str) -> BlockAnnouncement:
         """The announcement as a message of its own, after the last step."""
-        block, tag = self.word()
+        block, tag = self.announcement()
         return BlockAnnouncement(
             side=side, session=session, block=block, tag=tag, waiting=self.waiting
         )
@@ -202,7 +202,7 @@ class Keying:
         if number >= self._newest:
             self._newest, self.stopped = number, why_not
 
-    def told(self, refused: str) -> dict[str, Any]:
+    def status_fields(self, refused: str) -> dict[str, Any]:
         """Fields of a status on keys; ``refused`` says why the store gives none."""
         return {
             "keys_made": self.made,

@@ -327,7 +327,7 @@ class Blocks:
             return (BlockResult(self.session, block.number, "confirmed"),)
         return ()
 
-    def word(self) -> tuple[int, str]:
+    def announcement(self) -> tuple[int, str]:
         """The block to announce in the next new message, with its tag.
 
         A block is announced once a later transition was counted. The partner has then counted the

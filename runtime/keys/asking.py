@@ -1,7 +1,7 @@
 """The part of either end that asks the other to mark what is about to be given, and answers.
 
 Whoever gives keys (a key server in another process, the sealed messages, the key maker) writes the
-request into the key store. So this part looks there every `LOOK_S`.
+request into the key store. So this part looks there every `POLL_S`.
 
 An end that starts also asks which of its keys and pads were given before, and erases them: its
 store may have been put back from a copy.
@@ -28,7 +28,7 @@ AT_ONCE: Final = 4096
 AUDITED: Final = "keys: the other end has said what was given before"
 """Log line: from here on the other end may be put back too, and nothing is given twice."""
 
-LOOK_S: Final = 0.05
+POLL_S: Final = 0.05
 """Seconds between two looks into the store for new requests."""
 
 
@@ -68,7 +68,7 @@ class Asker:
         """New requests, and again those that were not answered."""
         if now < self._look_at:
             return ()
-        self._look_at = now + LOOK_S
+        self._look_at = now + POLL_S
         self._audit_newer()
         said_at, said = {}, []
         for use, what, names in (*self._audits.values(), *pending(self._store)):

@@ -24,7 +24,7 @@ from runtime.keys.store import KeyStore
 ANSWER_S: Final = 2.0
 """Seconds that a key server waits for the partner's answer."""
 
-LOOK_S: Final = 0.005
+POLL_S: Final = 0.005
 """Seconds between two looks for that answer."""
 
 SERVED: Final = "served"
@@ -82,7 +82,7 @@ class Giver:
         self,
         store: KeyStore,
         wait_s: float = ANSWER_S,
-        look: Callable[[], None] = lambda: time.sleep(LOOK_S),
+        look: Callable[[], None] = lambda: time.sleep(POLL_S),
     ) -> None:
         self._store = store
         self._wait_s = wait_s

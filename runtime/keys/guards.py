@@ -19,7 +19,7 @@ from runtime.keys.store import KeyStore
 GUARD: Final = "guard"
 """First word of a use."""
 
-MOST: Final = 32
+MOST_KEYS_AT_ONCE: Final = 32
 """Keys of a batch at most."""
 
 _ALIVE: Final = "state IN ('stored', 'confirmed')"
@@ -67,7 +67,7 @@ def serve(store: KeyStore, task: GuardTask) -> GuardKeys:
         ]
         promise = _promise(store, task)
         half = (store.available() + 1) // 2  # the others are for other uses
-        number = 0 if pending or not task.wants else min(MOST, half)
+        number = 0 if pending or not task.wants else min(MOST_KEYS_AT_ONCE, half)
         if number:
             newest = max(_next_number(db, uses), task.k)
             use = new_use(GUARD, f"{task.session} {newest:016d} {task.instance}")

@@ -36,7 +36,7 @@ MOST_RESERVE: Final = 32
 AGREE_S: Final = 10.0
 """Seconds that a session's first block waits for a set that both ends have marked."""
 
-LOOK_S: Final = 0.01
+POLL_S: Final = 0.01
 """Seconds between two looks for it."""
 
 Kind = Literal["reserve", "chain"]
@@ -81,7 +81,7 @@ class Authentication:
         self,
         store: KeyStore,
         wait_s: float = AGREE_S,
-        look: Callable[[], None] = lambda: time.sleep(LOOK_S),
+        look: Callable[[], None] = lambda: time.sleep(POLL_S),
     ) -> None:
         assert store.note("secret") is not None, "no secret was taken into this store"
         self._store = store

@@ -24,7 +24,7 @@ from studies.secrecy.study import (
     described,
     heard_by,
     offline,
-    said_about,
+    output_about,
     stated_by,
 )
 from studies.secrecy.study import VIEWS as ALL_VIEWS
@@ -155,13 +155,13 @@ def measure(reading: Reading) -> dict[str, object]:
     """One row."""
     payload = payload_of(reading)
     run = simulate(reading.steps, reading.seed, name=reading.scenario, payloads=[payload])
-    knowledge = reading.view.told(run.scenario.knowledge())
+    knowledge = reading.view.knowledge(run.scenario.knowledge())
     begun = time.process_time()
     if reading.tap == ANY_BYTES:
         tap: Eavesdropper = Text(knowledge, AnyBytes(), live=False)
     else:
         tap = offline(named(reading.tap), knowledge)
-    said = said_about(tap, heard_by(run, reading.view))
+    said = output_about(tap, heard_by(run, reading.view))
     scored = score(run.truth, said)
     return {
         "task": reading.id,

@@ -156,10 +156,11 @@ def knowledge_for(run: Run, kind: type[Eavesdropper], view: View) -> Knowledge:
     """What an eavesdropper of the study is told."""
     if kind.name == "oracle":
         return run.scenario.oracle_knowledge()
+    knowledge = view.knowledge(run.scenario.knowledge(), model=kind.told_model)
     if kind.name == "learning":  # never D_e, also where she is told a wrong model
         nothing = {"disturbance_H": None, "disturbance_h": None, "policy": None}
-        return view.told(run.scenario.knowledge(), model=kind.told_model).model_copy(update=nothing)
-    return view.told(run.scenario.knowledge(), model=kind.told_model)
+        return knowledge.model_copy(update=nothing)
+    return knowledge
 
 
 def offline(kind: type[Eavesdropper], knowledge: Knowledge) -> Eavesdropper:
@@ -167,7 +168,7 @@ def offline(kind: type[Eavesdropper], knowledge: Knowledge) -> Eavesdropper:
     return Text(knowledge, live=False) if kind is Text else kind(knowledge)
 
 
-def said_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOutput:
+def output_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOutput:
     """Feed an eavesdropper and collect what she says."""
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
@@ -203,7 +204,7 @@ def measure(task: Task) -> dict[str, object]:
     knowledge = knowledge_for(run, kind, task.view)
     begun = time.process_time()
     tap = ListDecoder(knowledge, framed=False) if task.raw else offline(kind, knowledge)
-    said = said_about(tap, heard_by(run, task.view))
+    said = output_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
         session = next(iter(run.truth.symbols))[0]
         said = TapOutput(tap.name, session, {}, {}, Belief())

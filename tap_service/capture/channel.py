@@ -53,7 +53,7 @@ class View(Losses):
         blurs = self.noise or self.quantise
         return self.view == "both" and not (self.chain.mean or blurs or self.delay)
 
-    def told(self, knowledge: Knowledge, *, model: bool = True) -> Knowledge:
+    def knowledge(self, knowledge: Knowledge, *, model: bool = True) -> Knowledge:
         """``knowledge`` with the model error (the same seed gives the same), and her receiver's.
 
         Who is not to be told the ``model`` is told a wrong one, where there is an error, or none.

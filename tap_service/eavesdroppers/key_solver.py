@@ -114,7 +114,7 @@ class KeySolver(Eavesdropper):
         self._tags: dict[tuple[str, int], _Tags] = {}
         self._sealed: dict[str, Sealed] = {}
         self._texts: dict[str, tuple[int, ReadText]] = {}
-        self._news = 0  # of what sealed messages are opened with
+        self._openers = 0  # of what sealed messages are opened with
         self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
         self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
         self._blocks = self._broken = self._bits = 0
@@ -147,7 +147,7 @@ class KeySolver(Eavesdropper):
         if message.block >= 0:
             at = (message.session, message.block)
             shown = self._tags.setdefault(at, _Tags()).shown
-            self._news += shown.get(type(message)) != message.tag
+            self._openers += shown.get(type(message)) != message.tag
             shown[type(message)] = message.tag
             if len(self._tags) > 2 * KEPT_BLOCKS:
                 del self._tags[next(iter(self._tags))]
@@ -213,7 +213,7 @@ class KeySolver(Eavesdropper):
             self._solved.append(_Solved(session, number, found))
         elif bits and not self._claim.by_words:  # by words the system is sixteen times as large
             self._solved.append(_Solved(session, number, held(nonces, rows)))
-        self._news += bits > 0
+        self._openers += bits > 0
         block = HeldBlock(
             session=session, number=number, counted=len(nonces), rows=rows, missed=missed, bits=bits
         )
@@ -230,8 +230,8 @@ class KeySolver(Eavesdropper):
         direction, rate = worst(rates)
         for name, message in self._sealed.items():
             news, text = self._texts.get(name, (-1, None))
-            if text is None or (news != self._news and text.known_bits < text.bits):
-                self._texts[name] = self._news, self._read(message)
+            if text is None or (news != self._openers and text.known_bits < text.bits):
+                self._texts[name] = self._openers, self._read(message)
         read = tuple(self._texts[name][1] for name in self._sealed)
         return Belief(
             keys=KeysHeld(

@@ -20,7 +20,7 @@ from protocol.arrays import Array
 from tap_service.capture.transcript import Transition
 from tap_service.inference.output_model import LATER, OutputModel
 
-MOST: Final = 256
+NEWEST_STEPS: Final = 256
 """Newest transitions that deviations are fitted to."""
 
 ROUNDS: Final = 6
@@ -157,7 +157,7 @@ def _first(n: int, size: int) -> Array:
 def _newest(parts: Sequence[Stretch]) -> list[Stretch]:
     """The newest transitions, the last run cut short."""
     out: list[Stretch] = []
-    left = MOST
+    left = NEWEST_STEPS
     for part in reversed(parts):
         count = min(len(part.u), left)
         if count < 1:
@@ -200,7 +200,7 @@ def _likelihoods(model: OutputModel, parts: Sequence[Stretch], tried: Array) -> 
 
 def refitted(model: OutputModel, transitions: Sequence[Transition], *, each: bool) -> OutputModel:
     """The model with deviations that explain the newest readings best."""
-    newest = transitions[-MOST - LATER :]
+    newest = transitions[-NEWEST_STEPS - LATER :]
     made = model.anew()
     for _ in range(FITS):
         before = made.deviations
@@ -230,7 +230,7 @@ def identified(
     before : OutputModel, optional
         One that was found before.
     """
-    transitions = transitions[-2 * MOST :]
+    transitions = transitions[-2 * NEWEST_STEPS :]
     parts = stretches(transitions, [0] * len(transitions))
     found: list[tuple[float, OutputModel]] = []
     if before is not None:

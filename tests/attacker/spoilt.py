@@ -5,7 +5,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacker_service.base import BusAttack, SensorAttack, Told
+from attacker_service.base import BusAttack, Observation, SensorAttack
 from protocol.arrays import Array, Flags
 
 
@@ -14,21 +14,21 @@ class Frozen(SensorAttack):
 
     name: ClassVar[str] = "frozen"
 
-    def sensor(self, told: Told) -> Array:
-        return told.shown
+    def sensor(self, observed: Observation) -> Array:
+        return observed.shown
 
 
 class Raises(SensorAttack):
     name: ClassVar[str] = "raises"
 
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, observed: Observation) -> Array:
         raise RuntimeError("out of\nideas")
 
 
 class Loops(SensorAttack):
     name: ClassVar[str] = "loops"
 
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, observed: Observation) -> Array:
         while True:
             time.sleep(1)
 
@@ -36,21 +36,21 @@ class Loops(SensorAttack):
 class Short(SensorAttack):
     name: ClassVar[str] = "short"
 
-    def sensor(self, told: Told) -> Array:
-        return told.shown[:1]
+    def sensor(self, observed: Observation) -> Array:
+        return observed.shown[:1]
 
 
 class Nan(SensorAttack):
     name: ClassVar[str] = "nan"
 
-    def sensor(self, told: Told) -> Array:
-        return told.shown * np.nan
+    def sensor(self, observed: Observation) -> Array:
+        return observed.shown * np.nan
 
 
 class Eats(SensorAttack):
     name: ClassVar[str] = "eats"
 
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, observed: Observation) -> Array:
         return np.zeros(10**10)
 
 

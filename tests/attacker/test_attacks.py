@@ -12,7 +12,7 @@ from attacker_service.attacks.covert import Covert
 from attacker_service.attacks.ghost import Ghost
 from attacker_service.attacks.replay import Replay
 from attacker_service.attacks.stuck import Stuck
-from attacker_service.base import AttackError, Told
+from attacker_service.base import AttackError, Observation
 from protocol.arrays import Array
 from tests.attacker.watched import SPACING, WIDTHS, B, model, rewritten, spoofed
 
@@ -94,7 +94,7 @@ def test_a_replay_says_again_what_was_said() -> None:
     readings = [np.array([float(k), 0.0]) for k in range(3)]
     for reading in readings:
         replay.watch(reading)
-    told = Told(9, readings[2])
+    told = Observation(9, readings[2])
     assert [float(replay.sensor(told)[0]) for _ in range(4)] == [1.0, 2.0, 1.0, 2.0]
     assert Replay(None, NONE, rng()).sensor(told) is told.shown
 
@@ -127,7 +127,7 @@ def test_stuck_keeps_the_last_input_or_a_value() -> None:
 def test_without_an_offer_the_ghost_rolls_on() -> None:
     ghost = Ghost(model(), {"push": 0.0, "share": 0.0}, rng())
     x: Array = np.array([1.0, 2.0])
-    assert np.allclose(ghost.sensor(Told(5, x)), model().A @ x)
+    assert np.allclose(ghost.sensor(Observation(5, x)), model().A @ x)
 
 
 @pytest.mark.parametrize(

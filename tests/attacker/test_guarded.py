@@ -113,13 +113,13 @@ class Loop(RecordedLoop):
         hear = [e.files.guarded for e in ends if e.files.guarded is not None]
         guard = self.defence.guard(2, 4)
         hear = hear[: 0 if guard is None else 1 + guard.tags]  # a code guards measurements alone
-        before = [one.told() for one in hear]
+        before = [one.status() for one in hear]
         watched = 0
         for _ in range(LOOK):
             self.steps(1)
             watched += self.plant.record.keyed
-        now = [one.told() for one in hear]
-        held = [e.files.guarded.told().ahead for e in ends if e.files.guarded is not None]
+        now = [one.status() for one in hear]
+        held = [e.files.guarded.status().ahead for e in ends if e.files.guarded is not None]
         return (
             all(b.unguarded == a.unguarded for b, a in zip(before, now, strict=True))
             and all(b.guarded < a.guarded for b, a in zip(before, now, strict=True))
@@ -224,7 +224,7 @@ def test_an_honest_run_is_guarded_and_nothing_is_refused(messages: str, tmp_path
     loop.steps(300)
     guard = loop.ends["controller"].files.guarded
     assert guard is not None
-    assert guard.told().guarded > 100
+    assert guard.status().guarded > 100
     loop.stop()
     found = told(tmp_path)
     assert not found["alarms"]

@@ -117,7 +117,7 @@ def test_a_stuck_actuator_is_labelled_and_its_reading_is_true(scenario: Scenario
         ({"kind": "ghost", "at": "bus"}, "attack.at: got 'bus', expected 'sensor': ghost"),
         ({"kind": "ghost", "shares": 1}, "attack.shares: ghost: got 1: "),
         ({"kind": "nowhere.py:X"}, "attack.kind: nowhere.py: no such file"),
-        ({"kind": f"{OWN}:Told"}, "attack.kind: got "),
+        ({"kind": f"{OWN}:Observation"}, "attack.kind: got "),
     ],
 )
 def test_what_cannot_be_made_is_one_line(

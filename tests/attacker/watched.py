@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from attacker_service.base import UNKNOWN, BusAttack, Model, SensorAttack, Told
+from attacker_service.base import UNKNOWN, BusAttack, Model, Observation, SensorAttack
 from protocol.arrays import Array, Counts, Flags, Integers
 
 A = np.array([[1.0, 0.0975], [0.0, 0.9512]])
@@ -89,7 +89,7 @@ def spoofed(
         coins = loop.moved(offered)
         hers = np.where(loop.rng.random(runs) < held, coins, UNKNOWN)
         seen = None if sees is None else loop.x + sees * loop.rng.standard_normal(loop.x.shape)
-        told = Told(k, loop.shown, offered, hers, seen)
+        told = Observation(k, loop.shown, offered, hers, seen)
         if k <= honest:
             attack.watch(loop.x)
             assert not loop.checked(offered, coins, loop.x).any()

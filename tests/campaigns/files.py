@@ -37,7 +37,7 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
-from tests.campaigns.fuzz import LARGEST, NUMBERS, TEXTS, megabytes
+from tests.campaigns.fuzz import LARGEST_BYTES, NUMBERS, TEXTS, megabytes
 from tools.rehearsal import Rehearsal
 from wyner.cli.main import main as wyner
 from wyner.sweeps import SWEEPS
@@ -213,7 +213,9 @@ def mutants(seed: int, original: bytes, name: str) -> Iterator[bytes]:
     while True:
         kind = draw.random()
         if kind < 0.002:
-            yield draw.choice((b"[", b"\x00", b"a = ", b'{"a":', b"\n", b"-")) * (LARGEST // 8)
+            yield draw.choice((b"[", b"\x00", b"a = ", b'{"a":', b"\n", b"-")) * (
+                LARGEST_BYTES // 8
+            )
         elif kind < 0.05:
             yield draw.choice((b"", b"[" * 20_000, b"\xff\xfe", draw.randbytes(300), b"\n" * 50))
         elif kind < 0.35 or original[:1] == b"S":  # bytes, and all that one does to a database

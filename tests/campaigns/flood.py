@@ -37,7 +37,7 @@ from runtime.addresses import free_endpoints
 from runtime.files import write_atomically
 from runtime.run_folder import CAPTURE, PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
-from tests.campaigns.fuzz import LARGEST, payloads
+from tests.campaigns.fuzz import LARGEST_BYTES, payloads
 from tools.rehearsal import Rehearsal
 from wyner.sweeps.grid import code_version
 
@@ -205,7 +205,7 @@ def flood(count: int, large: int, seconds: float, pace: str = "x10") -> dict[str
                 took = time.monotonic() - began
                 for _ in range(large):
                     for bus in BUSES:
-                        put(bus, b"[" * LARGEST)
+                        put(bus, b"[" * LARGEST_BYTES)
             meanwhile = services.steps() - steps
             assert services.makes(60), services.gone() or "the loop does not go on"
             assert not services.gone(), services.gone()

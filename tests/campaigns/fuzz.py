@@ -29,7 +29,7 @@ from wyner.sweeps.grid import code_version
 
 NUMBERS = (0, -1, 1, 2**63, -(2**63), 10**400, 1e308, -1e308, 5e-324, 0.1, True, None, "", "NaN")
 TEXTS = ("", "x" * 5000, "\x1b[31m", "\u202e", "0" * 16, "../../etc")
-LARGEST = 2**24
+LARGEST_BYTES = 2**24
 
 
 def payloads(seed: int, heard: list[bytes]) -> Iterator[bytes]:
@@ -48,7 +48,7 @@ def payloads(seed: int, heard: list[bytes]) -> Iterator[bytes]:
             contribution = bytearray(draw.choice(heard))
             yield bytes(contribution[: draw.randrange(len(contribution) + 1)])
         elif kind < 0.3001:
-            yield b"[" * draw.choice((1000, LARGEST))
+            yield b"[" * draw.choice((1000, LARGEST_BYTES))
         else:
             yield _altered(draw, json.loads(draw.choice(heard)))
 

@@ -58,7 +58,7 @@ def test_a_loop_that_makes_no_keys_any_more_says_so(
     told = []
     for number, keys, exhausted in ((0, 5, False), (1, 0, False), (2, 0, True)):
         keying.done(Stored("0" * 16, number, "", keys=keys, exhausted=exhausted))
-        told.append(keying.told("")["keys_stopped"])
+        told.append(keying.status_fields("")["keys_stopped"])
     assert told[:2] == ["", "block 1 lost too many copies to make one"]
     why = {"keys_stopped": told[2]}
     write_status(tmp_path, "plant", 10, **why)

@@ -145,7 +145,7 @@ def test_a_plant_that_counts_anew_has_missed_nothing_less_than_nothing(fleet: Fl
 
 def test_a_flood_takes_a_bounded_room(fleet: Fleet, monkeypatch: pytest.MonkeyPatch) -> None:
     """Of bytes between two looks, of loops, and of eavesdroppers of a loop."""
-    monkeypatch.setattr(fleet_module, "LARGEST", 3)
+    monkeypatch.setattr(fleet_module, "LARGEST_FLEET", 3)
     for number in range(TAPS_KEPT + 5):
         fleet.say(f"loop-{number}", fleet.plant)
         fleet.say("loop-0", TAP, name=f"tap-{number}", confidence=number / 100)

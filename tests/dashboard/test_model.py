@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
-from protocol.statistics import told_left
+from protocol.statistics import stated_left
 from protocol.topics import key_of
 from runtime.inbox import OVERHEAD
 from runtime.memory_bus import MemoryBus, MemoryHub
@@ -314,11 +314,11 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
     own = told(bits_left=2.5, solved_k=12)
     assert own.why == "her own account"
     unsure = told(bits_left=11.551, solved_k=-1)  # what she can follow, of a message under way
-    assert (unsure.left, own.why in unsure.why) == (told_left(11.551, unsure.claimed_bits), True)
+    assert (unsure.left, own.why in unsure.why) == (stated_left(11.551, unsure.claimed_bits), True)
     assert "no whole message" in unsure.why
     assert state.plant is not None
     all_there_are = state.plant.agreements * math.log2(state.candidates)
-    assert own.left == told_left(2.5, all_there_are)
+    assert own.left == stated_left(2.5, all_there_are)
     assert told(bits_left=1651.9).left_bits == all_there_are
     both = replace(
         state,

@@ -65,7 +65,7 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
 
 def told(world: Watched, side: Side) -> str:
     keyed: Any = world.ends[side].endpoint
-    stopped: str = keyed.keying.told("")["keys_stopped"]
+    stopped: str = keyed.keying.status_fields("")["keys_stopped"]
     return stopped
 
 

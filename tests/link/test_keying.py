@@ -63,7 +63,7 @@ def test_without_keys_everything_is_constant() -> None:
     keying.begin(S, 3, TAG)
     assert not keying.on
     assert keying.no_tag == keying.nonce() == ""
-    assert keying.word() == (-1, "")
+    assert keying.announcement() == (-1, "")
     sent = offer(nonce="")
     assert keying.again(sent) is sent
     assert keying.count(1, 1, offer(), 0, NONCES[1]) is None
@@ -71,7 +71,7 @@ def test_without_keys_everything_is_constant() -> None:
     assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
     assert keying.done(BlockResult(S, 0, "confirmed", 5)) == ()
     assert keying.obsolete_rows() == ()
-    assert keying.told("") == {
+    assert keying.status_fields("") == {
         "keys_made": 0,
         "keys_of_block": 0,
         "key_block_steps": 0,
@@ -128,9 +128,9 @@ def test_a_sessions_first_transition_is_in_no_block() -> None:
 def test_a_block_is_announced_once_it_is_stored() -> None:
     keying = counting(4)
     assert keying.no_tag == NO_TAG
-    assert keying.word() == (-1, NO_TAG)
+    assert keying.announcement() == (-1, NO_TAG)
     stored(keying)
-    assert keying.word() == (0, TAG)
+    assert keying.announcement() == (0, TAG)
 
 
 def test_the_partners_word_confirms_a_block_or_differs() -> None:
@@ -147,7 +147,7 @@ def test_what_was_read_back_goes_on_where_it_was() -> None:
     contributions = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
     keying = Keying(SCHEDULE)
     keying.begin(S, 0, TAG, contributions)
-    assert keying.word() == (0, TAG)
+    assert keying.announcement() == (0, TAG)
     keying.count(6, 1, offer(), 0, NONCES[1])
     (closed,) = keying.tasks()
     assert isinstance(closed, ClosedBlock)
@@ -158,7 +158,7 @@ def test_a_session_that_is_over_leaves_nothing() -> None:
     keying = counting(3)
     keying.end()
     assert keying.blocks is None
-    assert keying.word() == (-1, NO_TAG)
+    assert keying.announcement() == (-1, NO_TAG)
     assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
     keying.begin(OTHER)
     assert keying.tasks() == ()
@@ -186,7 +186,7 @@ def test_keys_count_as_made_once_their_block_is_confirmed() -> None:
     assert (keying.made, keying.last) == (0, (0, 0))
     keying.done(BlockResult(S, 0, "confirmed", 5))
     keying.done(BlockResult(S, 1, "confirmed", 3))
-    assert keying.told("why") == {
+    assert keying.status_fields("why") == {
         "keys_made": 8,
         "keys_of_block": 3,
         "key_block_steps": 4,
@@ -203,7 +203,7 @@ def test_rows_go_once_their_block_is_confirmed_and_announced() -> None:
     stored(keying)
     assert keying.obsolete_rows() == ()
     keying.heard(said(0, THEIRS))
-    keying.word()
+    keying.announcement()
     assert keying.obsolete_rows() == ()
     keying.done(BlockResult(S, 0, "confirmed", 5))
     assert keying.obsolete_rows() == (range(1, 3),)
@@ -233,13 +233,13 @@ def test_why_the_last_block_made_no_key(done: Stored, stopped: str) -> None:
     keying = counting(3)
     keying.done(done)
     assert keying.stopped == stopped
-    assert keying.told("")["keys_stopped"] == stopped
+    assert keying.status_fields("")["keys_stopped"] == stopped
     keying.done(Stored(S, done.number + 1, TAG, keys=1))
     assert keying.stopped == ""
 
 
 def state(keying: Keying) -> tuple[str, int]:
-    told = keying.told("")
+    told = keying.status_fields("")
     return told["keys_stopped"], told["key_blocks_lost"]
 
 
@@ -293,7 +293,7 @@ def test_a_broken_store_is_asked_for_nothing_more() -> None:
     keying = counting(3)
     assert keying.done(Broken("disk full")) == ()
     assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
-    assert keying.told("why")["keys_refused"] == "disk full"
+    assert keying.status_fields("why")["keys_refused"] == "disk full"
 
 
 # --- an end that comes back -----------------------------------------------------------------------
@@ -362,7 +362,7 @@ def test_an_end_goes_on_with_its_last_word_and_its_rows(
     begun: Callable[[], ControllerCore | PlantCore], word: tuple[int, str]
 ) -> None:
     keying = begun().keying
-    assert keying.word() == word
+    assert keying.announcement() == word
     assert keying.nonce() == NONCES[2]
     keying.count(6, 1, offer(), 0, NONCES[1])
     (closed,) = keying.tasks()

@@ -19,7 +19,7 @@ from protocol.statistics import (
     mean_sequence,
     normal_mean,
     share_over_runs,
-    told_left,
+    stated_left,
     wilson,
 )
 
@@ -294,8 +294,8 @@ def test_a_blind_tap_leaves_all_and_one_who_knows_leaves_little() -> None:
 @given(st.floats(0, 2000), st.floats(0, 1000))
 def test_what_one_says_that_she_leaves_lies_within_its_limits(bits: float, most: float) -> None:
     """Of claims that may be wrong all is left; nobody leaves more than there is."""
-    left = told_left(bits, most)
+    left = stated_left(bits, most)
     assert left.value == min(bits, most)
     assert 0.0 == left.low <= left.value <= left.high <= most
-    assert told_left(0.0, 100.0).high == pytest.approx(100 * MISSTATED, abs=1.0)
-    assert told_left(0.0, 100.0).high > 100 * MISSTATED
+    assert stated_left(0.0, 100.0).high == pytest.approx(100 * MISSTATED, abs=1.0)
+    assert stated_left(0.0, 100.0).high > 100 * MISSTATED

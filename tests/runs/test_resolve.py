@@ -9,7 +9,7 @@ from protocol.link.session import rules_of
 from runtime.recording import TraceError, TraceWriter
 from runtime.run_folder import PLANT_TRACE
 from tests.support.small_run import Fault, SmallRun
-from wyner.runs.check.records import MissedLine, Told, Walked
+from wyner.runs.check.records import MissedLine, OtherLine, Walked
 from wyner.runs.check.sides import SideReader
 from wyner.runs.resolve import Event, Resolved
 from wyner.runs.run import Run, RunError
@@ -96,7 +96,7 @@ def test_who_counts_and_who_checks_take_the_same_steps(
             theirs.append(("transition", item.t.session, item.t.k))
         elif isinstance(item, MissedLine):
             theirs.append((item.event, item.session, item.k))
-        elif isinstance(item, Told):
+        elif isinstance(item, OtherLine):
             reports += item.line.event == "recovered" and not item.again
     assert mine == theirs
     assert behind == reader.behind

@@ -43,21 +43,21 @@ def test_what_was_not_logged_is_told_once_the_second_is_over_or_at_the_end(
     now = 100.0
     monkeypatch.setattr(time, "monotonic", lambda: now)
     complaints = RateLimitedLog(logging.getLogger("test-rest"))
-    complaints.tell_rest(last=True)
+    complaints.report_held_back(last=True)
     for i in range(4):
         complaints.add(f"offer {i}: garbage")
     now = 100.9
-    complaints.tell_rest()
+    complaints.report_held_back()
     assert [r.message for r in caplog.records] == ["offer 0: garbage"]
     now = 101.0
     for _ in range(3):
-        complaints.tell_rest()
+        complaints.report_held_back()
     told = "offer 3: garbage (and 2 more since the last such line)"
     assert [r.message for r in caplog.records][1:] == [told]
     complaints.add("offer 4: garbage")
-    complaints.tell_rest()
-    complaints.tell_rest(last=True)
-    complaints.tell_rest(last=True)
+    complaints.report_held_back()
+    complaints.report_held_back(last=True)
+    complaints.report_held_back(last=True)
     assert [r.message for r in caplog.records][2:] == ["offer 4: garbage"]
 
 

@@ -19,7 +19,7 @@ from protocol.messages import (
 )
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.records import BlockRow
-from runtime.keys.asking import AUDITED, LOOK_S, REPEAT_S
+from runtime.keys.asking import AUDITED, POLL_S, REPEAT_S
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import OpeningEnd, SealingEnd
 from runtime.keys.store import KeyStore
@@ -261,7 +261,7 @@ def test_the_plant_opens_once_and_acknowledges_each_time(world: World) -> None:
     assert first == Actions(publish=(receipt,), notices=(told,))
     assert world.opening.receive(Sealed, sealed, 0.0) == Actions(publish=(receipt,))
     assert world.opening.wake(0.0) == Actions()
-    assert world.opening.wake_at() == LOOK_S
+    assert world.opening.wake_at() == POLL_S
 
 
 def test_what_cannot_be_opened_is_refused_and_given_up_and_the_next_one_goes_out(

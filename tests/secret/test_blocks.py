@@ -113,24 +113,24 @@ def test_a_block_is_announced_once_a_later_transition_was_counted() -> None:
     """Until then the plant could be put back, and count its last transition otherwise."""
     blocks = counting(3)
     blocks.stored(Stored(SESSION, 0, "a", "x"))
-    assert blocks.word() == (-1, NO_TAG)
+    assert blocks.announcement() == (-1, NO_TAG)
     blocks.count(Contribution(4, 1, None, None))
-    assert blocks.word() == (0, "a")
+    assert blocks.announcement() == (0, "a")
 
 
 def test_a_later_block_that_holds_confirms_the_one_before() -> None:
     blocks = counting(16)
-    assert blocks.word() == (-1, NO_TAG)
+    assert blocks.announcement() == (-1, NO_TAG)
     blocks.stored(Stored(SESSION, 0, "a", "x"))
     blocks.stored(Stored(SESSION, 2, "c", "z"))  # block 1 made no key
-    assert blocks.word() == (0, "a")
-    assert blocks.word() == (0, "a")  # not before block 0 is confirmed
+    assert blocks.announcement() == (0, "a")
+    assert blocks.announcement() == (0, "a")  # not before block 0 is confirmed
     assert blocks.heard(2, "z") == (
         BlockResult(SESSION, 0, "confirmed"),
         BlockResult(SESSION, 2, "confirmed"),
     )
     assert blocks.heard(0, "never looked at") == ()
-    assert blocks.word() == (2, "c")
+    assert blocks.announcement() == (2, "c")
 
 
 def test_a_tag_that_differs_is_told_once() -> None:
@@ -144,7 +144,7 @@ def test_a_tag_that_differs_is_told_once() -> None:
 def test_another_sessions_blocks_are_of_no_concern() -> None:
     blocks = Blocks(SMALL, SESSION)
     blocks.stored(Stored("f" * 16, 0, "a", "x"))
-    assert blocks.word() == (-1, NO_TAG)
+    assert blocks.announcement() == (-1, NO_TAG)
 
 
 def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
@@ -153,7 +153,7 @@ def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
     blocks.heard(0, "x")
     blocks.judged(SESSION, 0)
     assert blocks.obsolete_rows() == ()  # the partner has not been told
-    blocks.word()
+    blocks.announcement()
     assert blocks.obsolete_rows() == (range(1, 4),)
     assert blocks.obsolete_rows() == ()
     blocks.stored(Stored(SESSION, 1, ""))
@@ -216,7 +216,7 @@ class End:
             self.blocks.judged(SESSION, verdict.number)
 
     def speak(self) -> tuple[int, str]:
-        self.word = self.blocks.word()  # journalled before it is said
+        self.word = self.blocks.announcement()  # journalled before it is said
         for over in self.blocks.obsolete_rows():
             for j in over:
                 del self.rows[j]

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from attacker_service.attacks import named
-from attacker_service.base import UNKNOWN, Attack, Model, SensorAttack, Told
+from attacker_service.base import UNKNOWN, Attack, Model, Observation, SensorAttack
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import INSIDE, Gauge, predict
@@ -87,7 +87,7 @@ class Cunning(SensorAttack):
 
     name = "cunning"
 
-    def sensor(self, told: Told) -> Array:
+    def sensor(self, told: Observation) -> Array:
         assert told.candidates is not None
         c = self.model.predict(told.shown[:, None, :], told.candidates)
         runs, size = c.shape[:2]

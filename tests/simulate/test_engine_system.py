@@ -221,7 +221,7 @@ def compare_all(case: Case, folder: Path) -> None:
     # On a busy machine she leaves some out while it goes on; her recording has all of them.
     replay = Replay(folder / "live", ("nearest-centre",))
     replay.run()
-    (said,) = replay.said()
+    (said,) = replay.outputs()
     share = score(read_truth(Run.load(folder / "live")), said).keys.share
     assert share is not None
     assert share > 0.99

@@ -13,7 +13,7 @@ from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer, frame_length
 from runtime.scenario_file import scenario_of
 from studies.secrecy.runs import simulate as study_run
-from studies.secrecy.study import heard_by, knowledge_for, said_about
+from studies.secrecy.study import heard_by, knowledge_for, output_about
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.smoother import Smoother
@@ -235,7 +235,7 @@ def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bit
     run = study_run(300, 1, name="packed")
     view = View(seed=1, **knobs)
     tap = Smoother(knowledge_for(run, Smoother, view))
-    scored = score(run.truth, said_about(tap, heard_by(run, view)))
+    scored = score(run.truth, output_about(tap, heard_by(run, view)))
     assert scored.bits.right >= bits * scored.bits.of
 
 
@@ -245,5 +245,5 @@ def test_offers_alone_show_v_and_so_most_keys() -> None:
     run = study_run(120, 0, name="packed")
     view = View(view="offers")
     tap = Smoother(knowledge_for(run, Smoother, view))
-    scored = score(run.truth, said_about(tap, heard_by(run, view)))
+    scored = score(run.truth, output_about(tap, heard_by(run, view)))
     assert scored.keys_reviewed.right >= 0.5 * scored.keys_reviewed.of

@@ -97,24 +97,24 @@ def test_the_same_seed_sees_the_same() -> None:
 
 
 def test_a_model_error_is_relative_to_each_entry() -> None:
-    wrong = View(model_error=0.3, seed=4).told(KNOWLEDGE)
+    wrong = View(model_error=0.3, seed=4).knowledge(KNOWLEDGE)
     assert wrong.A is not None
     assert KNOWLEDGE.A is not None
     for row, was in zip(wrong.A, KNOWLEDGE.A, strict=True):
         for value, old in zip(row, was, strict=True):
             assert abs(value - old) == pytest.approx(0.3 * abs(old))
-    assert wrong == View(model_error=0.3, seed=4).told(KNOWLEDGE)
-    assert View().told(KNOWLEDGE) == KNOWLEDGE
+    assert wrong == View(model_error=0.3, seed=4).knowledge(KNOWLEDGE)
+    assert View().knowledge(KNOWLEDGE) == KNOWLEDGE
 
 
 def test_the_learner_is_told_nothing_unless_wrongly() -> None:
     learning, decoder = named("learning"), named("list-decoder")
-    nothing = View().told(KNOWLEDGE, model=learning.told_model)
+    nothing = View().knowledge(KNOWLEDGE, model=learning.told_model)
     assert nothing.A is None
     assert nothing.disturbance_h is None
     assert nothing.policy is None
-    assert View(model_error=0.5).told(KNOWLEDGE, model=learning.told_model).A is not None
-    assert View().told(KNOWLEDGE, model=decoder.told_model) == KNOWLEDGE
+    assert View(model_error=0.5).knowledge(KNOWLEDGE, model=learning.told_model).A is not None
+    assert View().knowledge(KNOWLEDGE, model=decoder.told_model) == KNOWLEDGE
 
 
 @pytest.mark.parametrize(

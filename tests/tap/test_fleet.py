@@ -141,7 +141,7 @@ def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
         return replace(config, names=("key-solver",)) if loop.id == "keyless" else config
 
     taps = TapFleet(Fleet.of_file(path), with_key_solver)
-    with log_of("tap") as told_of:
+    with log_of("tap") as knowledge_of:
         taps.attach(MemoryBus(MemoryHub()), MemoryBus(MemoryHub()))
 
         def breaks() -> None:
@@ -156,8 +156,8 @@ def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
         stopping.set()
         thread.join(10)
     assert not thread.is_alive()
-    assert any(x.startswith("loop keyless: not listened to: ") for x in told_of)
-    assert "loop raises: its tap failed: RuntimeError: on purpose" in told_of
+    assert any(x.startswith("loop keyless: not listened to: ") for x in knowledge_of)
+    assert "loop raises: its tap failed: RuntimeError: on purpose" in knowledge_of
     for name in ("raises", "good"):
         last = (tmp_path / name / CAPTURE).read_bytes().splitlines()[-1]
         assert json.loads(last)["event"] == "end"

@@ -14,7 +14,7 @@ from protocol.knowledge import Knowledge
 from protocol.secret.bound import Assumption
 from protocol.statistics import confidence_sequence
 from studies.secrecy.runs import Run, simulate, text_of
-from studies.secrecy.study import ALPHAS, heard_by, knowledge_for, said_about
+from studies.secrecy.study import ALPHAS, heard_by, knowledge_for, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import (
@@ -37,7 +37,7 @@ CLEAR = View()
 
 def play(run: Run, name: str, view: View = CLEAR) -> tuple[TapOutput, EavesdropperScore]:
     kind = named(name)
-    said = said_about(kind(knowledge_for(run, kind, view)), heard_by(run, view))
+    said = output_about(kind(knowledge_for(run, kind, view)), heard_by(run, view))
     return said, score(run.truth, said)
 
 
@@ -90,7 +90,7 @@ def test_raw_english_without_a_frame_check() -> None:
         rng = random.Random(f"raw text {seed}")
         run = simulate(1000, seed, payloads=[text_of(rng) for _ in range(3)], raw=True)
         tap = ListDecoder(run.scenario.knowledge(), framed=False)
-        said = said_about(tap, heard_by(run, CLEAR))
+        said = output_about(tap, heard_by(run, CLEAR))
         exact += said.belief.message == b" ".join(run.payloads)[: len(run.stream) // 8]
     assert exact >= 6  # at a true rate of 80 % a run of eight does worse once in twenty
 
@@ -204,7 +204,7 @@ def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
     run = simulate(300, 6)
     tap = named(name)(knowing(run, name))
     holes = [Transition(t.session, t.k, None, None, None, None) for t in heard_by(run, CLEAR)]
-    said = said_about(tap, holes)
+    said = output_about(tap, holes)
     assert not said.belief.whole
     guesses = [*map(tap.observe, holes), *tap.review()]
     assert max(max(g.symbol) for g in guesses) == 0.5
@@ -218,7 +218,7 @@ def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
     run = simulate(300, 6)
     heard = heard_by(run, View(loss=1.0))
     assert heard == []
-    said = said_about(named(name)(knowing(run, name)), heard)
+    said = output_about(named(name)(knowing(run, name)), heard)
     scored = score(run.truth, said)
     assert scored.keys.of == scored.bits.of == 0
     assert scored.why_unscored == "she guessed nothing"
@@ -239,7 +239,7 @@ def test_the_documented_eavesdropper_runs() -> None:
     assert len(file.read_text().splitlines()) <= 40
     kind = named(f"{file}:Near")
     run = simulate(300, 1)
-    said = said_about(kind(run.scenario.knowledge()), heard_by(run, View(loss=0.05)))
+    said = output_about(kind(run.scenario.knowledge()), heard_by(run, View(loss=0.05)))
     scored = score(run.truth, said)
     assert scored.keys.of > 30
     assert 0.2 < (scored.keys.share or 0) < 1.0

@@ -7,7 +7,7 @@ import pytest
 
 from protocol.arrays import Array
 from studies.secrecy.runs import Run, simulate
-from studies.secrecy.study import heard_by, said_about
+from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
@@ -88,7 +88,7 @@ def test_what_went_before_and_came_after_says_more_than_each_step_alone(
 ) -> None:
     run = simulate(124, 11, name=plant, payloads=[b"Go on now."])
     view = View(seed=11, noise=noise, loss=missed)
-    heard, told = heard_by(run, view), view.told(run.scenario.knowledge())
+    heard, told = heard_by(run, view), view.knowledge(run.scenario.knowledge())
     together = Inference(told).infer(heard)
     shape = np.array(told.disturbance_H) / np.array(told.disturbance_h)[:, None]
     alone = GapSmoother(np.array(told.A), np.array(told.B), Shape(shape), noise, samples=96)
@@ -102,12 +102,12 @@ def test_on_a_plant_of_four_states_she_is_not_below_the_smoother() -> None:
     for seed in (21, 22, 23):
         run = simulate(300, seed, name="quadruple-tank", payloads=[b"Go."])
         view = View(seed=seed, noise=0.05)
-        heard, told = heard_by(run, view), view.told(run.scenario.knowledge())
+        heard, told = heard_by(run, view), view.knowledge(run.scenario.knowledge())
         inferred = Inference(told).infer(heard)
         said, _ = verdicts_of(inferred.steps, inferred.among, 2, certain=False)
         likelier = said[:, 1:].argmax(axis=1).tolist()
         keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
-        smoother = said_about(Smoother(told), heard)
+        smoother = output_about(Smoother(told), heard)
         right[0] += sum(a == b for a, b in zip(likelier, keys, strict=True))
         right[1] += float(score(run.truth, smoother).keys_reviewed.right)
     assert right[0] >= right[1]

@@ -115,7 +115,7 @@ def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
 ) -> None:
     """y(k+1) = 1.819 y(k) - 0.819 y(k-1) + 0.0094 u(k) + 0.0088 u(k-1), of two states."""
     kind = named("learning")
-    told = View().told(scenario.knowledge(), model=kind.told_model)
+    told = View().knowledge(scenario.knowledge(), model=kind.told_model)
     assert (told.A, told.B, told.disturbance_H, told.policy) == (None, None, None, None)
     for place in (0, 4):
         tap = kind(told)
@@ -161,7 +161,7 @@ def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     at_once = 0
     for place in range(3):
         heard = heard_by(list(transcript(runs, link, place)), view)
-        tap = kind(view.told(scenario.knowledge()))
+        tap = kind(view.knowledge(scenario.knowledge()))
         at_once += sum(tap.observe(t).best == runs.coin[t.k, place] for t in heard)
         for g in tap.review():
             sure.append(max(g.symbol))

@@ -9,7 +9,7 @@ from controller_service.laws.base import CandidateLaw
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario
 from studies.secrecy.runs import Run, law_of, scenario_at, simulate
-from studies.secrecy.study import heard_by, said_about
+from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
@@ -49,8 +49,8 @@ def played(
 @cache
 def _played(seed: int, view: View, steps: int, name: str, alpha: float) -> Played:
     run = simulate(steps, seed, name=name, alpha=alpha)
-    tap = Smoother(view.told(run.scenario.knowledge()))
-    said = said_about(tap, heard_by(run, view))
+    tap = Smoother(view.knowledge(run.scenario.knowledge()))
+    said = output_about(tap, heard_by(run, view))
     return run, tap, said, score(run.truth, said)
 
 
@@ -189,7 +189,7 @@ def test_without_the_law_she_guesses_evenly() -> None:
     run = simulate(150, 0)
     knowledge = run.scenario.knowledge().model_copy(update={"policy": None})
     tap = Smoother(knowledge)
-    said_about(tap, heard_by(run, OFFERS))
+    output_about(tap, heard_by(run, OFFERS))
     assert {g.symbol for g in tap.review()} == {(0.5, 0.5)}
 
 

@@ -167,7 +167,7 @@ def test_the_view_acts_before_the_capture_so_a_replay_hears_the_same(
     replay = Replay(tmp_path, LIGHT)
     replay.run()
     assert replay.view == view
-    for said in replay.said():
+    for said in replay.outputs():
         mine = {(e["session"], e["k"]): e["symbol"] for e in live if e["name"] == said.name}
         assert mine == said.live
     assert 0.7 < sum(1 for _ in CaptureReader(tmp_path).records()) / len(run.messages) < 0.9
@@ -298,7 +298,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     said = wire.statuses[-1]
     assert wire.service.heavy is not None
     process = wire.service.heavy.process
-    with log_of("tap") as told_of:
+    with log_of("tap") as knowledge_of:
         os.kill(process.pid, signal.SIGKILL)
         for message in run.messages[half:]:
             wire.send(message)
@@ -312,7 +312,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         assert record["failed"] == dead.failed
         assert "her process died" in (tmp_path / "tap" / "health").read_text()
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
-    assert any("started again" in line for line in told_of)
+    assert any("started again" in line for line in knowledge_of)
     assert wire.service.heavy.process is not process
     wire.finish()
     record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
@@ -332,9 +332,9 @@ def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
     os.kill(process.pid, signal.SIGKILL)  # before it has said a word
     for message in run.messages:
         wire.send(message)
-    with log_of("tap") as told_of:
+    with log_of("tap") as knowledge_of:
         wire.finish()
-    assert any("it died 1 times, and is not started again" in line for line in told_of)
+    assert any("it died 1 times, and is not started again" in line for line in knowledge_of)
     records = json.loads((tmp_path / BELIEFS).read_bytes())
     assert records["nearest-centre"]["failed"] == ""
     assert records["list-decoder"]["failed"] == "her process died (signal 9)"
@@ -355,12 +355,12 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
         return observe(transition)
 
     monkeypatch.setattr(nearest, "observe", breaks)
-    with log_of("tap") as told_of:
+    with log_of("tap") as knowledge_of:
         for message in run.messages:
             wire.send(message)
         wire.finish()
     why = "step 21: ValueError: no idea"
-    assert f"eavesdropper nearest-centre failed at {why}" in told_of
+    assert f"eavesdropper nearest-centre failed at {why}" in knowledge_of
     last = {s.name: s for s in wire.statuses}
     assert last["nearest-centre"].failed == why
     assert why not in last["nearest-centre"].message

@@ -19,7 +19,7 @@ from protocol.schemes.table import StateTable
 from studies.secrecy.runs import SENTENCES as SHORT
 from studies.secrecy.runs import simulate
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import heard_by, said_about
+from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import text
@@ -380,7 +380,7 @@ def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_
     run = simulate(80, seed, name="packed", payloads=[b"x" * 20])
     view = View(seed=seed, noise=0.05)
     heard = heard_by(run, view)
-    inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
+    inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
     alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
     keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
     said = [float(alone[i, key + 1]) for i, key in enumerate(keys) if key >= 0]
@@ -399,7 +399,7 @@ def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_stat
     run = simulate(400, 0)
     view = View(seed=0, noise=noise)
     steps = heard_by(run, view)
-    inferred = Inference(view.told(run.scenario.knowledge())).infer(steps)
+    inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(steps)
     width = 1 / run.scenario.secrecy.alpha
     low, high = inferred.among
     assert abs((low + high) / 2 / width - 1) < off
@@ -416,9 +416,10 @@ def test_through_noise_she_is_not_below_the_smoother() -> None:
     run = simulate(1000, 1)
     view = View(seed=1, noise=0.05)
     heard = heard_by(run, view)
-    told = view.told(run.scenario.knowledge())
+    told = view.knowledge(run.scenario.knowledge())
     best, rung = (
-        score(run.truth, said_about(tap, heard)) for tap in (Text(told, live=False), Smoother(told))
+        score(run.truth, output_about(tap, heard))
+        for tap in (Text(told, live=False), Smoother(told))
     )
     assert best.messages.right == 1
     assert best.keys_reviewed.right >= rung.keys_reviewed.right
@@ -469,7 +470,7 @@ def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not
         run = simulate(60, seed, name="packed", payloads=[b"x" * 20])
         view = View(seed=seed, loss=0.5)
         heard = heard_by(run, view)
-        inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
+        inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
         alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
         for i, t in enumerate(heard[:8]):
             key = run.truth.keys.get((t.session, t.k), -1)
@@ -484,7 +485,7 @@ def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
     run = simulate(320, 1000, name="packed-double-integrator", payloads=[b"x" * 20])
     view = View(seed=1000, loss=0.3)
     heard = heard_by(run, view)
-    inferred = Inference(view.told(run.scenario.knowledge())).infer(heard)
+    inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
     alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
     keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
     lost = [i for i, t in enumerate(heard) if t.candidates is None and keys[i] >= 0]
@@ -533,8 +534,8 @@ def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant()
     run = simulate(320, 3, name="packed", payloads=[payload])
     (over, _), *_ = run.truth.whole
     view = View(seed=3, loss=0.3)
-    tap, heard = Text(view.told(run.scenario.knowledge())), heard_by(run, view)
-    said = said_about(tap, heard)
+    tap, heard = Text(view.knowledge(run.scenario.knowledge())), heard_by(run, view)
+    said = output_about(tap, heard)
     assert over < said.belief.solved_k < over + 40
     assert said.belief.whole == (payload,)
     assert said.belief.confidence > 0.9
@@ -559,8 +560,8 @@ def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
     run = simulate(steps, 5, name=plant, payloads=[payload])
     assert [text for _, text in run.truth.whole] == [payload]
     view = View(seed=5, loss=0.1)
-    tap = Text(view.told(run.scenario.knowledge()), live=live)
-    said = said_about(tap, heard_by(run, view))
+    tap = Text(view.knowledge(run.scenario.knowledge()), live=live)
+    said = output_about(tap, heard_by(run, view))
     assert said.belief.whole == (payload,)
     assert said.belief.bits_left is not None
     assert said.belief.bits_left < 0.5
@@ -572,8 +573,8 @@ def test_a_message_that_another_follows_at_once_is_read() -> None:
     payloads = [s.encode() for s in SENTENCES[:2]]
     run = simulate(700, 6, name="packed", payloads=payloads)
     view = View(seed=6, loss=0.3)
-    tap = Text(view.told(run.scenario.knowledge()), live=False)
-    said = said_about(tap, heard_by(run, view))
+    tap = Text(view.knowledge(run.scenario.knowledge()), live=False)
+    said = output_about(tap, heard_by(run, view))
     assert said.belief.whole == tuple(payloads)
 
 
@@ -586,7 +587,7 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
     payload = random.Random(2).randbytes(16)
     run = simulate(320, 2, name="packed", payloads=[payload])
     view = View(seed=2, loss=0.3)
-    tap = Text(view.told(run.scenario.knowledge()), beam=100)
+    tap = Text(view.knowledge(run.scenario.knowledge()), beam=100)
     told = []
     for t in heard_by(run, view):
         tap.observe(t)

@@ -78,7 +78,7 @@ def test_who_works_is_waited_for_and_who_stands_still_is_not(
 ) -> None:
     """On a busy machine a second of work takes minutes."""
     monkeypatch.setattr(sieve, "WAIT_S", 2.0)
-    monkeypatch.setattr(sieve, "LOOK_S", 0.3)
+    monkeypatch.setattr(sieve, "POLL_S", 0.3)
     work = "import time\nwhile time.process_time() < 4: pass\nraise SystemExit(3)"
     for code, expected in ((work, 3), ("import time; time.sleep(1000)", None)):
         command = [sys.executable, "-c", code]

@@ -128,7 +128,7 @@ def smoother_left(
             u = loop.K @ x[k] + loop.offsets[coins[k]]
             x[k + 1] = loop.A @ x[k] + loop.B @ u + rng.uniform(-1, 1, len(widths)) * widths
         heard = [tuple(v) for v in (x + noise * rng.standard_normal(x.shape)).tolist()]
-        tap = Smoother(view.told(scenario.knowledge()))
+        tap = Smoother(view.knowledge(scenario.knowledge()))
         for k in range(steps):
             tap.observe(Transition("noise", k, heard[k], None, None, heard[k + 1], start=k == 0))
         said = {g.k: g.symbol for g in tap.review()}

@@ -90,7 +90,7 @@ def decode(args: argparse.Namespace, path: Path) -> int:
             truth = read_truth(run).between(args.first, args.last)
         except RunError as error:
             raise UsageError(str(error)) from None
-        taps = tuple(score(truth, said) for said in replay.said())
+        taps = tuple(score(truth, said) for said in replay.outputs())
         report["score"] = summary_of(RunScore(run.name, truth, taps))
     if args.json:
         print(json.dumps(report))

@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 @dataclass
-class _Told:
+class _Outcome:
     """What the acts came to, so far."""
 
     lines: list[str] = field(default_factory=list)
@@ -113,10 +113,10 @@ class _Told:
     interrupted: bool = False
 
 
-def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Told:
+def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
     """The runs, one after the other; what was left or interrupted is the last."""
     folder = run_dir_of(args.run_dir)
-    told = _Told()
+    told = _Outcome()
     acts: tuple[tuple[str, Callable[..., Act]], ...] = (
         ("spoken", _spoken),
         ("sealed", _sealed),
@@ -171,7 +171,7 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path, *, secret: b
 Act = tuple[Outcome, str, bool]
 
 
-def _spoken(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _spoken(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
     options = _options(args, "packed", folder, secret=False)
     outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
@@ -187,7 +187,7 @@ def _spoken(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage 
     return outcome, line, bool(summary["delivered"] and had)
 
 
-def _sealed(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _sealed(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """Keys from what the tap misses, and a message under a one-time pad of them."""
     payload = SEALED.encode()
     messages: list[SealedMessage] = []
@@ -211,7 +211,7 @@ def _sealed(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage 
     return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
 
 
-def _control(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _control(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     text = _changed("keys", DEAF, CLAIM)
 
@@ -229,7 +229,7 @@ def _control(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage
     return outcome, line_of(outcome.summary), made == 0
 
 
-def _caught(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage | None") -> Act:
+def _caught(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
     with _scenario("secret-key", _listened(_changed("watched"))) as scenario:
 
@@ -254,7 +254,7 @@ def _caught(args: argparse.Namespace, folder: Path, _told: _Told, stage: "Stage 
     return outcome, line, bool(caught and not found.get("false_alarms"))
 
 
-def _unseen(args: argparse.Namespace, folder: Path, told: _Told, stage: "Stage | None") -> Act:
+def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The same by one who hears all, so that she has the key and every digit of it."""
     before = tuple(told.lines)
     onset = (told.summaries["caught"]["attack"] or {}).get("onset", ONSETS[0])

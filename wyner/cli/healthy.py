@@ -22,7 +22,7 @@ MAX_AGE_S = 5.0
 second (the tap each two)."""
 
 WITHIN_S = 3.0
-LOOK_S = 0.1
+POLL_S = 0.1
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -70,7 +70,7 @@ def advances(look: Callable[[], Look], within_s: float) -> Look:
         lowest = last.count  # a new session counts from nought again
         if time.monotonic() >= until:
             raise Failure(f"stands still: {last.text}, no more within {within_s:g} s")
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
 
 
 def takes_connections(endpoint: str, within_s: float) -> None:
@@ -132,7 +132,7 @@ def _endpoint(args: argparse.Namespace) -> str:
 def _service(args: argparse.Namespace) -> str:
     look = _look_of(args.service)
     seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
-    told = told_by(args.run_dir / args.service)
+    told = health_of(args.run_dir / args.service)
     if told.startswith("bad"):
         raise Failure(told.removeprefix("bad: "))
     return f"{args.service} advances: {seen.text}"
@@ -154,7 +154,7 @@ def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, 
             advances(lambda: look(folder, time.time()), args.within)
         except Failure as error:
             return str(error)
-        told = told_by(folder)
+        told = health_of(folder)
         return told.removeprefix("bad: ") if told.startswith("bad") else ""
 
     with ThreadPoolExecutor(max_workers=32) as threads:
@@ -165,7 +165,7 @@ def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, 
     return f"{args.service} advances on all {len(loops)} loops", {}
 
 
-def told_by(folder: Path) -> str:
+def health_of(folder: Path) -> str:
     """The service's own line, ``ok`` or ``bad`` and why; empty where it has none."""
     try:
         return (folder / HEALTH).read_text(encoding="utf-8", errors="replace").strip()

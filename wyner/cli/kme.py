@@ -12,7 +12,7 @@ from runtime.signals import stop_on_signals
 from wyner.cli.options import host_port
 
 RATE: Final = 200.0
-LOOK_S: Final = 0.1
+POLL_S: Final = 0.1
 HEALTH_S: Final = 1.0
 
 
@@ -115,17 +115,17 @@ def run(args: argparse.Namespace) -> int:
                 if (now := time.monotonic()) - told_at >= HEALTH_S:
                     told_at = now
                     tell(server.health())
-                complaints.tell_rest()
+                complaints.report_held_back()
                 try:
                     store.stay()
                 except StoreError as error:
                     put_back.append(Failure(str(error)))
                     break
-                await asyncio.sleep(LOOK_S)
+                await asyncio.sleep(POLL_S)
             stop.set()
             await serving
-            tell(f"stopped: {server.told()}")
-            complaints.tell_rest(last=True)
+            tell(f"stopped: {server.summary()}")
+            complaints.report_held_back(last=True)
 
         try:
             asyncio.run(serve())

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from wyner.deployment.running import RunningLoop
 
 
-LOOK_S: Final = 0.1
+POLL_S: Final = 0.1
 """Between two looks for a run that is only being started."""
 
 
@@ -67,7 +67,7 @@ def joined(
         print(f"wyner: {which} on this machine yet; waiting {wait_s:g} s for it", file=sys.stderr)
         until = time.monotonic() + wait_s
         while time.monotonic() < until and not is_there(run_name, CONTROLLER_MANAGEMENT):
-            time.sleep(LOOK_S)
+            time.sleep(POLL_S)
         if run_name is None and not is_there(None, CONTROLLER_MANAGEMENT):
             raise Failure(
                 f"no run on this machine within {wait_s:g} s: start one (wyner up; it is there "

@@ -216,7 +216,7 @@ def _replayed(run: "Run", names: tuple[str, ...], scenario_name: str | None) -> 
         replay.run()
     except (CaptureError, KnowledgeError) as error:
         raise UsageError(str(error)) from None
-    return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.said()))
+    return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.outputs()))
 
 
 def _print(report: object, *, color: bool) -> None:

@@ -4,7 +4,13 @@ import argparse
 
 from runtime.errors import UsageError
 from runtime.options import picked
-from tap_service.command import TapOptions, ToldKnowledge, add_options, run_told, told_by
+from tap_service.command import (
+    GivenKnowledge,
+    TapOptions,
+    add_options,
+    knowledge_in,
+    run_with_knowledge,
+)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -20,14 +26,14 @@ def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
     options = picked(TapOptions, vars(args))
     if args.knowledge is not None:
-        return run_told(options, told_by(args.knowledge))
+        return run_with_knowledge(options, knowledge_in(args.knowledge))
     if args.scenario is None and args.fleet is None:
         raise UsageError("--scenario, --knowledge or --fleet: expected one of them")
     from runtime.scenario_file import scenario_of
 
-    def told_of(name: str) -> ToldKnowledge:
+    def knowledge_of(name: str) -> GivenKnowledge:
         scenario = scenario_of(name)
-        return ToldKnowledge(
+        return GivenKnowledge(
             scenario.knowledge(),
             scenario.oracle_knowledge(),
             view=scenario.tap.model_dump(exclude={"eavesdroppers"}),
@@ -35,5 +41,5 @@ def run(args: argparse.Namespace) -> int:
             where=f"{name}: tap.eavesdroppers: ",
         )
 
-    told = None if args.scenario is None else told_of(args.scenario)
-    return run_told(options, told, lambda loop: told_of(loop.scenario))
+    told = None if args.scenario is None else knowledge_of(args.scenario)
+    return run_with_knowledge(options, told, lambda loop: knowledge_of(loop.scenario))

@@ -70,7 +70,7 @@ class Watch:
         self._folder = folder
         self._held: State | None = None
         self._held_ns = 0
-        self._dirty, self._news = True, False
+        self._dirty, self._fresh = True, False
         self._drawn: tuple[Size, int] = ((0, 0), 0)
 
     def take(self, source: Source) -> None:
@@ -81,7 +81,7 @@ class Watch:
                 self.state = reduce(self.state, arrival)
                 self._look_for_moments(arrival.t_ns)
             self.state = replace(self.state, unreadable=source.malformed)
-            self._news = True
+            self._fresh = True
 
     def _look_for_moments(self, t_ns: int) -> None:
         found = next_moment(self.state, self._told)
@@ -168,12 +168,12 @@ class Watch:
         return (
             self._dirty
             or size != drawn_size
-            or waited_ns >= (FRAME_NS if self._news else REDRAW_NS)
+            or waited_ns >= (FRAME_NS if self._fresh else REDRAW_NS)
         )
 
     def draw(self, size: Size, now_ns: int) -> RenderableType:
         """The whole screen."""
-        self._dirty = self._news = False
+        self._dirty = self._fresh = False
         self._drawn = (size, now_ns)
         return self._whole(size, now_ns)
 

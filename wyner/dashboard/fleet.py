@@ -13,7 +13,7 @@ from rich.live import Live
 
 from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
 from protocol.topics import every_loop
-from runtime.fleet import LARGEST
+from runtime.fleet import LARGEST_FLEET
 from runtime.inbox import Inbox
 from wyner.dashboard.model import TAPS_KEPT
 from wyner.dashboard.parts import WIDE, Column, fitting, line, table
@@ -123,7 +123,7 @@ PRINTED: Final = 240
 
 
 class FleetTable:
-    """The newest statuses of the loops that were heard, of `LARGEST` at most.
+    """The newest statuses of the loops that were heard, of `LARGEST_FLEET` at most.
 
     Callbacks put into an inbox; :meth:`take` parses, on the caller's thread.
     """
@@ -156,7 +156,7 @@ class FleetTable:
             except ValidationError:
                 self.malformed += 1
                 continue
-            if loop in self._rows or len(self._rows) < LARGEST:
+            if loop in self._rows or len(self._rows) < LARGEST_FLEET:
                 self._rows.setdefault(loop, LoopRow(loop)).note(status, now_s)
 
     def shown(self, now_s: float, width: int = PRINTED, most: int | None = None) -> Group:

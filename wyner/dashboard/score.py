@@ -17,7 +17,7 @@ from protocol.statistics import (
     better_than,
     bits_left,
     confidence_sequence,
-    told_left,
+    stated_left,
 )
 from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
 from wyner.dashboard.text import letters, number
@@ -144,7 +144,7 @@ def left_by(state: State, tap: TapState, its: Score) -> Interval | None:
     keys = _carried(state)
     if tap.status.bits_left is not None:
         bits = tap.status.bits_left
-        return told_left(bits, keys * math.log2(its.size) if state.plant is not None else bits)
+        return stated_left(bits, keys * math.log2(its.size) if state.plant is not None else bits)
     if not its.scored:
         return None
     return bits_left(keys, its.size, its.guessed)

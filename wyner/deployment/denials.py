@@ -64,10 +64,10 @@ class Denials:
                 del self._names[next(iter(self._names))]
             if self._is_in_advance(thread, judged["key"], judged["what"]) or not judged["verdict"]:
                 return ""
-            return _told(judged["name"], judged["what"], judged["key"])
+            return _denial(judged["name"], judged["what"], judged["key"])
         if again := _AS_BEFORE.match(said):
             who = self._names.get(again["zid"], "who has no name in the rules")
-            return _told(who, again["what"], again["key"])
+            return _denial(who, again["what"], again["key"])
         return ""
 
     def _is_in_advance(self, thread: str, key: str, what: str) -> bool:
@@ -79,7 +79,7 @@ class Denials:
         return True
 
 
-def _told(who: str, what: str, key: str) -> str:
+def _denial(who: str, what: str, key: str) -> str:
     """The line for one message; empty for what is no message of this router's own judgement."""
     verb, _, flow = what.rpartition(" ")
     if flow != "(ingress)" or verb not in ("Put", "Delete"):
@@ -111,4 +111,4 @@ def denials_told(complaints: RateLimitedLog) -> Iterator[None]:
         os.dup2(kept, 1)  # the pipe's last end closes, and the thread ends
         os.close(kept)
         thread.join(1.0)
-        complaints.tell_rest(last=True)
+        complaints.report_held_back(last=True)

@@ -41,7 +41,7 @@ BODY_S: Final = 5.0
 IDLE_S: Final = 15.0
 """A connection that completes no request for so long is closed."""
 
-LOOK_S: Final = 0.5
+POLL_S: Final = 0.5
 
 Asked = Callable[[str, web.Request], Awaitable[KmeAnswer]]
 
@@ -81,9 +81,9 @@ class KeyServer:
             state = "bad" if self._entity.refused else "ok"
         except StoreError:
             state = "bad"
-        return f"{state}: {self.told()}"
+        return f"{state}: {self.summary()}"
 
-    def told(self) -> str:
+    def summary(self) -> str:
         """What there is to give, and what was given and refused since the start."""
         try:
             ready = self._entity.ready()
@@ -109,7 +109,7 @@ class KeyServer:
             while not stop.is_set():
                 self._close_idle(runner.server, time.monotonic())
                 try:
-                    await asyncio.wait_for(stop.wait(), LOOK_S)
+                    await asyncio.wait_for(stop.wait(), POLL_S)
                 except TimeoutError:
                     continue
         finally:

@@ -17,8 +17,8 @@ from wyner.runs.check.evidence import Pair, Part
 from wyner.runs.check.records import (
     BlockStoredLine,
     Item,
+    OtherLine,
     SessionLine,
-    Told,
     TracedTransition,
     Walked,
 )
@@ -144,8 +144,8 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
 # --- blocks ---------------------------------------------------------------------------------------
 
 
-def stored(number: int, keys: int, session: str = A) -> Told:
-    return Told(BlockStoredLine("block", session, number, keys, ""), b"")
+def stored(number: int, keys: int, session: str = A) -> OtherLine:
+    return OtherLine(BlockStoredLine("block", session, number, keys, ""), b"")
 
 
 def block_items(number: int, keys: int, counts: int = 3, session: str = A) -> list[Item]:
@@ -332,7 +332,7 @@ def test_stores_that_are_not_there_or_not_stores(tmp_path: Path) -> None:
 
 
 def test_other_lines_are_passed_over() -> None:
-    other = Told(SessionLine("session", A, "met"), b"")
+    other = OtherLine(SessionLine("session", A, "met"), b"")
     items: list[Item] = [other, walked(0, 3), *block_items(0, rows(0) - 1), other]
     assert judge(key_blocks.Blocks, evidence(), Part(items, items, [], [])).failures == 0
 

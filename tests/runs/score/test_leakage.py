@@ -52,7 +52,7 @@ def test_neighbours_without_a_model_come_to_nearest_centre(
     assert said[0] == f"{len(keys)} agreed steps"
     replay = Replay(folder, ("nearest-centre",))
     replay.run()
-    (nearest,) = (score(read_truth(Run.load(folder)), x).keys_reviewed for x in replay.said())
+    (nearest,) = (score(read_truth(Run.load(folder)), x).keys_reviewed for x in replay.outputs())
     assert nearest.share == 1.0
     found = neighbours_right(keys)
     assert found is not None

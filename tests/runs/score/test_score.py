@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.statistics import told_left
+from protocol.statistics import stated_left
 from runtime.recording import TraceWriter
 from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
 from tap_service.eavesdroppers.base import Belief
@@ -227,7 +227,7 @@ def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     told = score(truth(), replace(one, belief=replace(one.belief, bits_left=3.25)))
     r = report([RunScore("r", truth(), (told, score(truth(), said(5, name="weak"))))])
     assert r.strongest is not None
-    assert (r.strongest.name, r.strongest.left) == ("tap", told_left(3.25, 10.0))
+    assert (r.strongest.name, r.strongest.left) == ("tap", stated_left(3.25, 10.0))
     assert r.strongest.left is not None
     assert r.strongest.left.low == 0.0 < r.strongest.left.value == 3.25 < r.strongest.left.high
     assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance

@@ -14,7 +14,7 @@ from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.records import BlockStoredLine, Told, TracedTransition, Walked
+from wyner.runs.check.records import BlockStoredLine, OtherLine, TracedTransition, Walked
 
 FILES: Final[tuple[tuple[Side, str], ...]] = (
     ("controller", str(CONTROLLER_KEYS)),
@@ -198,7 +198,7 @@ def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStoredLine
         for item in items:
             if isinstance(item, Walked):
                 yield side, item.t
-            elif isinstance(item, Told) and isinstance(item.line, BlockStoredLine):
+            elif isinstance(item, OtherLine) and isinstance(item.line, BlockStoredLine):
                 yield side, item.line
 
 

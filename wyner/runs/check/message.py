@@ -14,10 +14,10 @@ from wyner.runs.check.records import (
     Break,
     Item,
     MissedLine,
+    OtherLine,
     QueuedLine,
     RecoveredLine,
     Refused,
-    Told,
     TracedTransition,
     Walked,
 )
@@ -141,7 +141,7 @@ class Framing:
             self.counter.fail(at.session, at.j, at.k, text)
         self.due = self.owed = None
 
-    def _reported(self, item: Told) -> None:
+    def _reported(self, item: OtherLine) -> None:
         due, self.due = self.due, None
         if self.cut or (item.again and self.last is None):
             self.cut = False
@@ -234,7 +234,7 @@ class _Queue:
             self.restarted = True
             if latest and not item.ended:
                 self.doubtful[latest] = len(self.told) - 1
-        elif isinstance(item, Told) and isinstance(item.line, QueuedLine):
+        elif isinstance(item, OtherLine) and isinstance(item.line, QueuedLine):
             if item.line.event == "sent":
                 self._sent(item.line.id, item.payload)
             else:
@@ -299,7 +299,7 @@ class Messages(Check):
     def feed(self, part: Part) -> None:
         late = []
         for item in part.controller:
-            if isinstance(item, Told) and item.line.event == "delivered":
+            if isinstance(item, OtherLine) and item.line.event == "delivered":
                 late.append(item)
             self._queue.feed(item)
         for item in part.plant:

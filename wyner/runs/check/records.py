@@ -257,7 +257,7 @@ class Walked(NamedTuple):
     s: int
 
 
-class Told(NamedTuple):
+class OtherLine(NamedTuple):
     """Another line of a trace.
 
     ``payload`` is its message, where it has one; ``again`` says that the report had been written
@@ -283,7 +283,7 @@ class Break(NamedTuple):
     ended: bool
 
 
-Item = Walked | MissedLine | Told | Again | Break
+Item = Walked | MissedLine | OtherLine | Again | Break
 
 
 LARGEST_INTEGER: Final = 2**63 - 1

@@ -30,10 +30,10 @@ from wyner.runs.check.records import (
     Break,
     Item,
     MissedLine,
+    OtherLine,
     Problem,
     SessionLine,
     Shape,
-    Told,
     TracedTransition,
     Walked,
     payload_of,
@@ -270,7 +270,7 @@ class SideReader:
                     raise ValueError(unlike)
                 yield from self._missed(number, line)
                 return
-            told = Told(line, payload_of(line))
+            told = OtherLine(line, payload_of(line))
             if kind in REPORTS:
                 counts = self._resolver.report()
                 if counts is Counts.BEHIND:

@@ -18,8 +18,8 @@ from wyner.runs.check.records import (
     BlockJudgedLine,
     BlockStoredLine,
     Item,
+    OtherLine,
     SessionLine,
-    Told,
     Walked,
 )
 
@@ -80,11 +80,11 @@ class _End:
         if isinstance(item, Walked):
             self._session(item.t.session)
             self.blocks.transition(item.t)
-        elif isinstance(item, Told) and isinstance(item.line, SessionLine):
+        elif isinstance(item, OtherLine) and isinstance(item.line, SessionLine):
             self._session(item.line.session or "")
-        elif isinstance(item, Told) and isinstance(item.line, BlockStoredLine):
+        elif isinstance(item, OtherLine) and isinstance(item.line, BlockStoredLine):
             self.blocks.stored[item.line.session, item.line.number] = item.line.keys
-        elif isinstance(item, Told) and isinstance(item.line, BlockJudgedLine):
+        elif isinstance(item, OtherLine) and isinstance(item.line, BlockJudgedLine):
             self.judged[item.line.session, item.line.number] = item.line.what
 
     def _session(self, session: str) -> None:

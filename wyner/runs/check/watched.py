@@ -13,7 +13,7 @@ from wyner.runs.check.base import EDGE, Check, Counter
 from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, open_store
-from wyner.runs.check.records import AlarmLine, ForgedLine, Told, TracedTransition, Walked
+from wyner.runs.check.records import AlarmLine, ForgedLine, OtherLine, TracedTransition, Walked
 
 WORDS: Final = 8
 WORD: Final = 2**32
@@ -182,7 +182,7 @@ class Guarded(Check):
 
     def feed(self, part: Part) -> None:
         for item in (*part.plant, *part.controller):
-            if isinstance(item, Told) and isinstance(item.line, ForgedLine):
+            if isinstance(item, OtherLine) and isinstance(item.line, ForgedLine):
                 self._forged += 1
                 attacked = self.evidence.plant is not None and self.evidence.plant.attack
                 text = f"{item.line.message} {item.line.k} was refused: {item.line.why}"
@@ -269,7 +269,7 @@ class Alarms(Check):
         for item in part.controller:
             if isinstance(item, Walked):
                 self._tested(item.t)
-            elif isinstance(item, Told) and isinstance(item.line, AlarmLine):
+            elif isinstance(item, OtherLine) and isinstance(item.line, AlarmLine):
                 self._alarmed(item.line)
 
     def _tested(self, t: TracedTransition) -> None:

@@ -17,7 +17,7 @@ from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
 from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
-from wyner.runs.check.records import MissedLine, Told, TracedTransition, Walked
+from wyner.runs.check.records import MissedLine, OtherLine, TracedTransition, Walked
 from wyner.runs.check.seal import FILES, ITSELF
 from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
 from wyner.runs.page.walk import STYLE as WALK_STYLE
@@ -89,7 +89,7 @@ def write_report(run_dir: Path, output: Path | None = None, step: int | None = N
     """
     path = run_dir / PAGE if output is None else output
     evidence = read_evidence(run_dir)
-    write_atomically(path, page(evidence, _said(evidence.run), step).encode())
+    write_atomically(path, page(evidence, _outputs(evidence.run), step).encode())
     return path
 
 
@@ -97,7 +97,7 @@ class StepError(RunError):
     """A step that the run does not have; the message is one line."""
 
 
-def _said(run: Run) -> list[TapOutput] | str:
+def _outputs(run: Run) -> list[TapOutput] | str:
     """What the eavesdroppers said, or why that is not known."""
     try:
         return read_said(run)
@@ -204,7 +204,7 @@ class _Recorded:
     def take(self, part: Part) -> None:
         """Take a part of the run."""
         for item in (*part.plant, *part.controller):
-            if isinstance(item, Told) and not item.again and item.line.event in self.payloads:
+            if isinstance(item, OtherLine) and not item.again and item.line.event in self.payloads:
                 self.payloads[item.line.event].append(item.payload)
                 self.messages[item.line.event] += 1
         for item in part.plant:

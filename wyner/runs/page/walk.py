@@ -209,7 +209,9 @@ class Walk:
             state += f"; in truth {_vector(t.true_x_next)}"
         if isinstance(t, MissedLine):
             return f"{head}<p>No offer came in time, so nothing was tested.</p>{state}.</p>"
-        return f"{head}{self._picture(t)}<p>{escape(self.told(t))}</p>{self._table(t)}{state}.</p>"
+        return (
+            f"{head}{self._picture(t)}<p>{escape(self.sentence(t))}</p>{self._table(t)}{state}.</p>"
+        )
 
     def _link(self, k: int, sign: str) -> str:
         if k not in self._kept:
@@ -248,7 +250,7 @@ class Walk:
             f"{''.join(parts)}</svg>"
         )
 
-    def told(self, t: TracedTransition) -> str:
+    def sentence(self, t: TracedTransition) -> str:
         """What the agreement test found in a step."""
         if t.symbol < 0:
             gauges = ", ".join(f"{g:.3g}" for g in t.gauges)

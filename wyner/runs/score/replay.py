@@ -70,7 +70,7 @@ class Replay:
                     raise KnowledgeError(f"eavesdropper {ORACLE}: expected --scenario, for alpha")
                 mine = scenario.oracle_knowledge()
             else:
-                mine = self.view.told(self.knowledge, model=kind.told_model)
+                mine = self.view.knowledge(self.knowledge, model=kind.told_model)
             self.listeners.append(Listener.of(kind, mine))
         self.transcript = Transcript()
         self.session = ""
@@ -128,7 +128,7 @@ class Replay:
         counts = dict.fromkeys(COUNTS, 0) | {"malformed": self.reader.malformed}
         return [status_of(x, x.belief(), counts) for x in self.listeners]
 
-    def said(self) -> list[TapOutput]:
+    def outputs(self) -> list[TapOutput]:
         """What each said, for scoring."""
         out = []
         for x in self.listeners:
@@ -139,7 +139,7 @@ class Replay:
     def report(self) -> dict[str, Any]:
         """The end of it as one object: per eavesdropper her messages and how sure she is."""
         taps = {}
-        for s in self.said():
+        for s in self.outputs():
             b = s.belief
             taps[s.name] = {
                 "message": b.message.decode("utf-8", errors="replace"),

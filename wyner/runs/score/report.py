@@ -14,7 +14,7 @@ from protocol.statistics import (
     bits_left,
     confidence_sequence,
     share_over_runs,
-    told_left,
+    stated_left,
 )
 from tap_service.eavesdroppers.base import KeysHeld
 from wyner.runs.score.score import EavesdropperScore, Proportion, RunScore, Truth
@@ -241,12 +241,12 @@ def _left(
         return None
     # what she says of herself, but no more than was agreed
     told = [
-        told_left(t.told_left, len(s.truth.keys) * math.log2(t.size))
+        stated_left(t.stated_left, len(s.truth.keys) * math.log2(t.size))
         for s, t in mine
-        if not t.messages.every and t.told_left is not None
+        if not t.messages.every and t.stated_left is not None
     ]
     guessed = sum(
-        len(s.truth.keys) for s, t in mine if not t.messages.every and t.told_left is None
+        len(s.truth.keys) for s, t in mine if not t.messages.every and t.stated_left is None
     )
     parts = [*told, bits_left(guessed, mine[0][1].size, guessing)] if guessed else told
     value, low, high = (sum(ends) for ends in zip((0.0,) * 3, *parts, strict=True))

@@ -176,7 +176,7 @@ class EavesdropperScore:
         Steps that she takes for the message's, and that are none of it: they shift her frame.
     behind : int
         Steps captured that she never looked at.
-    told_left : float, optional
+    stated_left : float, optional
         Bits left by her own account, where she gives one.
     unfinished : bool
         Whether she was stopped before she had looked at all: what she leaves nobody knows then.
@@ -197,7 +197,7 @@ class EavesdropperScore:
     held: KeysHeld | None = None
     stray: int = 0
     behind: int = 0
-    told_left: float | None = None
+    stated_left: float | None = None
     unfinished: bool = False
 
     @property
@@ -209,7 +209,9 @@ class EavesdropperScore:
             return f"she failed: {self.failed}"
         if self.unfinished:
             return "she did not finish"
-        return "" if self.keys_reviewed.of or self.told_left is not None else "she guessed nothing"
+        return (
+            "" if self.keys_reviewed.of or self.stated_left is not None else "she guessed nothing"
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -274,7 +276,7 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
         held=belief.keys,
         stray=_stray(truth, said),
         behind=said.behind,
-        told_left=None if said.failed else belief.bits_left,
+        stated_left=None if said.failed else belief.bits_left,
         unfinished=not (said.heard_out or said.failed),
     )
 
@@ -332,10 +334,10 @@ def read_said(run: Run) -> list[TapOutput]:
     for event in run.guesses():
         mine = guesses.setdefault(event["name"], {"guess": BySteps(), "review": BySteps()})
         mine[event["event"]][event["session"], event["k"]] = event["symbol"]
-    return [said_of(record, guesses.get(name, {})) for name, record in records.items()]
+    return [output_of(record, guesses.get(name, {})) for name, record in records.items()]
 
 
-def said_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
+def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
     """What one eavesdropper said, from her record and her guesses by kind."""
     symbols = record["symbols"]
     belief = Belief(

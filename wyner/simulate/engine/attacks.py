@@ -16,8 +16,8 @@ from attacker_service.base import (
     ActuatorAttack,
     Attack,
     BusAttack,
+    Observation,
     SensorAttack,
-    Told,
 )
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
@@ -376,7 +376,7 @@ def attack_runs(
                 noise, seen = attack.options.sees, None
                 if noise is not None:
                     seen = reading + noise * hers.standard_normal(reading.shape)
-                reading = attack.sensor(Told(k + 1, shown, offered, believed, seen))
+                reading = attack.sensor(Observation(k + 1, shown, offered, believed, seen))
             else:
                 attack.watch(reading)
         bus = attack if isinstance(attack, BusAttack) and attacked else None
