@@ -3,7 +3,10 @@
 import numpy as np
 import pytest
 
-from protocol.arrays import Array
+from protocol.arrays import Array, Indices
+from studies.secrecy.runs import simulate
+from studies.secrecy.study import heard_by
+from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.inference.fitted_shape import likelier_shape, residuals_of
 
@@ -13,7 +16,9 @@ TOLD = np.vstack([np.eye(2), -np.eye(2)]) / 0.8
 """H / h of a D_e that reaches 0.8 in each coordinate."""
 
 
-def steps(widths: Array, count: int, seed: int, gap: float = 0.6) -> tuple[list[Transition], Array]:
+def steps(
+    widths: Array, count: int, seed: int, gap: float = 0.6
+) -> tuple[list[Transition], Indices]:
     """Steps with d even over a box, two candidates, and which was applied."""
     draw = np.random.default_rng(seed)
     out, applied = [], draw.integers(2, size=count)
@@ -33,6 +38,17 @@ def test_a_multiple_of_d_e_is_measured_in_d_e(count: int, seed: int) -> None:
     shape = likelier_shape(TOLD, A, B, heard)
     assert shape.told is None
     assert (shape.rows == TOLD).all()
+
+
+@pytest.mark.parametrize("name", ["packed", "packed-quadruple-tank", "sustained"])
+@pytest.mark.parametrize("loss", [0.0, 0.5])
+def test_the_shipped_plants_are_measured_in_d_e(name: str, loss: float) -> None:
+    run = simulate(320, 5, name=name, payloads=[b"Go on now."])
+    k = run.scenario.knowledge()
+    told = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
+    heard = heard_by(run, View(seed=5, loss=loss))
+    shape = likelier_shape(told, np.array(k.A), np.array(k.B), heard)
+    assert shape.told is None
 
 
 @pytest.mark.parametrize("seed", range(5))
