@@ -6,6 +6,10 @@ reaches. Then each mutant that still lives is switched on in a fork, where those
 reach the statement it changes, until one fails: first those that noticed another mutant of its
 function, then the quickest. Limits are of processor time, so that a machine that is busy or a job
 that is paused kills nothing.
+
+Tests of the tests, marked ``wrong_on_purpose``, judge none: in the file with all mutants they would
+not find the text that they replace. A test that fails without a mutant is told, and judges none
+either; the exit code is then :data:`LEFT_OUT`.
 """
 
 import gc
@@ -36,7 +40,7 @@ ARGUMENTS: Final = (
     "-p",
     "no:cacheprovider",
     "-m",
-    "not integration",
+    "not integration and not wrong_on_purpose",
     "--timeout=0",
     "-o",
     "tmp_path_retention_policy=none",
@@ -53,6 +57,9 @@ POLL_S: Final = 1.0
 
 UNTOLD: Final = 200
 """Exit code of a fork in which a mutant died, where the number of the test is not told."""
+
+LEFT_OUT: Final = 10
+"""Exit code where a test failed without a mutant."""
 
 AFFORDED_S: Final = 12.0
 """Of processor time, which the tests of one file that judge one mutant take, the quickest first."""
@@ -95,10 +102,12 @@ class Sieve:
         self._tried = tried
         lines = tried.read_text().splitlines() if tried.exists() else []
         rows = [json.loads(line) for line in lines]
-        self._outlived = {tuple(row["outlived"]) for row in rows if "outlived" in row}
+        outlived = [row for row in rows if "outlived" in row]
+        self._outlived = {tuple(row["outlived"]) for row in outlived}
         fate = {row["key"]: row["fate"] for row in rows if "fate" in row}
         self._alive = [m for m in chosen if fate.get(m.key) not in ("killed", "timeout")]
-        self._reached: set[str] = set()
+        self._reached = {row["outlived"][0] for row in outlived if row.get("reached", True)}
+        self._unfit: list[pytest.Item] = []
 
     @pytest.hookimpl(tryfirst=True)
     def pytest_configure(self) -> None:
@@ -124,10 +133,12 @@ class Sieve:
             after = files[number + 1][1][0] if number + 1 < len(files) else None
             self._file(path, items)
             session._setupstate.teardown_exact(after)
-        with self._tried.open("a") as log:
-            for m in self._alive:
-                fate = "survived" if m.key in self._reached else "not reached"
-                print(json.dumps({"key": m.key, "fate": fate}), file=log)
+        for m in self._alive:
+            fate = "survived" if m.key in self._reached else "not reached"
+            self._note({"key": m.key, "fate": fate})
+        for item in self._unfit:
+            print(f"{item.nodeid} fails without a mutant: it judged none")
+        session.testsfailed = len(self._unfit)
         return True
 
     def _file(self, path: Path, items: list[pytest.Item]) -> None:
@@ -135,33 +146,31 @@ class Sieve:
             p.read_bytes() for p in sorted(path.parent.glob("*.py")) if "test_" not in p.name
         )
         digest = hashlib.sha256(text).hexdigest()[:12]
-        reach, cost = self._as_it_is(items)
-        reached = {m.key: [i for i in items if m.is_reached(reach[i])] for m in self._alive}
-        self._reached |= {key for key, tests in reached.items() if tests}
         due = [m for m in self._alive if (m.key, path.name, digest) not in self._outlived]
-        if self._fate("", afforded(items, cost), cost)[0] != "survived":
-            raise SystemExit(f"{path.name} fails in a fork without a mutant")
+        if not due:
+            return
+        reach, cost = self._as_it_is(items)
+        reached, judges = self._judges(due, reach, cost)
+        is_whole = len(cost) == len(items)
         gc.collect()
         gc.freeze()
         began, dead, parted = time.process_time(), set(), 0
         noticed: Counter[tuple[str, pytest.Item]] = Counter()
         for m in due:
-            tests = afforded(reached[m.key], cost)
+            tests = judges[m.key]
             tests.sort(key=lambda i: -noticed[m.function, i])
             fate, by = self._fate(m.name, tests, cost) if tests else ("survived", None)
             if by is not None:
                 noticed[m.function, by] += 1
-            with self._tried.open("a") as log:
-                row = (
-                    {"outlived": [m.key, path.name, digest]}
-                    if fate == "survived"
-                    else {"key": m.key, "fate": fate}
-                )
-                print(json.dumps(row), file=log)
             if fate != "survived":
                 dead.add(m.key)
-            else:
-                parted += len(tests) < len(reached[m.key])
+                self._note({"key": m.key, "fate": fate})
+                continue
+            parted += len(tests) < len(reached[m.key])
+            if is_whole:
+                self._note(
+                    {"outlived": [m.key, path.name, digest], "reached": bool(reached[m.key])}
+                )
         self._alive = [m for m in self._alive if m.key not in dead]
         took = time.process_time() - began + sum(resource.getrusage(resource.RUSAGE_CHILDREN)[:2])
         print(
@@ -174,21 +183,52 @@ class Sieve:
     def _as_it_is(
         self, items: list[pytest.Item]
     ) -> tuple[dict[pytest.Item, dict[str, set[int]]], dict[pytest.Item, float]]:
-        """The lines that each reaches, by module, and what it takes."""
+        """The lines that each reaches, by module, and what it takes; of those that pass."""
         reach, cost = {}, {}
         for item, following in _in_turn(items):
             began = time.process_time()
-            if not _passes(item, following, say=True):
-                raise SystemExit(f"{item.nodeid} fails without a mutant")
-            cost[item] = time.process_time() - began
-        for item, following in _in_turn(items):
+            if _passes(item, following, say=True):
+                cost[item] = time.process_time() - began
+            else:
+                self._leave_out(item)
+        for item, following in _in_turn(list(cost)):
             with _lines_noted() as lines:
                 _passes(item, following)
             reach[item] = dict(lines)
         return reach, cost
 
+    def _judges(
+        self,
+        due: list[Chosen],
+        reach: Mapping[pytest.Item, Mapping[str, set[int]]],
+        cost: dict[pytest.Item, float],
+    ) -> tuple[dict[str, list[pytest.Item]], dict[str, list[pytest.Item]]]:
+        """The tests that reach each mutant, and those that judge it: they pass in a fork.
+
+        One that does not is taken out of ``cost``; where it is not known which, all are.
+        """
+        while True:
+            reached = {m.key: [i for i in cost if m.is_reached(reach[i])] for m in self._alive}
+            judges = {m.key: afforded(reached[m.key], cost) for m in due}
+            asked = list(dict.fromkeys(i for tests in judges.values() for i in tests))
+            fate, by = self._fate("", asked, cost)
+            if fate == "survived":
+                self._reached |= {key for key, tests in reached.items() if tests}
+                return reached, judges
+            for item in asked if by is None else [by]:
+                self._leave_out(item)
+                del cost[item]
+
+    def _leave_out(self, item: pytest.Item) -> None:
+        print(f"{item.nodeid} fails without a mutant", flush=True)
+        self._unfit.append(item)
+
+    def _note(self, row: Mapping[str, object]) -> None:
+        with self._tried.open("a") as log:
+            print(json.dumps(row), file=log)
+
     def _fate(
-        self, name: str, items: list[pytest.Item], cost: dict[pytest.Item, float]
+        self, name: str, items: list[pytest.Item], cost: Mapping[pytest.Item, float]
     ) -> tuple[str, pytest.Item | None]:
         """What becomes of a mutant, and which test noticed it where that is known."""
         from mutmut.mutation.trampoline import set_mutant_under_test
@@ -289,7 +329,8 @@ def main(argv: Iterable[Any]) -> int:
     sieve = Sieve([Chosen(*row) for row in json.loads(Path(chosen).read_text())], Path(tried))
     with tempfile.TemporaryDirectory(dir=MEMORY_DISK if MEMORY_DISK.is_dir() else None) as apart:
         tempfile.tempdir = apart
-        return int(pytest.main([*ARGUMENTS, f"--basetemp={apart}/tmp", *tests], plugins=[sieve]))
+        code = pytest.main([*ARGUMENTS, f"--basetemp={apart}/tmp", *tests], plugins=[sieve])
+    return LEFT_OUT if code == pytest.ExitCode.TESTS_FAILED else int(code)
 
 
 if __name__ == "__main__":

@@ -96,6 +96,7 @@ def test_with_keys_too(side: str, tmp_path: Path) -> None:
     assert found[False].most_common(1)[0][0] == found[True].most_common(1)[0][0]
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.slow
 def test_a_branch_on_the_state_is_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     right = "if pad == NO_SYMBOL:"

@@ -136,6 +136,7 @@ def as_it_is(_: Patch) -> None:
     """Nothing is broken."""
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.slow
 @pytest.mark.parametrize("rule", [as_it_is, end_on_a_late_hello, count_no_lives])
 def test_a_hello_of_a_former_life_ends_nothing(
@@ -188,6 +189,7 @@ WRONG: dict[Callable[[Patch], None], bool] = {
 }
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.slow
 @pytest.mark.parametrize(("mutant", "keys"), WRONG.items())
 def test_a_broken_rule_is_found_with_a_shortest_counterexample(

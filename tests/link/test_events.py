@@ -5,7 +5,9 @@ from typing import Any
 import pytest
 
 from protocol.agreement import AgreementResult
+from protocol.box_observer import Box
 from protocol.link.events import (
+    AttackBegan,
     Event,
     FrameRefused,
     Interrupted,
@@ -61,6 +63,8 @@ TOLD = {
     "counts": 3,
 }
 CENTRES = ((3.0,), (5.0,))
+BOX = Box((0.5,), (1.5,))
+ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
 
 
 @pytest.mark.parametrize(
@@ -70,6 +74,11 @@ CENTRES = ((3.0,), (5.0,))
         (TRANSITION, TOLD),
         (TRANSITION._replace(predictions=CENTRES), {**TOLD, "predictions": CENTRES}),
         (TRANSITION._replace(coin=0, u=(2.0,)), {**TOLD, "coin": 0, "u": (2.0,)}),
+        (
+            TRANSITION._replace(verdict=TRANSITION.verdict._replace(box=BOX)),
+            {**TOLD, "box": BOX},
+        ),
+        (AttackBegan(ATTACK), {"event": "attack", **ATTACK}),
         (Missed(**STEP), {"event": "missed", **STEP}),
         (
             Interrupted(**STEP),
@@ -103,6 +112,12 @@ CENTRES = ((3.0,), (5.0,))
 )
 def test_an_event_is_its_line(event: Event, line: dict[str, Any]) -> None:
     assert event.as_event() == line
+
+
+@pytest.mark.parametrize("at", ["sensor", "bus", "actuator"])
+def test_an_attack_is_told_with_its_kind_place_and_onset(at: str) -> None:
+    words = AttackBegan(ATTACK | {"at": at}).sentence().split()
+    assert {"ghost", at, "7"} <= set(words)
 
 
 # --- key blocks -----------------------------------------------------------------------------------

@@ -116,6 +116,7 @@ def test_a_journal_that_was_put_back_puts_no_two_messages_under_one_word(
     world.close()
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.parametrize("made", GUARDS)
 def test_a_batch_of_an_earlier_process_would_put_two_messages_under_one_word(
     made: Callable[[int, int], Defence],
@@ -150,6 +151,7 @@ def no_farewell(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Guard, "closed", wrong)
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.parametrize(
     "wrong", [every_process_goes_on_with_the_batch, a_slot_serves_two_steps, no_farewell]
 )

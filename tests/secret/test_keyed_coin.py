@@ -111,6 +111,7 @@ WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [
 ]
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
     with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
@@ -236,6 +237,26 @@ def test_a_batch_that_nobody_marks_is_asked_after_ever_less_often() -> None:
     assert [round(b - a, 1) for a, b in itertools.pairwise(asked)][:5] == [0.1, 0.2, 0.4, 0.8, 1.0]
     controller.done(CoinKeys("s", tuple(keys(2))), now)
     assert controller.tasks(now + 0.01) == (CoinTask("s", "k1", 32),)
+
+
+def test_an_empty_store_is_asked_again_once_a_block_is_confirmed() -> None:
+    controller = OfferedCoins(2, on=True)
+    controller.begin("s")
+    assert controller.tasks(0.0)
+    controller.done(CoinKeys("s"), 0.0)
+    assert controller.tasks(100.0) == ()
+    controller.confirmed()
+    assert controller.tasks(100.0)
+
+
+def test_keys_serve_in_the_order_in_which_they_came_and_more_come_after_those_held() -> None:
+    controller = OfferedCoins(2, on=True)
+    controller.begin("s", keys(1))
+    controller.tasks(0.0)
+    controller.done(CoinKeys("s", tuple(keys(3)[1:])), 0.0)
+    assert controller.left == 3
+    named = [controller.named(k)[:2] for k in range(0, 4 * DIGITS, DIGITS)]
+    assert named == [("k0", 0), ("k1", DIGITS), ("k2", 2 * DIGITS), ("", 0)]
 
 
 def test_a_scenario_without_it_says_nothing() -> None:

@@ -253,6 +253,7 @@ def caught() -> bool:
     return False
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.parametrize("wrong", [both_own_all, given_before_confirmed])
 def test_an_end_that_gives_what_is_not_its_own_is_refused_by_the_other(
     wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
@@ -264,6 +265,7 @@ def test_an_end_that_gives_what_is_not_its_own_is_refused_by_the_other(
             wander(seed)
 
 
+@pytest.mark.wrong_on_purpose
 @pytest.mark.parametrize("wrong", WRONG)
 def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
     WRONG[wrong](monkeypatch)
@@ -276,6 +278,7 @@ def dies_while_writing(world: KeyedEnds) -> None:
         world.well(20, "controller", "writing")
 
 
+@pytest.mark.wrong_on_purpose
 def test_sending_before_saving_is_caught() -> None:
     """The step waits until the controller is back, and is answered a second time."""
     world = Hasty(keyed_rules(), period_s=3.0)

@@ -10,6 +10,7 @@ from typing import Any
 
 from plant_service.core import HELLO_S, PlantCore
 from plant_service.plant import Coin, Plant
+from plant_service.status import PlantTelemetry
 from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
@@ -71,6 +72,8 @@ class PlantInHand:
     fresh : NonceSource
     plant, coin, fallback : optional
         In place of those that do as they are told.
+    telemetry : PlantTelemetry, optional
+        Statuses are published with it.
     """
 
     def __init__(
@@ -86,6 +89,7 @@ class PlantInHand:
         plant: Plant | None = None,
         coin: Coin | None = None,
         fallback: Callable[[Vector, Vector], Vector] | None = None,
+        telemetry: PlantTelemetry | None = None,
     ) -> None:
         self.line = ScriptedLine()
         self.events: list[Event] = []
@@ -110,6 +114,7 @@ class PlantInHand:
             chunks=chunks,
             contributions=contributions,
             step=step,
+            telemetry=telemetry,
             nonces=fresh,
         )
         self.carry_out(self.core.start(0.0))

@@ -12,7 +12,7 @@ import pytest
 
 from tools import sieve
 from tools.mutants import ROOMS, SOURCES, Mutant, changed, drawn, fates, generate, told
-from tools.sieve import AFFORDED_S, afforded
+from tools.sieve import AFFORDED_S, LEFT_OUT, afforded
 
 MUTANTS = [Mutant(f"room.m.x_f__mutmut_{i}", f"{i:016x}", "a", "b", 1, 1) for i in range(50)]
 
@@ -144,37 +144,80 @@ def test_large(shared):
     assert lowered(shared[0]) == 7
 """
 
+SURVIVORS = {"-    while n > 9:", "-    if n < -9:"}
+"""What stands where these tests see no difference."""
+
+
+def sifted(folder: Path, tests: str) -> tuple[list[Mutant], subprocess.CompletedProcess[str]]:
+    """The mutants of the source, once they went through the tests."""
+    pytest.importorskip("mutmut")
+    for name in ("room/__init__.py", "tests/__init__.py", "tests/test_m.py", "pyproject.toml"):
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text(tests if "test_m" in name else "")
+    code, mutants = generate(SOURCE, Path("room/m.py"))
+    (folder / "room/m.py").write_text(code)
+    rows = [[m.name, m.key, m.first, m.last] for m in mutants]
+    (folder / "chosen.json").write_text(json.dumps(rows))
+    root = str(Path(__file__).resolve().parents[2])
+    ended = subprocess.run(
+        [sys.executable, "-m", "tools.sieve", "chosen.json", "tried.jsonl", "tests"],
+        check=False,
+        cwd=folder,
+        env=os.environ | {"PYTHONPATH": f"{folder}:{root}"},
+        capture_output=True,
+        text=True,
+    )
+    return mutants, ended
+
 
 @pytest.mark.slow
 def test_mutants_die_by_the_tests_that_reach_them(tmp_path: Path) -> None:
     """One that never ends dies as well; what no test calls is named so."""
-    pytest.importorskip("mutmut")
-    for name in ("room/__init__.py", "tests/__init__.py", "tests/test_m.py", "pyproject.toml"):
-        (tmp_path / name).parent.mkdir(exist_ok=True)
-        (tmp_path / name).write_text(TESTS if "test_m" in name else "")
-    code, mutants = generate(SOURCE, Path("room/m.py"))
-    (tmp_path / "room/m.py").write_text(code)
-    rows = [[m.name, m.key, m.first, m.last] for m in mutants]
-    (tmp_path / "chosen.json").write_text(json.dumps(rows))
-    tried = tmp_path / "tried.jsonl"
-    root = str(Path(__file__).resolve().parents[2])
-    arguments = [sys.executable, "-m", "tools.sieve", "chosen.json", "tried.jsonl", "tests"]
     for _ in range(2):  # the second time, only survivors are known and nothing is tried again
-        subprocess.run(
-            arguments,
-            cwd=tmp_path,
-            env=os.environ | {"PYTHONPATH": f"{tmp_path}:{root}"},
-            check=True,
-        )
+        mutants, ended = sifted(tmp_path, TESTS)
+        assert ended.returncode == 0, ended.stderr
+    tried = tmp_path / "tried.jsonl"
     fate = fates(tried)
     assert set(fate) == {m.key for m in mutants}
     by = {m.name.removeprefix("room.m."): (fate[m.key], m.difference()) for m in mutants}
     of_lowered = {name: (f, d) for name, (f, d) in by.items() if name.startswith("x_lowered")}
     survivors = [d[0] for f, d in of_lowered.values() if f == "survived"]
-    assert set(survivors) == {"-    while n > 9:", "-    if n < -9:"}
+    assert set(survivors) == SURVIVORS
     unreached = [d[0] for f, d in of_lowered.values() if f == "not reached"]
     assert set(unreached) == {"-        n += 1"}
     assert "timeout" in {f for f, _ in of_lowered.values()}
     assert {f for name, (f, _) in by.items() if name.startswith("x_unheard_of")} == {"not reached"}
     outlived = [line for line in tried.read_text().splitlines() if "outlived" in line]
     assert len(outlived) == len(set(outlived))
+
+
+UNFIT = """
+
+def test_wrong():
+    assert lowered(5) == 6
+
+
+def test_only_here(pid=os.getpid()):
+    assert lowered(5) == 5 and os.getpid() == pid
+
+
+@pytest.mark.wrong_on_purpose
+def test_of_the_tests():
+    assert lowered(5) == 7
+"""
+
+
+@pytest.mark.slow
+def test_a_test_that_fails_without_a_mutant_is_told_and_judges_none(tmp_path: Path) -> None:
+    """In the process itself or in a fork; a test of the tests is not even asked."""
+    mutants, ended = sifted(tmp_path, f"import os\n{TESTS}{UNFIT}")
+    assert ended.returncode == LEFT_OUT, ended.stderr
+    lines = [line for line in ended.stdout.splitlines() if "fails without a mutant: " in line]
+    assert {line.split()[0] for line in lines} == {
+        "tests/test_m.py::test_wrong",
+        "tests/test_m.py::test_only_here",
+    }
+    fate = fates(tmp_path / "tried.jsonl")
+    of_lowered = [m for m in mutants if m.function.endswith("x_lowered")]
+    survivors = {m.difference()[0] for m in of_lowered if fate[m.key] == "survived"}
+    assert survivors == SURVIVORS, "the others judge as they do alone"

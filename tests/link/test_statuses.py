@@ -1,0 +1,231 @@
+"""What an end reports beside its record: the first messages of a life, statuses, notices."""
+
+from dataclasses import replace
+
+import pytest
+
+from controller_service.core import INITIAL_ID, ControllerCore
+from plant_service.status import PlantTelemetry
+from protocol.link.events import Milestone, Timing
+from protocol.link.peer import Actions, Save
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.session import Rules
+from protocol.messages import (
+    BlockAnnouncement,
+    ControllerHello,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    PlantStatus,
+)
+from protocol.scenario import Scenario
+from protocol.schemes.framing import encode_frame
+from runtime.memory_journal import MemoryControllerJournal
+from tests.support.controller_in_hand import PERIOD_S, Zeros
+from tests.support.line_ends import line_rules
+from tests.support.plant_in_hand import STEP_S, PlantInHand, ScriptedLine
+
+RULES = line_rules(alpha=4.0, largest_input=5.0)
+HALTING = replace(RULES, halts=True)
+S, P, A, NEW = "1" * 16, "c" * 16, "a" * 16, "9" * 16
+CANDIDATES = ((1.5,), (-1.5,))
+OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
+
+# --- the controller's -----------------------------------------------------------------------------
+
+
+def controller(
+    journal: MemoryControllerJournal,
+    message: bytes | None = None,
+    record: SenderRecord | None = None,
+    rules: Rules = RULES,
+) -> ControllerCore:
+    return ControllerCore(
+        rules,
+        lambda x: CANDIDATES,
+        journal,
+        Zeros(),
+        instance=A,
+        period_s=PERIOD_S,
+        record=record,
+        message=message,
+    )
+
+
+def first_words(core: ControllerCore) -> list[Actions]:
+    """All that a life begins with."""
+    said = [core.start(0.0)]
+    while said[-1].finish_step:
+        said.append(core.finish_step())
+    return said
+
+
+def queued(said: list[Actions]) -> list[tuple[str, bytes]]:
+    return [a.write.queued for a in said if isinstance(a.write, Save) and a.write.queued]
+
+
+def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_greets() -> None:
+    journal = MemoryControllerJournal()
+    said = first_words(controller(journal, b"hi"))
+    assert queued(said) == [(INITIAL_ID, b"hi")]
+    assert said[0].events == (Milestone("sent", b"hi", INITIAL_ID),)
+    assert [type(message) for actions in said for message in actions.publish] == [ControllerHello]
+    for actions in said:
+        if actions.write is not None:
+            journal.write(actions.write)
+    again = first_words(controller(journal, b"hi", journal.load()))
+    assert queued(again) == []
+    assert [type(message) for message in again[-1].publish] == [ControllerHello]
+
+
+@pytest.mark.parametrize("halted", [False, True])
+def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
+    halted: bool,
+) -> None:
+    record = SenderRecord(halted=halted)
+    said = first_words(controller(MemoryControllerJournal(), None, record, HALTING))
+    assert [n.subject for actions in said for n in actions.notices] == ["refusals"] * halted
+
+
+def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_next() -> None:
+    record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3, offer=None)
+    hello = PlantHello(
+        instance=P,
+        session=S,
+        controller=A,
+        incarnation=1,
+        fingerprint=RULES.fingerprint,
+        transitions=3,
+        applied_k=2,
+    )
+    told = Measurement(session=S, k=4, x=(0.0,), applied_k=2, x_after=(0.0,))
+
+    def offers(core: ControllerCore) -> bool:
+        first_words(core)
+        core.receive(PlantHello, hello.wire(), 1.0)
+        return any(
+            isinstance(m, Offer) for m in core.receive(Measurement, told.wire(), 2.0).publish
+        )
+
+    assert offers(controller(MemoryControllerJournal(), None, record, HALTING))
+    core = controller(MemoryControllerJournal(), None, record, HALTING)
+    halted = core.halt()
+    assert isinstance(halted.write, Save)
+    kept = halted.write.record
+    assert isinstance(kept, SenderRecord)
+    assert (
+        kept
+        == core.record
+        == record._replace(incarnation=1, state=RULES.scheme.restore(record.state), halted=True)
+    )
+    assert [n.subject for n in halted.notices] == ["refusals"]
+    assert core.halt() == Actions(), "it is told once"
+    assert not offers(core)
+    assert not offers(controller(MemoryControllerJournal(), None, kept, HALTING))
+    assert controller(MemoryControllerJournal()).halt() == Actions(), "the scenario's rules say so"
+
+
+# --- the plant's ----------------------------------------------------------------------------------
+
+AT_THE_PLANT = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
+
+
+class Jammed(ScriptedLine):
+    """A plant that cannot be closed."""
+
+    def close(self) -> str:
+        return "the valve does not move"
+
+
+@pytest.fixture
+def news(sustained: Scenario) -> PlantTelemetry:
+    """Its figures are the record's; of the scenario it shows the names."""
+    return PlantTelemetry(sustained, "realtime", seeded=False)
+
+
+def met(receiver: PlantInHand) -> PlantInHand:
+    """A plant whose session a controller has taken up."""
+    greets = ControllerHello(
+        instance=A,
+        incarnation=1,
+        fingerprint=RULES.fingerprint,
+        verdict="greeting",
+        session=S,
+        answers=P,
+    )
+    receiver.heard_controller(greets, NEW)
+    accepts = greets.model_copy(update={"verdict": "accepted"})
+    assert receiver.heard_controller(accepts, NEW) == "accepted"
+    return receiver
+
+
+def status(receiver: PlantInHand) -> PlantStatus:
+    """Its next one."""
+    receiver.published.clear()
+    while (told := receiver.said(PlantStatus)) is None:
+        receiver.carry_out(receiver.core.wake(receiver.core.wake_at()))
+    assert isinstance(told, PlantStatus)
+    return told
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(Offer, "offer"), (ControllerHello, "hello"), (BlockAnnouncement, "word")],
+)
+def test_what_is_malformed_is_named_and_counted_from_none_on(
+    kind: type[Message], name: str, news: PlantTelemetry
+) -> None:
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, telemetry=news))
+    assert status(receiver).malformed == 0
+    receiver.hear(kind, b'{"session":1}')
+    (line,) = receiver.notices
+    assert (line.subject, line.text.split(":")[0]) == ("malformed", name)
+    assert status(receiver).malformed == 1
+
+
+def test_a_status_of_a_message_that_came_through_is_due_at_once(news: PlantTelemetry) -> None:
+    *symbols, last = encode_frame(b"a", 2)
+    record = AT_THE_PLANT._replace(state=(2, 0), partial="".join(map(str, symbols)))
+    receiver = met(PlantInHand(RULES, P, record, telemetry=news))
+    before = status(receiver)
+    assert (before.message_k, before.frame_symbols) == (-1, len(symbols))
+    receiver.line.x_next = (1.5,)
+    receiver.hear(Offer, OFFER.model_copy(update={"cipher": last}).wire())
+    assert receiver.core.wake_at() == receiver.core.now
+    told = status(receiver)
+    assert (told.last_message, told.message_k, told.frame_symbols) == ("a", 3, 0)
+    assert (told.k, told.messages) == (4, 1)
+
+
+def test_a_session_that_ends_is_a_warning_and_names_the_next() -> None:
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT))
+    disowned = ControllerHello(
+        instance=A,
+        incarnation=1,
+        fingerprint=RULES.fingerprint,
+        verdict="unknown-session",
+        session=S,
+        answers=P,
+    )
+    assert receiver.heard_controller(disowned, NEW) == "ended"
+    (line,) = receiver.notices
+    assert line.level == "warning"
+    assert NEW in line.text
+
+
+def test_a_plant_that_stops_tells_how_punctual_it_was(news: PlantTelemetry) -> None:
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, telemetry=news))
+    receiver.missed((0.0,), (0.0,))
+    receiver.carry_out(receiver.core.wake(receiver.core.pacing.deadline + STEP_S / 4))
+    stopped = receiver.core.stop(2 * STEP_S)
+    assert stopped.events == (Timing(5, 2, (0.0, STEP_S / 4, STEP_S / 4), (), 0),)
+    (told,) = [message for message in stopped.publish if isinstance(message, PlantStatus)]
+    assert (told.phase, told.k) == ("stopped", 5)
+    assert PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0).events == ()
+
+
+def test_a_plant_that_cannot_be_closed_says_why() -> None:
+    assert PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0).notices == ()
+    (line,) = PlantInHand(RULES, P, AT_THE_PLANT, plant=Jammed()).core.stop(0.0).notices
+    assert (line.level, line.text) == ("error", "the valve does not move")

@@ -1,0 +1,56 @@
+"""An end of the link that keeps what it hears: for the tests of what stands before an end."""
+
+from protocol.link.peer import Actions
+from protocol.messages import Message
+
+
+class Hearing:
+    """All that it does publishes ``says_now``.
+
+    Attributes
+    ----------
+    heard : list of (float, type, bytes)
+        When, and what.
+    woken : list of float
+        When.
+    """
+
+    hears: tuple[type[Message], ...] = ()
+    says: tuple[type[Message], ...] = ()
+    code = None
+
+    def __init__(self, due: float) -> None:
+        self.due = due
+        self.says_now: tuple[Message, ...] = ()
+        self.heard: list[tuple[float, type[Message], bytes]] = []
+        self.woken: list[float] = []
+
+    def _said(self) -> Actions:
+        return Actions(publish=self.says_now)
+
+    def start(self, now: float) -> Actions:
+        return self._said()
+
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+        self.heard.append((now, kind, payload))
+        return self._said()
+
+    def wake_at(self) -> float:
+        return self.due
+
+    def wake(self, now: float) -> Actions:
+        self.woken.append(now)
+        self.due = now + 10.0
+        return self._said()
+
+    def finish_step(self) -> Actions:
+        return self._said()
+
+    def key_task_done(self, done: object, now: float) -> Actions:
+        return self._said()
+
+    def appear(self, count: int) -> Actions:
+        return self._said()
+
+    def stop(self, now: float) -> Actions:
+        return self._said()
