@@ -48,7 +48,11 @@ LIGHT = ("set-membership", "nearest-centre")
 
 
 def config(run: Run, run_dir: Path, **more: object) -> TapConfig:
-    settings: dict[str, object] = {"names": LIGHT, "limits": Limits(free_bytes=0)} | more
+    settings: dict[str, object] = {
+        "names": LIGHT,
+        "limits": Limits(free_bytes=0),
+        "finish_s": PATIENCE_S,
+    } | more
     return TapConfig(
         run_dir,
         run.scenario.knowledge(),
