@@ -211,6 +211,16 @@ def test_before_its_keys_a_message_waits_and_they_are_asked_for_at_once() -> Non
     assert len(ends.at_controller.heard) == 1
 
 
+def test_a_message_of_another_session_is_the_ends_to_judge_as_it_is() -> None:
+    ends = begun(Mac(2, 4))
+    strange = measurement(FIRST).model_copy(update={"session": T}).wire()
+    for now, payload in ((2.0, strange), (3.0, b"no message")):
+        ends.controller.receive(Measurement, payload, now)
+        assert ends.at_controller.heard.pop() == (now, Measurement, payload)
+    status = ends.controller.status()
+    assert (status.guarded, status.unguarded, status.forged) == (0, 0, 0)
+
+
 def test_a_message_whose_keys_are_nowhere_counts_as_bare_until_one_was_tagged() -> None:
     for promise, heard in (((-1, -1), 1), ((FIRST - 1, 0), 0)):
         ends = begun(Mac(2, 4), heard=0, promise=promise)
