@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from protocol.arrays import Array, Flags, Integers
 from protocol.scenario import Scenario
 from protocol.scenario.attack import Known, Place
+from protocol.wrong_fields import expected_of
 
 UNKNOWN: Final = -1
 """In place of a coin that she does not know."""
@@ -147,9 +148,8 @@ class Attack(ABC):
         except ValidationError as error:
             first = error.errors()[0]
             where = ".".join(map(str, first["loc"]))
-            text = first["msg"][:1].lower() + first["msg"][1:]
             raise AttackError(
-                f"attack.{where}: {self.name}: got {first['input']!r}: {text}"
+                f"attack.{where}: {self.name}: got {first['input']!r}, {expected_of(first)}"
             ) from None
         if "model" in self.knows and model is None:
             raise AttackError(f"attack.knows: {self.name} needs 'model'")

@@ -11,6 +11,7 @@ from runtime.options import (
     add_message_arguments,
     at_least,
     checked,
+    folder_of,
     message_of,
     pace_of,
     picked,
@@ -26,6 +27,10 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the service's options."""
+    parser.description = (
+        "Run the controller: offer inputs for each state that the plant reports, and send the "
+        "messages that are handed to it."
+    )
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     add_message_arguments(parser)
@@ -34,12 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="realtime",
         metavar="P",
         help="the plant's: a network's delays are of its clock (default: realtime)",
-    )
-    parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
-    parser.add_argument(
-        "--secret",
-        metavar="F",
-        help="sign key blocks by this file, as `wyner certs --secret` writes it",
     )
     parser.add_argument(
         "--clear-alarm",
@@ -108,9 +107,9 @@ def run_controller(options: ControllerOptions) -> int:
         secret=None if options.secret is None else Path(options.secret),
         clear_alarm=options.clear_alarm,
         run_dir=run_dir_of(options.run_dir),
-        folder=scenario_file_of(options.scenario).parent
-        if options.model_folder is None
-        else Path(options.model_folder),
+        folder=folder_of(
+            "--model-folder", options.model_folder, scenario_file_of(options.scenario).parent
+        ),
     )
     with buses_of(options, "controller") as (stopping, field, management):
         keep_scenario(config.run_dir, options.scenario)

@@ -6,20 +6,23 @@ from pathlib import Path
 
 from runtime.bus_options import ServiceOptions, add_end_arguments, buses_of, fleet_of, loop_of
 from runtime.errors import DONE, UsageError
-from runtime.options import at_least, checked, pace_of, picked, run_dir_of
+from runtime.options import at_least, checked, folder_of, pace_of, picked, run_dir_of
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_SAFE
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the service's options."""
+    parser.description = (
+        "Run the plant: simulate or drive it, toss its coin, apply what is offered, recover "
+        "the message."
+    )
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
     parser.add_argument(
         "--pace", default="realtime", metavar="P", help="realtime, xN, or fast (lock-step)"
     )
     parser.add_argument("--steps", type=int, metavar="N", help="stop at step N")
-    parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
     parser.add_argument(
         "--plant-folder",
         metavar="D",
@@ -34,11 +37,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--attack",
         metavar="KIND@STEP",
         help="attack this plant from a step on, in place of the scenario's [attack]",
-    )
-    parser.add_argument(
-        "--secret",
-        metavar="F",
-        help="sign key blocks by this file, as `wyner certs --secret` writes it",
     )
     add_end_arguments(parser, "plant")
 
@@ -97,9 +95,9 @@ def run_plant(options: PlantOptions) -> int:
         bounds=bounds,
         secret=None if options.secret is None else Path(options.secret),
         run_dir=run_dir_of(options.run_dir),
-        folder=scenario_file_of(options.scenario).parent
-        if options.plant_folder is None
-        else Path(options.plant_folder),
+        folder=folder_of(
+            "--plant-folder", options.plant_folder, scenario_file_of(options.scenario).parent
+        ),
     )
     if options.clear_safe:
         (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)

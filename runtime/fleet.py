@@ -20,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
+from protocol.wrong_fields import expected_of
 from runtime.errors import UsageError
 
 SLOTS = 20
@@ -98,7 +99,7 @@ def read_fleet(path: Path) -> dict[str, FleetLoop]:
         except ValidationError as error:
             first = error.errors(include_url=False, include_context=False)[0]
             field = ".".join(map(str, first["loc"]))
-            problems.append(f"{path}: loop {number}: {field}: {first['msg']}")
+            problems.append(f"{path}: loop {number}: {field}: {expected_of(first)}")
             continue
         except ValueError as error:
             problems.append(f"{path}: loop {number}: id: {error}")

@@ -14,6 +14,7 @@ from typing import Any, Final, TypeVar, cast
 from pydantic import BaseModel, ValidationError
 
 from protocol.schemes.framing import MAX_PAYLOAD
+from protocol.wrong_fields import expected_of
 from runtime.errors import UsageError
 from runtime.files import PRIVATE_FOLDER, make_folder, open_private
 from runtime.pace import Pace
@@ -102,7 +103,7 @@ def checked(kind: type[M], **values: object) -> M:
         for e in error.errors(include_url=False):
             field = str(e["loc"][0])
             option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
-            lines.append(f"--{option}: got {e['input']!r}, {e['msg']}")
+            lines.append(f"--{option}: got {e['input']!r}, {expected_of(e)}")
         raise UsageError(lines) from None
 
 
@@ -146,6 +147,21 @@ def pace_of(text: str) -> Pace:
         return Pace(text)
     except ValueError as error:
         raise UsageError(f"--pace: {error}") from None
+
+
+def folder_of(option: str, value: str | None, default: Path) -> Path:
+    """The folder that an option names, or the default.
+
+    Raises
+    ------
+    UsageError
+        When there is no such folder.
+    """
+    if value is None:
+        return default
+    if not Path(value).is_dir():
+        raise UsageError(f"{option}: got {value!r}, expected a folder that is there")
+    return Path(value)
 
 
 def run_dir_of(text: str | None) -> Path:

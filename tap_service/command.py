@@ -21,6 +21,7 @@ from runtime.options import (
     add_check_argument,
     add_fleet_arguments,
     alone_in,
+    at_least,
     checked,
     picked,
     run_dir_of,
@@ -52,7 +53,9 @@ def add_view_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--model-error", type=float, metavar="E", help="relative error of each entry of A and B"
     )
-    group.add_argument("--seed", type=int, default=0, help="of the knobs' draws (default 0)")
+    group.add_argument(
+        "--seed", type=int, default=0, metavar="N", help="of the knobs' draws (default 0)"
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,6 +178,7 @@ def view_of(options: TapOptions, defaults: Mapping[str, object]) -> "View":
     """
     from tap_service.capture.channel import View
 
+    at_least("--seed", options.seed, 0)
     values = dict(defaults, seed=options.seed)
     given = {
         "view": options.view,
@@ -203,6 +207,7 @@ def read_knowledge(path: str) -> "Knowledge":
     from pydantic import ValidationError
 
     from protocol.knowledge import Knowledge
+    from protocol.wrong_fields import expected_of
     from runtime.errors import UsageError
 
     try:
@@ -214,7 +219,7 @@ def read_knowledge(path: str) -> "Knowledge":
     except ValidationError as error:
         raise UsageError(
             [
-                f"{path}: {'.'.join(map(str, e['loc'])) or 'file'}: {e['msg']}"
+                f"{path}: {'.'.join(map(str, e['loc'])) or 'file'}: {expected_of(e)}"
                 for e in error.errors(include_url=False)
             ]
         ) from None

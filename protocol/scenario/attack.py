@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, ValidationError
 
 from protocol.scenario.parts import ScenarioTable
+from protocol.wrong_fields import expected_of
 
 Place = Literal["sensor", "bus", "actuator"]
 Known = Literal["model", "bus", "coins"]
@@ -65,8 +66,7 @@ def attack_of(text: str, stated: Attack | None = None) -> Attack:
     except ValidationError as error:
         first = error.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"]))
-        said = first["msg"][:1].lower() + first["msg"][1:]
-        raise ValueError(f"{where}: got {first['input']!r}: {said}") from None
+        raise ValueError(f"{where}: got {first['input']!r}, {expected_of(first)}") from None
 
 
 def _parts(text: str) -> list[str]:

@@ -79,11 +79,6 @@ class DefenceTable(ScenarioTable):
         """
         return None if self.messages == CLEAR else _class(self.messages)(states, candidates)
 
-    @property
-    def takes_keys(self) -> bool:
-        """Whether distilled keys are spent on it."""
-        return self.keyed or self.messages != CLEAR
-
     def words(self) -> str:
         """The test and what guards the messages."""
         return self.kind if self.messages == CLEAR else f"{self.kind} + {self.messages}"

@@ -8,18 +8,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from protocol.scenario.system import Scenario
-
-EXPECTED = {
-    "tuple_type": "expected a list, such as [1.0] for one number",
-    "missing": "expected here, and not given",
-    "extra_forbidden": "no such field",
-    "float_type": "expected a number",
-    "int_type": "expected a whole number",
-    "model_type": "expected a table",
-    "model_attributes_type": "expected a table",
-}
-"""What pydantic's errors are called where a scenario's reader would not know its words."""
-
+from protocol.wrong_fields import expected_of
 
 LARGEST_NUMBER: Final = 1e150
 """Of every number in a scenario: the square of one beyond is no number to a computer."""
@@ -59,7 +48,7 @@ def describe_errors(error: ValidationError, source: str) -> list[str]:
     lines = []
     for item in error.errors(include_url=False):
         path = ".".join(str(part) for part in item["loc"] if part not in ("number", "entries"))
-        message = EXPECTED.get(item["type"], item["msg"].removeprefix("Value error, "))
+        message = expected_of(item)
         if item["type"] == "value_error" and not path:
             lines += [f"{source}: {part}" for part in message.split("; ")]
             continue
@@ -69,7 +58,7 @@ def describe_errors(error: ValidationError, source: str) -> list[str]:
             value = "an endless number"
         shown = value if len(value) <= 60 else value[:57] + "..."
         got = "" if item["type"] == "missing" else f" got {shown},"
-        lines.append(f"{source}: {path}:{got} {message[0].lower()}{message[1:]}")
+        lines.append(f"{source}: {path}:{got} {message}")
     return lines
 
 

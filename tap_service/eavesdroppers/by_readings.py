@@ -8,7 +8,7 @@ Which transitions agreed nobody tells them: they take all others for agreed.
 
 from collections.abc import Callable, Sequence
 from copy import deepcopy
-from typing import Any
+from typing import Any, Self
 
 from protocol.schemes.base import Scheme
 from tap_service.capture.transcript import Transition
@@ -16,6 +16,7 @@ from tap_service.eavesdroppers.base import Belief, Guess, even, nearest
 from tap_service.eavesdroppers.list_decoder import Collected, decode_known
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.opening import Known, Opening
+from tap_service.inference.output_fit import refitted
 from tap_service.inference.output_model import OutputModel
 
 Make = Callable[[Sequence[Transition], "OutputModel | None"], "OutputModel | None"]
@@ -70,6 +71,30 @@ class ByReadings:
         self._collected = Collected()
         self._heard = self._decoded = 0
         self._next = first
+
+    @classmethod
+    def refitting(
+        cls,
+        scheme: Scheme[Any],
+        told: OutputModel,
+        *,
+        each: bool,
+        first: int,
+        growth: float,
+        kept: int,
+    ) -> Self:
+        """Of one who keeps the model that she was told, and fits how far all of it scatters.
+
+        ``each`` is whether each coordinate of the disturbance has a width of its own.
+        """
+        return cls(
+            scheme,
+            lambda heard, _: refitted(told, heard, each=each),
+            told=told,
+            first=first,
+            growth=growth,
+            kept=kept,
+        )
 
     def _new_decoding(self) -> ListDecoding:
         return ListDecoding(self._scheme, edge=1.0, certain=True)

@@ -23,7 +23,6 @@ from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess
 from tap_service.eavesdroppers.by_readings import ByReadings
-from tap_service.inference.output_fit import refitted
 from tap_service.inference.output_model import OutputModel
 
 KEPT: Final = 2048
@@ -56,13 +55,8 @@ class FittedBox(Following):
         self._readings: ByReadings | None = None
         told = self.model
         if isinstance(told, OutputModel):
-            self._readings = ByReadings(
-                self.scheme,
-                lambda heard, _: refitted(told, heard, each=True),
-                told=told,
-                first=FIRST,
-                growth=GROWTH,
-                kept=KEPT,
+            self._readings = ByReadings.refitting(
+                self.scheme, told, each=True, first=FIRST, growth=GROWTH, kept=KEPT
             )
             self.final_guesses = self._readings.final_guesses
         assert knowledge.disturbance_H is not None

@@ -24,7 +24,6 @@ from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.offers_reader import OffersReader
-from tap_service.inference.output_fit import refitted
 from tap_service.inference.output_model import OutputModel
 from tap_service.inference.policy import KnownLaw
 
@@ -63,13 +62,8 @@ class Smoother(Eavesdropper):
         self._model = told = Model.of(knowledge, self.name)
         self._readings: ByReadings | None = None
         if isinstance(told, OutputModel):
-            self._readings = ByReadings(
-                self.scheme,
-                lambda heard, _: refitted(told, heard, each=False),
-                told=told,
-                first=FIRST,
-                growth=GROWTH,
-                kept=KEPT,
+            self._readings = ByReadings.refitting(
+                self.scheme, told, each=False, first=FIRST, growth=GROWTH, kept=KEPT
             )
             self.final_guesses = self._readings.final_guesses
         self._even = even(self.size)

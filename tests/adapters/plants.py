@@ -1,8 +1,9 @@
 """The double integrator as every kind of plant, and plants that fail in every way."""
 
 import hashlib
+import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,12 @@ from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters import Operated, OperatingPoint, PlantAdapter, Sample, SimulatedPlant
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.ode import Ode
-from protocol.agreement import Gauge
+from protocol.agreement import NO_SYMBOL, Gauge
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
+from tests.support.safety import violations
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 
 A = ((1.0, 1.0), (0.0, 1.0))
 B = ((0.5,), (1.0,))
@@ -162,3 +166,43 @@ def lives_of(
     if kind == "device":
         return lambda: Device(sensor())
     return lambda: line(kind, folder)
+
+
+def through_deaths(scenario: Scenario, own: Callable[[], PlantAdapter]) -> None:
+    """One message arrives exactly once and no key is wrong, over deaths and losses; seeds 0 to 2.
+
+    A step counts only where its plant was put back where it started.
+    """
+    for seed in range(3):
+        both = Simulation(
+            scenario,
+            law_of(scenario),
+            seed=seed,
+            payloads=(b"one",),
+            faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
+            step_s=1.0,
+            own=own,
+        )
+        history = both.run(
+            seconds=4000,
+            until=lambda b=both: len(b.history.delivered) >= 1,  # type: ignore[misc]
+        )
+        assert list(violations(history, (b"one",))) == []
+        assert history.inbox == [b"one"]
+        assert history.crashes > 0
+        wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
+        assert not wrong
+
+
+def of_each_kind(scenario: Scenario) -> Iterator[dict[str, Any]]:
+    """What a scenario's file says, with ``[plant]`` of each kind that is somebody's own."""
+    more: dict[str, dict[str, Any]] = {
+        "fmu": {"file": "a.fmu", "sha256": "0" * 64, "inputs": ["u"], "outputs": ["a", "b"]},
+        "gymnasium": {"id": "Pendulum-v1", "state": "state"},
+        "ode": {"object": "a.py:f", "initial_state": [0.0, 0.0]},
+        "python": {"object": "a.py:Plant"},
+    }
+    data = json.loads(scenario.model_dump_json(exclude_none=True, exclude_unset=True))
+    plant = {k: v for k, v in data["plant"].items() if k not in ("kind", "object")}
+    for kind, fields in more.items():
+        yield {**data, "plant": {**plant, "kind": kind, **fields}}

@@ -8,18 +8,14 @@ import json
 import random
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from tests.adapters.plants import KINDS, law_of, lives_of
+from tests.adapters.plants import KINDS, law_of, lives_of, of_each_kind, through_deaths
 from tests.adapters.test_device import line as scenario_of_a_line
-from tests.support.safety import violations
 from wyner.api import build
-from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
 NOISE = (0.004, 0.004)
@@ -73,43 +69,14 @@ def test_keys_are_agreed_through_noise_and_none_is_wrong(kind: str, tmp_path: Pa
 @pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium", "device"])
 def test_deaths_lose_nothing_of_what_is_read_through_noise(kind: str, tmp_path: Path) -> None:
     """Exactly once, and no key is wrong in a step whose plant was not put back where it started."""
-    scenario = noisy(simulated=kind != "device")
-    payloads = (b"one",)
-    for seed in range(3):
-        both = Simulation(
-            scenario,
-            law_of(scenario),
-            seed=seed,
-            payloads=payloads,
-            faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
-            step_s=1.0,
-            own=lives_of(kind, tmp_path, own_noise),
-        )
-        history = both.run(
-            seconds=4000,
-            until=lambda b=both: len(b.history.delivered) >= 1,  # type: ignore[misc]
-        )
-        assert list(violations(history, payloads)) == []
-        assert history.inbox == list(payloads)
-        assert history.crashes > 0
-        wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
-        assert not wrong
+    through_deaths(noisy(simulated=kind != "device"), lives_of(kind, tmp_path, own_noise))
 
 
-def test_a_scenario_of_each_kind_may_state_noise(tmp_path: Path) -> None:
+def test_a_scenario_of_each_kind_may_state_noise() -> None:
     """The tables of FMU, environment and object take ``plant.noise`` as the linear one does."""
-    more: dict[str, dict[str, Any]] = {
-        "fmu": {"file": "a.fmu", "sha256": "0" * 64, "inputs": ["u"], "outputs": ["a", "b"]},
-        "gymnasium": {"id": "Pendulum-v1", "state": "state"},
-        "ode": {"object": "a.py:f", "initial_state": [0.0, 0.0]},
-        "python": {"object": "a.py:Plant"},
-    }
-    data = json.loads(noisy(simulated=True).model_dump_json(exclude_none=True, exclude_unset=True))
-    plant = {k: v for k, v in data["plant"].items() if k not in ("kind", "object")}
-    for kind, fields in more.items():
-        table = {**plant, "kind": kind, **fields}
-        if kind == "ode":
-            table.pop("operating_point")
-        scenario = build({**data, "plant": table})
+    for data in of_each_kind(noisy(simulated=True)):
+        if data["plant"]["kind"] == "ode":
+            data["plant"].pop("operating_point")
+        scenario = build(data)
         assert scenario.plant.noise is not None
         assert scenario.test_set.half_widths != scenario.defender.disturbance.half_widths

@@ -16,12 +16,18 @@ from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from tests.adapters.plants import KINDS, Device, law_of, line, lives_of
+from tests.adapters.plants import (
+    KINDS,
+    Device,
+    law_of,
+    line,
+    lives_of,
+    of_each_kind,
+    through_deaths,
+)
 from tests.adapters.test_device import line as scenario_of_a_line
-from tests.support.safety import violations
 from wyner.api import build
 from wyner.simulate.engine.loop import SimulationError
-from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 from wyner.simulate.single import simulate_plant
 
@@ -88,41 +94,12 @@ def test_keys_are_agreed_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium", "device"])
 def test_deaths_lose_nothing(kind: str, tmp_path: Path) -> None:
     """Exactly once, and no wrong key, over 3 seeds."""
-    scenario = by_position(device=kind == "device")
-    for seed in range(3):
-        both = Simulation(
-            scenario,
-            law_of(scenario),
-            seed=seed,
-            payloads=(b"one",),
-            faults=Faults(loss=0.1, repeat=0.1, delay_s=0.2, crash=0.02, until_s=60.0),
-            step_s=1.0,
-            own=lives_of(kind, tmp_path, encoder),
-        )
-        history = both.run(
-            seconds=4000,
-            until=lambda b=both: len(b.history.delivered) >= 1,  # type: ignore[misc]
-        )
-        assert list(violations(history, (b"one",))) == []
-        assert history.inbox == [b"one"]
-        assert history.crashes > 0
-        wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
-        assert not wrong
+    through_deaths(by_position(device=kind == "device"), lives_of(kind, tmp_path, encoder))
 
 
 def test_a_scenario_of_each_kind_may_state_outputs() -> None:
-    more: dict[str, dict[str, Any]] = {
-        "fmu": {"file": "a.fmu", "sha256": "0" * 64, "inputs": ["u"], "outputs": ["a", "b"]},
-        "gymnasium": {"id": "Pendulum-v1", "state": "state"},
-        "ode": {"object": "a.py:f", "initial_state": [0.0, 0.0]},
-        "python": {"object": "a.py:Plant"},
-    }
-    data = json.loads(
-        by_position(device=False).model_dump_json(exclude_none=True, exclude_unset=True)
-    )
-    plant = {k: v for k, v in data["plant"].items() if k not in ("kind", "object")}
-    for kind, fields in more.items():
-        scenario = build({**data, "plant": {**plant, "kind": kind, **fields}})
+    for data in of_each_kind(by_position(device=False)):
+        scenario = build(data)
         assert scenario.readings == 1
         assert scenario.observer is not None
 

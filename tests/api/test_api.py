@@ -81,7 +81,7 @@ def test_a_scenario_is_built_from_tables_and_wrong_ones_are_named() -> None:
     tables = load("double-integrator").model_dump(exclude_none=True)
     assert build(tables) == load("double-integrator")
     tables["secrecy"]["alpha"] = 0.5
-    with pytest.raises(ScenarioError, match=r"^mine: secrecy.alpha: got 0.5, input should be"):
+    with pytest.raises(ScenarioError, match=r"^mine: secrecy.alpha: got 0.5, expected"):
         build(tables, "mine")
 
 

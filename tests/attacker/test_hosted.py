@@ -115,7 +115,7 @@ def test_a_stuck_actuator_is_labelled_and_its_reading_is_true(scenario: Scenario
         ({"kind": "gost"}, "attack.kind: got 'gost', expected ghost, replay"),
         ({"kind": "ghost", "knows": ["coins"]}, "attack.knows: ghost needs 'bus' and 'model'"),
         ({"kind": "ghost", "at": "bus"}, "attack.at: got 'bus', expected 'sensor': ghost"),
-        ({"kind": "ghost", "shares": 1}, "attack.shares: ghost: got 1: "),
+        ({"kind": "ghost", "shares": 1}, "attack.shares: ghost: got 1, "),
         ({"kind": "nowhere.py:X"}, "attack.kind: nowhere.py: no such file"),
         ({"kind": f"{OWN}:Observation"}, "attack.kind: got "),
     ],
@@ -134,7 +134,7 @@ def test_what_cannot_be_made_is_one_line(
     [
         ("ghost", "--attack: got 'ghost', expected KIND@ONSET"),
         ("ghost@x", "--attack: got 'ghost@x', expected KIND@ONSET"),
-        ("ghost@0", "--attack: onset: got 0: input should be greater"),
+        ("ghost@0", "--attack: onset: got 0, expected greater"),
         ("ghost@9", "--attack: got onset 9, expected one below --steps 9"),
         ("ghost@3,share", "--attack: got 'share', expected NAME=VALUE"),
     ],

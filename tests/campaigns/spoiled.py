@@ -108,13 +108,13 @@ class Spoiled:
     def run(self) -> None:
         """Run, spoil, go on, judge."""
         loop, draw, side = self.loop, self.draw, self.side
-        self._advance(draw.randrange(1, 120))
+        loop.advance(draw.randrange(1, 120))
         for one in SIDES:
             (self.copy / one).mkdir(parents=True)
             for file in files_of(loop, one):
                 shutil.copy(file, self.copy / one)
         loop.queue("second", self.sent[1])
-        self._advance(draw.randrange(1, 120))
+        loop.advance(draw.randrange(1, 120))
         if self.kind == "both restored":
             for one in SIDES:
                 loop.kill(one)
@@ -137,10 +137,6 @@ class Spoiled:
         for session, j in list(self.loop.ciphers):
             if session == record.session and j > record.transitions:
                 del self.loop.ciphers[session, j]
-
-    def _advance(self, transitions: int) -> None:
-        target = self.loop.transitions + transitions
-        self.loop.run(lambda: self.loop.transitions >= target)
 
     def _start(self) -> None:
         try:

@@ -56,20 +56,20 @@ class SpoiledStore:
 
     def run(self) -> None:
         """Run, spoil, go on, judge."""
-        self._advance(self.draw.randrange(20, 400))
+        self.loop.advance(self.draw.randrange(20, 400))
         self._fetch()
         for file in self._files():
             shutil.copy(file, self.copy)
-        self._advance(self.draw.randrange(1, 200))
+        self.loop.advance(self.draw.randrange(1, 200))
         self._fetch()
         if self.draw.random() < 0.7:
-            self._advance(self.draw.randrange(1, 200))
+            self.loop.advance(self.draw.randrange(1, 200))
         self.loop.kill(self.side)
         done = self._spoil()
         self._start()
         for _ in range(3):
             self._fetch()
-            self._advance(self.draw.randrange(1, 200))
+            self.loop.advance(self.draw.randrange(1, 200))
         self._fetch()
         self.loop.stop()
         self._judge()
@@ -77,10 +77,6 @@ class SpoiledStore:
 
     def _files(self) -> list[Path]:
         return sorted((self.loop.folder / self.side).glob("keys*"))
-
-    def _advance(self, transitions: int) -> None:
-        target = self.loop.transitions + transitions
-        self.loop.run(lambda: self.loop.transitions >= target)
 
     # --- applications -----------------------------------------------------------------------------
 

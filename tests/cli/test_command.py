@@ -12,6 +12,7 @@ import sys
 import termios
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -37,22 +38,36 @@ def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
     return lines
 
 
+def python(*args: str, **more: Any) -> subprocess.CompletedProcess[bytes]:
+    """Python in a process of its own, in the checkout, with both streams kept."""
+    kept: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "timeout": 60}
+    return subprocess.run([sys.executable, *args], cwd=ROOT, check=False, **kept | more)
+
+
 def test_the_benchmarks_are_a_program_of_their_own_and_have_help() -> None:
     """In a process of its own: the command becomes that program."""
-    command = [sys.executable, "-m", "wyner", "bench", "--help"]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "wyner bench" in done.stdout
+    done = python("-m", "wyner", "bench", "--help")
+    assert done.returncode == 0
+    assert b"wyner bench" in done.stdout
     assert len(done.stdout.splitlines()) > 3
 
 
 @pytest.mark.parametrize("name", sorted({*PRESENT} - {"bench"}))
-def test_every_command_has_help(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_every_command_has_help(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It says what the command does, in 80 columns, and shows no markup."""
+    monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as stop:
         main([name, "--help"])
     assert stop.value.code == 0
     out = capsys.readouterr().out
-    assert f"wyner {name}" in out
-    assert len(out.splitlines()) > 3
+    usage, about, *_ = out.split("\n\n")
+    assert f"wyner {name}" in usage
+    assert about[0].isupper()
+    assert about.endswith(".")
+    assert max(map(len, out.splitlines())) <= 80
+    assert not re.search("%%|``", out)
 
 
 def test_the_help_lists_every_command_that_is_there(capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,16 +104,9 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
 
 @pytest.mark.parametrize("service", ["controller", "plant", "tap"])
 def test_a_service_is_a_module_of_its_own(service: str) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", f"{service}_service", "--help"],
-        capture_output=True,
-        text=True,
-        timeout=30,
-        check=False,
-        cwd=ROOT,
-    )
+    done = python("-m", f"{service}_service", "--help")
     assert done.returncode == 0, done.stderr
-    assert f"wyner {service}" in done.stdout
+    assert f"wyner {service}" in done.stdout.decode()
 
 
 # --- wrong use ------------------------------------------------------------------------------------
@@ -320,7 +328,7 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
         "from wyner.__main__ import main\n"
         "sys.exit(main())\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
+    done = python("-c", code)
     assert (done.returncode, done.stderr) == (130, b"")
 
 
@@ -335,13 +343,7 @@ def test_ctrl_c_while_a_program_is_loaded_ends_it_without_a_word(
         "        if name == 'runtime.command': os.kill(os.getpid(), signal.SIGINT)\n"
         "sys.meta_path.insert(0, Interrupt())\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-m", program],
-        capture_output=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONPATH": str(tmp_path)},
-        check=False,
-    )
+    done = python("-m", program, env={**os.environ, "PYTHONPATH": str(tmp_path)})
     assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
 
 
@@ -358,13 +360,13 @@ def test_the_command_sees_to_ctrl_c_before_it_loads_anything_else() -> None:
         "import wyner.__main__\n"
         "print(*seen[: seen.index('protocol') + 1])\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=True)
+    done = python("-c", code)
     assert done.stdout == b"wyner controller_service protocol\n"
 
 
 def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:
     code = "import signal, wyner; assert signal.getsignal(2) is signal.default_int_handler"
-    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+    assert python("-c", code).returncode == 0
 
 
 @pytest.mark.parametrize("when", ["begins", "ends"])
@@ -382,7 +384,7 @@ def test_a_signal_while_signals_are_taken_over_or_given_back_is_quiet(when: str)
         "signal.signal = told\n"
         "sys.exit(command.entered(lambda: 7))\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, cwd=ROOT, check=False)
+    done = python("-c", code)
     assert (done.returncode, done.stderr) == (130 if when == "begins" else 7, b"")
 
 
@@ -476,13 +478,7 @@ def test_what_the_terminal_cannot_write_is_spelled_out() -> None:
         "from wyner.__main__ import main\n"
         "sys.exit(main())\n"
     )
-    done = subprocess.run(
-        [sys.executable, "-c", code],
-        capture_output=True,
-        cwd=ROOT,
-        check=False,
-        env={**os.environ, "PYTHONIOENCODING": "latin-1"},
-    )
+    done = python("-c", code, env={**os.environ, "PYTHONIOENCODING": "latin-1"})
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout == b"Gr\xfc\xdfe \\u2713\n"
 
@@ -496,40 +492,24 @@ def test_a_folder_of_a_shipped_name_does_not_hide_it(
     assert json.loads(capsys.readouterr().out)["scenario"] == "paper"
 
 
+KNOWLEDGE = ("-m", "wyner", "scenarios", "paper", "--knowledge")
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_full_disk_is_one_line(unbuffered: str) -> None:
     with Path("/dev/full").open("w") as full:
-        done = subprocess.run(
-            [sys.executable, "-m", "wyner", "scenarios", "paper", "--knowledge"],
-            stdout=full,
-            stderr=subprocess.PIPE,
-            text=True,
-            timeout=30,
-            check=False,
-            cwd=ROOT,
-            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
-        )
-    assert (done.returncode, done.stderr) == (1, "wyner: No space left on device\n")
+        done = python(*KNOWLEDGE, stdout=full, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
+    assert (done.returncode, done.stderr) == (1, b"wyner: No space left on device\n")
 
 
 @pytest.mark.parametrize("unbuffered", ["", "1"])
 def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
     reader, writer = os.pipe()
     os.close(reader)
-    done = subprocess.run(
-        [sys.executable, "-m", "wyner", "scenarios", "paper", "--knowledge"],
-        stdout=writer,
-        stderr=subprocess.PIPE,
-        text=True,
-        timeout=30,
-        check=False,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
-    )
+    done = python(*KNOWLEDGE, stdout=writer, env={**os.environ, "PYTHONUNBUFFERED": unbuffered})
     os.close(writer)
-    assert done.returncode == 1
-    assert done.stderr == ""
+    assert (done.returncode, done.stderr) == (1, b"")
 
 
 # --- small things that are right ------------------------------------------------------------------

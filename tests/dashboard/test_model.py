@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from functools import cache
 
 import pytest
 from hypothesis import given
@@ -13,7 +12,8 @@ from protocol.statistics import stated_left
 from protocol.topics import key_of
 from runtime.inbox import OVERHEAD
 from runtime.memory_bus import MemoryBus, MemoryHub
-from tools.rehearsal import MESSAGE_TEXT, Rehearsal
+from tests.dashboard.states import batches, plant_of, state_after
+from tools.rehearsal import MESSAGE_TEXT
 from wyner.dashboard import source as source_module
 from wyner.dashboard.headless import secrecy_line
 from wyner.dashboard.model import (
@@ -38,24 +38,6 @@ from wyner.dashboard.score import (
     truth_for,
 )
 from wyner.dashboard.source import BusSource
-
-
-@cache
-def batches(steps: int) -> tuple[tuple[Arrival, ...], ...]:
-    return tuple(tuple(batch) for batch in Rehearsal().arrivals(steps))
-
-
-@cache
-def state_after(steps: int) -> State:
-    state = State()
-    for batch in batches(steps):
-        state = reduce_all(state, batch)
-    return state
-
-
-def plant_of(state: State) -> PlantStatus:
-    assert state.plant is not None
-    return state.plant
 
 
 def with_plant(state: State, **changes: object) -> State:

@@ -8,7 +8,6 @@ import os
 import re
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +19,12 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from protocol.messages import PlantModel, PlantStatus
+from protocol.messages import PlantModel
+from tests.dashboard.states import USUAL, plant_of, state_after
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
 from wyner.dashboard.keymap import KEYS, Action, action_of
-from wyner.dashboard.model import Arrival, State, reduce, reduce_all
+from wyner.dashboard.model import Arrival, State, reduce
 from wyner.dashboard.parts import VALUE_AT, InAscii, labelled
 from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
 from wyner.dashboard.screenshot import save, to_svg, to_text
@@ -53,7 +53,6 @@ from wyner.dashboard.view import (
 SCREENS = Path(__file__).parent / "screens"
 PLAIN = ViewState()
 
-USUAL = Rehearsal()
 FOUR_STATES = Rehearsal(
     A=(
         (0.99, 0.0, 0.02, 0.0),
@@ -65,19 +64,6 @@ FOUR_STATES = Rehearsal(
     half_widths=(0.03, 0.03, 0.03, 0.03),
     gain=((-1.0, 0.0, 0.0, 0.0), (0.0, -1.0, 0.0, 0.0)),
 )
-
-
-@cache
-def state_after(steps: int, rehearsal: Rehearsal = USUAL) -> State:
-    state = State()
-    for batch in rehearsal.arrivals(steps):
-        state = reduce_all(state, batch)
-    return state
-
-
-def plant_of(state: State) -> PlantStatus:
-    assert state.plant is not None
-    return state.plant
 
 
 def with_plant(state: State, **changes: object) -> State:
@@ -528,6 +514,18 @@ def test_only_a_tap_that_was_watched_is_called_wrong(watched: bool, exact: bool,
     tap = replace(state.taps["list-decoder"], watched=watched, exact=exact)
     text = shown(replace(state, taps={"list-decoder": tap}), 80, 24)
     assert next(line for line in text.splitlines() if " 100 [" in line).endswith(f" {told}")
+
+
+def test_of_a_tap_that_is_far_behind_it_is_told_how_much_she_has_still_to_read() -> None:
+    """Else the screen of a machine that is too slow for her would flatter the scheme."""
+    state = with_tap(state_after(700), "list-decoder", behind=12_421, solved_k=-1)
+    state = with_tap(state, "nearest-centre", behind=5, solved_k=-1)
+    lines = shown(state, 80, 24).splitlines()
+    row = {
+        name: next(x for x in lines if x.startswith(f" {name}") and "[" in x) for name in state.taps
+    }
+    assert row["list-decoder"].endswith("12421 to read")
+    assert row["nearest-centre"].endswith("not yet")
 
 
 def test_figures_of_the_table_keep_to_their_columns() -> None:

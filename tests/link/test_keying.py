@@ -340,7 +340,6 @@ def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCo
 
 AS_SENDER = SenderRecord(session=S, transitions=6, block=0, tag=TAG)
 AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=TAG)
-ANSWERED = Step(offer(block=1, tag=THEIRS), measurement=said(-1, NO_TAG))
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.small_run import Queue
 
 FOLDER = Path(__file__).parent / "transcripts"
 SCRIPTS = sorted(FOLDER.glob("*.txt"))
@@ -40,24 +41,6 @@ class Draws:
     def symbol(self, _transition: int, _size: int) -> int:
         self._drawn += 1
         return "0110100110010110"[self._drawn % 16] == "1"
-
-
-class Queue:
-    def __init__(self) -> None:
-        self.payloads: list[bytes] = []
-
-    @property
-    def queued(self) -> int:
-        return len(self.payloads)
-
-    def payload(self, number: int) -> bytes | None:
-        return self.payloads[number] if number < len(self.payloads) else None
-
-    def queued_as(self, identifier: str) -> bytes | None:
-        return self.payload(int(identifier)) if identifier.isdigit() else None
-
-    def identifier(self, number: int) -> str:
-        return str(number)
 
 
 class Link:

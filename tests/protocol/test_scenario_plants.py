@@ -75,7 +75,7 @@ def test_the_model_is_the_defenders() -> None:
         ({"plant.object": None}, "plant.object: expected here, and not given"),
         (
             {"plant.substeps": 0},
-            "plant.substeps: got 0, input should be greater",
+            "plant.substeps: got 0, expected greater",
         ),
         ({"plant.file": "x"}, 'plant.file: got "x", no such field'),
         (
@@ -84,7 +84,7 @@ def test_the_model_is_the_defenders() -> None:
         ),
         ({"defender.A": None}, "defender.A: expected the model's matrix, as a plant of kind 'ode'"),
         ({"plant.initial_state": [0.1]}, "plant.initial_state: got shape 1, expected 2"),
-        ({"plant.disturbance.enters": "x"}, 'plant.disturbance.enters: got "x", input should be'),
+        ({"plant.disturbance.enters": "x"}, 'plant.disturbance.enters: got "x", expected'),
         (
             {"plant.disturbance.enters": "input"},
             "plant.disturbance.half_widths: got shape 2, expected 1",
@@ -95,7 +95,7 @@ def test_the_model_is_the_defenders() -> None:
         ),
         (
             {"plant.operating_point": {"input": [0.0], "state_scale": [0.0, 1.0]}},
-            "plant.operating_point.state_scale.0: got 0.0, input should be greater than 0",
+            "plant.operating_point.state_scale.0: got 0.0, expected greater than 0",
         ),
         ({"plant.limits": [[0.0, 1.0]]}, "plant.limits: got shape 1, expected 2"),
         (

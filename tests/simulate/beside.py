@@ -1,10 +1,14 @@
-"""The engine and the two ends on one seed: they are the same to the last bit."""
+"""The two ends beside the engine, which does the same to the last bit; and through what fails."""
+
+from collections.abc import Iterator
 
 from controller_service.laws.base import CandidateLaw
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario
+from tests.support.safety import violations
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.network import Simulation
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import History, Simulation
 
 
 def beside_the_engine(
@@ -30,3 +34,15 @@ def beside_the_engine(
     for at, t in history.controller.items():
         assert history.plant[at].shared == t.shared
     return done
+
+
+def through_deaths_and_losses(scenario: Scenario, law: CandidateLaw) -> Iterator[History]:
+    """Four runs, each until its one message has arrived exactly once; seeds 0 to 3."""
+    for seed in range(4):
+        faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
+        both = Simulation(scenario, law, seed=seed, payloads=(b"a",), faults=faults, step_s=0.1)
+        history = both.run(seconds=300, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
+        assert list(violations(history, (b"a",))) == []
+        assert history.crashes > 0
+        assert history.inbox == [b"a"]
+        yield history

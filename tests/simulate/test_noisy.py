@@ -11,14 +11,12 @@ from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.link.session import rules_of
 from protocol.scenario import NoiseSet, Scenario, ScenarioError, SensorNoise, parse_scenario
 from protocol.scenario.noise import widened
-from tests.simulate.beside import beside_the_engine
-from tests.support.safety import violations
+from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.small_run import law_of
 from wyner.api import design, run
 from wyner.runs.score.counts import PlantCounts
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
-from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
 
@@ -106,14 +104,7 @@ def test_the_oracle_makes_the_defenders_test() -> None:
 
 def test_deaths_and_a_bad_network_break_nothing() -> None:
     """Exactly once, and one state whatever is counted again: 4 seeds."""
-    scenario, law = law_of("noisy")
-    for seed in range(4):
-        faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
-        both = Simulation(scenario, law, seed=seed, payloads=(b"a",), faults=faults, step_s=0.1)
-        history = both.run(seconds=300, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
-        assert list(violations(history, (b"a",))) == []
-        assert history.crashes > 0
-        assert history.inbox == [b"a"]
+    assert len(list(through_deaths_and_losses(*law_of("noisy")))) == 4
 
 
 class Stepped:

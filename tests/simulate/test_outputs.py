@@ -7,7 +7,7 @@ import pytest
 from protocol.agreement import NO_SYMBOL
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from tests.simulate.beside import beside_the_engine
+from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.engine import simulate_runs, transfer
@@ -67,14 +67,7 @@ def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:
 
 def test_deaths_and_a_bad_network_break_nothing() -> None:
     """Exactly once, the box at both ends the same and around the state, over 4 seeds."""
-    scenario, law = law_of("encoder")
-    for seed in range(4):
-        faults = Faults(loss=0.2, repeat=0.2, delay_s=0.1, crash=0.05, until_s=30)
-        both = Simulation(scenario, law, seed=seed, payloads=(b"a",), faults=faults, step_s=0.1)
-        history = both.run(seconds=300, until=lambda b=both: bool(b.history.inbox))  # type: ignore[misc]
-        assert list(violations(history, (b"a",))) == []
-        assert history.crashes > 0
-        assert history.inbox == [b"a"]
+    for history in through_deaths_and_losses(*law_of("encoder")):
         assert history.record is not None
         assert history.record.symbol_errors == 0
         assert all(map(held, history.plant.values()))

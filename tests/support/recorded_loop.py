@@ -198,6 +198,11 @@ class RecordedLoop(TwoEnds):
     def _t_ns(self) -> int:
         return round(self.now * 1e9)
 
+    def advance(self, transitions: int) -> None:
+        """Go on until the plant has made so many more in its session."""
+        target = self.transitions + transitions
+        self.run(lambda: self.transitions >= target)
+
     @property
     def transitions(self) -> int:
         """Transitions that the plant has made in its session."""

@@ -55,9 +55,12 @@ def law_of(name: str) -> tuple[Scenario, CandidateLaw]:
 class Queue:
     """The controller's messages."""
 
-    def __init__(self, payloads: tuple[bytes, ...]) -> None:
-        self.payloads = payloads
-        self.queued = len(payloads)
+    def __init__(self, payloads: tuple[bytes, ...] = ()) -> None:
+        self.payloads = list(payloads)
+
+    @property
+    def queued(self) -> int:
+        return len(self.payloads)
 
     def payload(self, number: int) -> bytes | None:
         return self.payloads[number] if number < len(self.payloads) else None

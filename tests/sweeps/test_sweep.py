@@ -121,9 +121,9 @@ def test_what_the_tap_loses_makes_points_where_somebody_goes_for_keys(tmp_path: 
 @pytest.mark.parametrize(
     ("change", "line"),
     [
-        (("runs = 30", "runs = 0"), "runs: got 0, input should be greater than or equal to 1"),
+        (("runs = 30", "runs = 0"), "runs: got 0, expected greater than or equal to 1"),
         (("runs = 30", "rums = 30"), "rums: got 30, no such field"),
-        (("[1.0, 3.0, 8.0]", "[0.5]"), "secrecy.alpha: got 0.5, input should be greater than"),
+        (("[1.0, 3.0, 8.0]", "[0.5]"), "secrecy.alpha: got 0.5, expected greater than"),
         (("[1.0, 3.0, 8.0]", "[]"), "grid.secrecy.alpha"),
         (("[1.0, 3.0, 8.0]", "[3, 3.0]"), "stands there twice"),
         (('"secrecy.alpha"', '"secrecy.beta"'), "secrecy.beta: got 1.0, no such field"),

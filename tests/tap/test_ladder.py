@@ -30,7 +30,7 @@ from tap_service.eavesdroppers import (
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
 from wyner.runs.score.replay import COUNTS
-from wyner.runs.score.score import EavesdropperScore, TapOutput, score
+from wyner.runs.score.score import SILENT, EavesdropperScore, TapOutput, score
 
 CLEAR = View()
 
@@ -221,7 +221,7 @@ def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
     said = output_about(named(name)(knowing(run, name)), heard)
     scored = score(run.truth, said)
     assert scored.keys.of == scored.bits.of == 0
-    assert scored.why_unscored == "she guessed nothing"
+    assert scored.why_unscored == SILENT
 
 
 @pytest.mark.parametrize("name", ["oracle", "list-decoder", "learning"])

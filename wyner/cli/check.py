@@ -5,7 +5,8 @@ import argparse
 import json
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from textwrap import fill
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, UsageError
@@ -14,13 +15,18 @@ if TYPE_CHECKING:
     from wyner.runs.check.base import Result
 
 
+WIDTH: Final = 78
+"""Columns of the help, which has a table and is not set anew."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.description = (
+    parser.description = fill(
         "Replay the traces and the capture of a run that has ended through the pure "
         "functions of the protocol, and say PASS or FAIL for each check. A check "
         "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
-        "one does, 2 when there is no run."
+        "one does, 2 when there is no run.",
+        WIDTH,
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _table()

@@ -79,6 +79,10 @@ CLAIM: Final = "eps_E = 0.3"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
+    parser.description = (
+        "Make five short runs, a minute in all, and say in four lines what came of them: messages "
+        "and keys, each beside an eavesdropper, and an attack."
+    )
     parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
     parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")

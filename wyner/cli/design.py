@@ -83,6 +83,8 @@ def run(args: argparse.Namespace) -> int:
         refuse_alone(asked)
     else:
         return show_noise(scenario, asked, as_json=args.json, figure=args.plot)
+    if not args.patience > 0:
+        raise UsageError(f"--patience: got {args.patience:g}, expected more than 0")
     begin = time.perf_counter()
     try:
         with shown_progress(args.patience) as progress:

@@ -41,7 +41,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a sweep's figure."""
     group = parser.add_argument_group(
         "figure",
-        "The rows with 95 %% intervals. What does not stand on the axes makes a curve each.",
+        "The rows with 95 % intervals. What does not stand on the axes makes a curve each.",
     )
     group.add_argument(
         "--plot",

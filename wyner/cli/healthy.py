@@ -37,8 +37,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     what.add_argument(
         "--healthy",
         dest="service",
-        choices=[name for name in SERVICES if SERVICES[name].health],
-        help="a service that writes below RUN_DIR",
+        choices=(able := [name for name in SERVICES if SERVICES[name].health]),
+        metavar="SERVICE",
+        help=f"one that writes below RUN_DIR: {', '.join(able)}",
     )
     what.add_argument("--endpoint", metavar="ENDPOINT", help="a router's, such as tcp/router:7447")
     group.add_argument(

@@ -28,6 +28,9 @@ REPEAT_S: Final = 0.1
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
+    parser.description = (
+        "Queue a message at the controller of a run that goes on, and wait until it has it."
+    )
     parser.add_argument(
         "text",
         nargs="?",

@@ -22,7 +22,10 @@ OLD_S = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.description = "Exit 0 when nothing is wrong, 1 when something is, with a line for each."
+    parser.description = (
+        "Print what the services of a run last said of themselves. Exit 0 when nothing is wrong, 1 "
+        "when something is, with a line for each."
+    )
     parser.add_argument(
         "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that goes on"
     )

@@ -15,7 +15,10 @@ from tap_service.command import (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    parser.description = __doc__
+    parser.description = (
+        "Hear what passes between controller and plant, record it, and let eavesdroppers guess. "
+        "What they may know is derived from a scenario, or read from a file."
+    )
     source = parser.add_mutually_exclusive_group()
     source.add_argument("--scenario", metavar="S", help="derive what the tap knows from a scenario")
     source.add_argument("--knowledge", metavar="FILE", help="what the tap knows, as JSON")

@@ -45,6 +45,10 @@ GRACE_S: Final = 0.5
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
+    parser.description = (
+        "Start controller, plant and tap as processes of this machine, watch them on a screen, and "
+        "sum up what the plant and each eavesdropper got. In the screen, ? shows the keys."
+    )
     parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
     add_message_arguments(parser)
     parser.add_argument(

@@ -319,7 +319,7 @@ class Panels:
         told = [f"{recovered} of {sent} characters"]
         if its is not None:
             told.append(f"{told[-1]}, {its.frame_symbols} of {its.frame_length} symbols")
-            told.append(f"{told[-1]}; {its.delivered} messages delivered, {its.queue} wait")
+            told.append(f"{told[-1]}; messages delivered: {its.delivered}, waiting: {its.queue}")
         words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
         grid = Table.grid(padding=(0, 2, 0, 0))
         room = min(BAR, max(5, self.width - VALUE_AT - 2 - len(words)))

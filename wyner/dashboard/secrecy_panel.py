@@ -216,12 +216,19 @@ def keys_right(its: Score) -> str:
     return f"{100 * its.right // its.scored} [{low},{high}]"
 
 
+BEHIND: Final = 0.1
+"""Share of the steps heard from which on it is told how many she has still to read."""
+
+
 def _broke(tap: TapState) -> str:
     if tap.status.failed:
         return "FAILED, exact" if tap.exact else "FAILED"
     solved = tap.status.solved_k
-    if solved < 0:
-        return "exact, unsure" if tap.exact else "not yet"
+    if solved < 0 and tap.exact:
+        return "exact, unsure"
+    if solved < 0:  # what she will make of the steps that she has not read is no secret yet
+        behind = tap.status.behind
+        return f"{count(behind)} to read" if behind > BEHIND * tap.status.steps else "not yet"
     if tap.exact or tap.watched:
         judged = "exact" if tap.exact else "WRONG"
         return longest(14, f"{solved} {judged}", f"{count(solved)} {judged}")

@@ -18,6 +18,8 @@ from wyner.runs.run import Run
 from wyner.runs.score import report as reporting
 from wyner.runs.score.report import over_runs, percent, report
 from wyner.runs.score.score import (
+    SILENT,
+    UNFINISHED,
     Proportion,
     RunScore,
     ScoreError,
@@ -186,7 +188,7 @@ def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest()
     assert r.strongest is None
     assert r.unscored == {
         "tap": "she failed: step 21: ValueError: no idea",
-        "key-solver": "she guessed nothing",
+        "key-solver": SILENT,
     }
     assert "; tap: she failed: step 21: ValueError: no idea, so they" in r.verdict()
     only_keys = report([RunScore("r", t, (keys,))])
@@ -219,7 +221,9 @@ def test_one_who_did_not_finish_is_called_so_and_another_leads() -> None:
     r = report([RunScore("r", truth(), (score(truth(), stopped), score(truth(), weak)))])
     assert r.strongest is not None
     assert r.strongest.name == "weak"
-    assert [t.why_unscored for t in r.taps if t.name == "tap"] == ["she did not finish"]
+    assert [t.why_unscored for t in r.taps if t.name == "tap"] == [UNFINISHED]
+    alone = report([RunScore("r", truth(), (score(truth(), stopped),))])
+    assert UNFINISHED in alone.verdict(), "nobody may say that she guessed nothing"
 
 
 def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:

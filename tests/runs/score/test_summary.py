@@ -10,6 +10,7 @@ from runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
 from tap_service.status import absent_record
 from tests.support.small_run import SmallRun
 from wyner.runs.run import Run
+from wyner.runs.score.score import SILENT, UNFINISHED
 from wyner.runs.score.summary import render, summarise
 
 PAYLOAD = b"two by two"
@@ -39,7 +40,8 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
             "set-membership": {**tap, "messages_exact": 1},
             "list-decoder": {**tap, "messages_exact": 0, "steps_not_looked_at": 17},
             "nearest-centre": {**tap, "messages_exact": 0, "stray_steps": 1234},
-            "key-solver": {**tap, "messages_exact": 0, "unscored": "she guessed nothing"},
+            "key-solver": {**tap, "messages_exact": 0, "unscored": SILENT},
+            "text": {**tap, "messages_exact": 0, "unscored": UNFINISHED},
         },
     }
     lines = render(summary).splitlines()
@@ -48,7 +50,8 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     assert any(line.endswith("100.0 % of bits, not whole") for line in lines)
     # each symbol of the message is right, and others stand between them: no frame fits
     assert any(line.endswith("100.0 % of bits, 1234 stray symbols") for line in lines)
-    assert any(line.endswith("guesses at no symbol of the loop") for line in lines)
+    assert any(line.endswith(f"not scored: {SILENT}") for line in lines)
+    assert any(line.endswith(f"not scored: {UNFINISHED}: wyner score --decode") for line in lines)
     assert any(line.endswith("17 steps were not looked at: wyner score --decode") for line in lines)
     early = render(summary | {"messages": 0}).splitlines()
     assert any(line.endswith("100.0 % of bits, none was whole yet") for line in early)
@@ -74,11 +77,13 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     assert "Eve        mine            FAILED: not scored" in lines
     assert lines[-2].endswith("bits by the paper's rule. True: unknown, she failed.")
     assert lines[-1] == "FAILED     mine: step 21: ValueError: no idea"
-    record |= {"failed": "", "steps": 0}
-    (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
-    summary = summarise(Run.load(tmp_path), PAYLOAD)
-    assert summary["failed"] == []
-    assert render(summary).splitlines()[-1].endswith("True: unknown, nobody guessed.")
+    record |= {"failed": ""}
+    # killed while she was behind: what she leaves is unknown, whatever she had guessed by then
+    for symbols, why in ((None, UNFINISHED), ([], "nobody guessed")):
+        (tmp_path / BELIEFS).write_text(json.dumps({"mine": record | {"symbols": symbols}}))
+        summary = summarise(Run.load(tmp_path), PAYLOAD)
+        assert summary["failed"] == []
+        assert render(summary).splitlines()[-1].endswith(f"True: unknown, {why}.")
 
 
 def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:

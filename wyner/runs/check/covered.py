@@ -29,7 +29,7 @@ class FileKind(NamedTuple):
 
 
 SEAL: Final = "the seal"
-_BOTH: Final = "what the checks replay, its end marks, its journal, the seal"
+_BOTH: Final = "replayed; its end marks, its journal, the seal"
 
 KINDS: Final = (
     FileKind("manifest.json", True, "scenario; its seal holds a digest of itself"),
@@ -54,9 +54,9 @@ KINDS: Final = (
     FileKind("plant/log", True, SEAL),
     FileKind("controller/log", True, SEAL),
     FileKind("tap/log", True, SEAL),
-    FileKind("*/health", False, "a line for health checks, written again while a program runs"),
-    FileKind("kme-*/*", False, "a key server's own, written beside a run that is over"),
-    FileKind("*/.*", False, "a file on its way to its name, or the one before it"),
+    FileKind("*/health", False, "a line for health checks, written anew"),
+    FileKind("kme-*/*", False, "a key server's own, beside a run that is over"),
+    FileKind("*/.*", False, "on its way to its name, or the one before it"),
     FileKind("*/keys.sqlite3-journal", False, "SQLite's own, empty between two writes"),
     FileKind("*/log.old", False, "a log that was begun again"),
     FileKind("*/secret", False, "taken into the key store, which says so"),

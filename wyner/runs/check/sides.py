@@ -300,8 +300,11 @@ class SideReader:
         first = self.header or header
         expected = {**first, "part": part, "oldest": oldest, **HEADS}
         for name in sorted(expected.keys() | header.keys()):
-            if header.get(name, 0) != expected.get(name, 0):
-                self.problem(number, f"{name}: not as expected of part {part}")
+            got, due = header.get(name, 0), expected.get(name, 0)
+            if got != due:
+                short = isinstance(got, int | str) and isinstance(due, int | str)
+                said = f"got {got!r}, expected {due!r}" if short else "not as the first part's"
+                self.problem(number, f"{name}: {said}")
         if not isinstance(oldest, int) or not 0 <= oldest <= part:
             self.problem(number, f"oldest: got {oldest!r}, expected 0 to {part}")
             oldest = 0

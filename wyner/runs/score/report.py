@@ -17,7 +17,7 @@ from protocol.statistics import (
     stated_left,
 )
 from tap_service.eavesdroppers.base import KeysHeld
-from wyner.runs.score.score import EavesdropperScore, Proportion, RunScore, Truth
+from wyner.runs.score.score import UNFINISHED, EavesdropperScore, Proportion, RunScore, Truth
 
 BOUND: Final = (
     "The keys are a function of the public transcript and the secret part of the model, so that "
@@ -167,6 +167,8 @@ class Report:
         if not self.taps:
             return "nobody listened"
         failed = [f"{name}: {why}" for name, why in self.unscored.items() if "failed" in why]
+        if not failed and any(why.startswith(UNFINISHED) for why in self.unscored.values()):
+            return UNFINISHED
         return "; ".join(failed) or "nobody guessed"
 
 

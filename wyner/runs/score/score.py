@@ -7,7 +7,7 @@ or did not guess nobody knows what she leaves. Intervals are those of :mod:`prot
 
 import base64
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from operator import index
 from typing import Any, Final
@@ -23,6 +23,9 @@ from wyner.runs.score.by_step import BySteps, Step
 
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
+
+UNFINISHED: Final = "she did not finish"
+SILENT: Final = "she guesses at no symbol of the loop"
 
 
 class ScoreError(RunError):
@@ -208,10 +211,8 @@ class EavesdropperScore:
         if self.failed:
             return f"she failed: {self.failed}"
         if self.unfinished:
-            return "she did not finish"
-        return (
-            "" if self.keys_reviewed.of or self.stated_left is not None else "she guessed nothing"
-        )
+            return UNFINISHED
+        return "" if self.keys_reviewed.of or self.stated_left is not None else SILENT
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,11 +373,22 @@ def read_truth(run: Run) -> Truth:
         When its plant's trace cannot be read.
     """
     taker = TruthTaker()
+    feed_the_plant(run, taker.take)
+    return taker.truth(hidden_widths(run))
+
+
+def feed_the_plant(run: Run, take: Callable[[Mapping[str, Any]], None]) -> None:
+    """Hand over the plant's events, one after another.
+
+    Raises
+    ------
+    ScoreError
+        When its trace cannot be read.
+    """
     try:
-        run.feed("plant", taker.take)
+        run.feed("plant", take)
     except TraceError as error:
         raise ScoreError(str(error)) from None
-    return taker.truth(hidden_widths(run))
 
 
 def hidden_widths(run: Run) -> int:

@@ -9,11 +9,10 @@ from pathlib import Path
 from types import NoneType
 from typing import IO, Any, Final
 
-from runtime.recording import TraceError
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
 from wyner.runs.run import Run
-from wyner.runs.score.score import ScoreError
+from wyner.runs.score.score import feed_the_plant
 
 Row = dict[str, Any]
 
@@ -82,10 +81,7 @@ def truth_of(run: Run) -> Truth:
         When the plant's trace cannot be read.
     """
     found = Truth()
-    try:
-        run.feed("plant", found.take)
-    except TraceError as error:
-        raise ScoreError(str(error)) from None
+    feed_the_plant(run, found.take)
     return found
 
 

@@ -14,7 +14,14 @@ from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
 from wyner.runs.score.report import report
-from wyner.runs.score.score import ONE_RUN, RunScore, ScoreError, score_run, summary_of
+from wyner.runs.score.score import (
+    ONE_RUN,
+    UNFINISHED,
+    RunScore,
+    ScoreError,
+    score_run,
+    summary_of,
+)
 from wyner.simulate.missed import missed_steps
 
 LOCKSTEP: Final = "fast"
@@ -241,6 +248,8 @@ def true_in_words(summary: dict[str, Any]) -> str:
         return f"at most {true:.0f} ({summary['strongest']})"
     if summary["failed"]:
         return "unknown, she failed"
+    if any(tap["unscored"].startswith(UNFINISHED) for tap in summary["taps"].values()):
+        return f"unknown, {UNFINISHED}"
     return "unknown, nobody guessed" if summary["taps"] else "unknown, nobody listened"
 
 
@@ -253,7 +262,8 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
     if tap["failed"]:
         return "FAILED: not scored" + (", had a message whole" if tap["messages_exact"] else "")
     if tap["unscored"]:
-        return "guesses at no symbol of the loop"
+        on = ": wyner score --decode" if tap["unscored"] == UNFINISHED else ""
+        return f"not scored: {tap['unscored']}{on}"
     whole = "whole" if tap["messages_exact"] else "not whole"
     if not recovered:
         whole = "none was whole yet"
