@@ -60,8 +60,10 @@ test: $(STAMPS)/dev
 	@$(MAKE) --no-print-directory --jobs=2 lint tests
 
 # Each process has a core already: a second thread of the numerics would take another's.
+tests test-fast test-pythons coverage $(ROOM_TARGETS): export OPENBLAS_NUM_THREADS := 1
+
 tests: $(STAMPS)/dev
-	OPENBLAS_NUM_THREADS=1 $(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # Needs a Docker engine; says how to get one where none runs.
 test-compose: $(STAMPS)/dev

@@ -49,7 +49,7 @@ DEPTH: Final = 4
 LOOP_S: Final = 0.4
 """A call that lasts longer than this is a service's loop: its steps are the calls within."""
 
-START_S: Final = 60.0
+START_S: Final = 240.0
 """Seconds until the services have met and the message is delivered, at most."""
 
 

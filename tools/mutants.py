@@ -44,7 +44,10 @@ SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "link": (
-        *_files("link", "refusals statuses guarded keying events fallback pacing timers channel"),
+        *_files(
+            "link",
+            "refusals statuses guarded keying events fallback pacing timers channel output_rule",
+        ),
         *_files("link", "transcripts plant_session controller_session session_tables"),
         *_files("link", "predictions last_keys"),
         *_files("secret", "keyed_coin guarded_link"),

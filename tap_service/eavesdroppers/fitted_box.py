@@ -4,10 +4,8 @@
 and not where it is wider in one direction than in another: a coordinate that tells nothing of the
 input may then outweigh the one that decides. She needs no D_c for more. Whatever was applied left
 its disturbance in one set; so she looks for the smallest set, with facets along those of D_e, that
-holds one residual of every step. She starts from each facet alone, decides along it, takes the
-widths that the decisions leave, decides in these, and so on, and keeps the start that ends with the
-smallest volume: for d uniform in such a set that is the likeliest. Where outputs alone are read no
-step shows its residual: she takes the widths under which the readings are likeliest.
+holds one residual of every step (:mod:`tap_service.inference.fitted_shape`). Where outputs alone
+are read no step shows its residual: she takes the widths under which the readings are likeliest.
 """
 
 import math
@@ -23,6 +21,7 @@ from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess
 from tap_service.eavesdroppers.by_readings import ByReadings
+from tap_service.inference.fitted_shape import fitted_widths
 from tap_service.inference.output_model import OutputModel
 
 KEPT: Final = 2048
@@ -34,14 +33,8 @@ GROWTH: Final = 1.25
 FIRST: Final = 8
 """Transitions before she fits for the first time."""
 
-ROUNDS: Final = 30
-"""Decisions and widths in turn, at most."""
-
 MARGIN: Final = 1.1
 """Threshold over the fitted widths: a defender's set is drawn with room to spare."""
-
-SMALLEST: Final = 1e-9
-"""Of a width, relative to that of D_e."""
 
 
 class FittedBox(Following):
@@ -144,33 +137,3 @@ class FittedBox(Following):
         assert h is not None
         found = (self.widths * np.array(h)).tolist()
         return Gauge(H=H, h=tuple(found))
-
-
-def fitted_widths(along: Array) -> Array:
-    """Widths of the smallest set found, along each facet.
-
-    Parameters
-    ----------
-    along : array, shape (steps, M, rows)
-        Each candidate's residual along each facet, in units of D_e.
-
-    Returns
-    -------
-    array, shape (rows,)
-    """
-    steps = np.arange(len(along))
-    starts = [np.maximum(0.0, along.max(axis=2)).argmin(axis=1)]
-    starts += [np.abs(along[:, :, r]).argmin(axis=1) for r in range(along.shape[2])]
-    best, least = np.ones(along.shape[2]), math.inf
-    for start in starts:
-        choice = start
-        for _ in range(ROUNDS):
-            widths = np.maximum(SMALLEST, along[steps, choice].max(axis=0))
-            again = (along / widths).max(axis=2).argmin(axis=1)
-            if (again == choice).all():
-                break
-            choice = again
-        volume = float(np.log(widths).sum())
-        if volume < least - 1e-12:
-            best, least = widths, volume
-    return best

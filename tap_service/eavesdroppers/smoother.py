@@ -20,6 +20,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even, nearest
 from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected
+from tap_service.inference.fitted_shape import Shape, likelier_shape
 from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.list_decoding import ListDecoding
@@ -174,7 +175,8 @@ class Smoother(Eavesdropper):
         if facets and not clear and self.reader.trusts(kept):
             self._steps = self.reader.infer(kept)
             return self.reader.width or _among(1.0)
-        inference = GapSmoother(A, B, self._shape, self._noise)
+        shape = Shape(self._shape) if self._noise else likelier_shape(self._shape, A, B, kept)
+        inference = GapSmoother(A, B, shape, self._noise)
         self._steps = inference.infer(kept)
         return _among(inference.support)
 

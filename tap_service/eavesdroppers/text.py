@@ -100,7 +100,11 @@ class Text(Eavesdropper):
             self._let_go(KEPT // 2)
         if t.x is None or t.candidates is None or t.x_next is None:
             return Guess(t.k, self._even, 0.5)
-        gauges = self._model.gauges(t.x, t.candidates, t.x_next, t.predictions)
+        gauges = None if self._reads else self._inference.gauges(t)
+        if gauges is None:
+            told = self._model
+            measure = told.along_the_widest if self.knowledge.noisy else told.gauges
+            gauges = measure(t.x, t.candidates, t.x_next, t.predictions)
         agreed = 1.0 if self.certain else (0.5 if max(gauges) <= 1.0 else 0.0)
         return Guess(t.k, nearest(gauges), agreed)
 

@@ -16,6 +16,7 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition, steps_in_a_row
+from tap_service.inference.fitted_shape import Shape, likelier_shape, residuals_of
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.line_smoother import LineSmoother
 from tap_service.inference.mixture_smoother import MixtureSmoother
@@ -80,29 +81,42 @@ class Inference:
         assert k.disturbance_H is not None
         assert k.disturbance_h is not None
         self._A, self._B = np.array(k.A), np.array(k.B)
-        self._shape = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
+        self._told = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
+        self._shape = Shape(self._told)
         # rounding to a step is an error spread evenly over it
         self._noise = float(np.hypot(k.noise, k.quantise / np.sqrt(12.0)))
         self._certain = k.policy is not None and k.policy.certain
+        self._other_set = k.noisy  # than D_c, on which the law's facets depend, is tested by
         self._planar = PlanarLaw.of(k)
         self._law = KnownLaw.of(k)
+
+    def gauges(self, t: Transition) -> list[float] | None:
+        """Of each candidate of a step heard whole, in a shape that was learned; None before."""
+        if self._shape.told is None:
+            return None
+        residuals = residuals_of(self._A, self._B, [t])[0]
+        gauges = np.maximum((residuals @ self._shape.rows.T).max(axis=1), 0.0)
+        found: list[float] = self._shape.bounded(gauges, residuals).tolist()
+        return found
 
     def infer(self, transitions: Sequence[Transition]) -> Inferred:
         """Infer the transcript that is kept, in one call."""
         runs = [_joined(run) for run in steps_in_a_row(transitions)]
         kept = [t for run in runs for t in run]
+        if not self._noise:
+            self._shape = likelier_shape(self._told, self._A, self._B, kept)
         law = None if self._planar is None else self._fitted(self._planar, kept)
         if law is not None:
             return self._by_lines(law, runs, kept)
         if self._law is not None and all(t.x is None for t in kept):
-            reader = OffersReader(self._A, self._B, self._shape, self._law, self._noise)
+            reader = OffersReader(self._A, self._B, self._told, self._law, self._noise)
             return Inferred(reader.infer(kept), reader.width or _among(reader.support))
         smoother: GapSmoother | MixtureSmoother = GapSmoother(
             self._A, self._B, self._shape, self._noise, samples=SAMPLES
         )
         if self._noise:
             smoother = MixtureSmoother(
-                self._A, self._B, self._shape, self._noise, self._law, samples=SAMPLES
+                self._A, self._B, self._told, self._noise, self._law, samples=SAMPLES
             )
         return Inferred(smoother.infer(kept), _among(smoother.support))
 
@@ -142,11 +156,11 @@ class Inference:
         def nearest(width: float) -> Array:
             u = law.of_width(width).offers(x)
             d = moved[:, None] - u[:, :, None] * self._B[:, 0]
-            out: Array = np.maximum((d @ self._shape.T).max(axis=2), 0.0).min(axis=1)
+            out: Array = np.maximum((d @ self._told.T).max(axis=2), 0.0).min(axis=1)
             return out
 
         def likelihood(width: float) -> float:
-            inside = nearest(width) <= width * (1 + SLACK) + self._noise * np.abs(self._shape).max()
+            inside = nearest(width) <= width * (1 + SLACK) + self._noise * np.abs(self._told).max()
             return float(np.where(inside, -2 * np.log(width), STRAY).mean())
 
         def left(width: float) -> float:
@@ -181,7 +195,7 @@ class Inference:
         if self._certain:
             return Inferred(steps, (0.0, 1.0))
         exact = law.scaled and law.known and not self._noise
-        if law.scaled and law.known:
+        if law.scaled and law.known and not self._other_set and self._shape.told is None:
             room = 1.0005 if exact else 1.06
             return Inferred(steps, (law.width / room, min(law.width * room, 1.0)))
         return Inferred(steps, _among(float(support.max())))
@@ -192,17 +206,15 @@ class Inference:
     def _support(self, law: PlanarLaw, kept: Sequence[Transition]) -> Array:
         """The disturbance's support: ``shape @ d`` at most."""
         if not self._measured(kept):
-            return np.full(len(self._shape), law.width)
+            return np.full(len(self._told), law.width)
         whole = [t for t in kept if t.whole]
-        x, after = np.array([t.x for t in whole]), np.array([t.x_next for t in whole])
-        u = np.array([t.candidates for t in whole])
-        d = (after - x @ self._A.T)[:, None] - u @ self._B.T
-        products = d @ self._shape.T
+        rows = self._shape.rows
+        products = residuals_of(self._A, self._B, whole) @ rows.T
         nearest = products[np.arange(len(whole)), products.max(axis=2).argmin(axis=1)]
         found: Array = nearest.max(axis=0) * (1 + 2 / len(whole))
         # what is even over a symmetric set reaches as far the other way
-        for i, row in enumerate(self._shape):
-            opposite = np.flatnonzero(np.abs(self._shape + row).max(axis=1) < 1e-12)
+        for i, row in enumerate(rows):
+            opposite = np.flatnonzero(np.abs(rows + row).max(axis=1) < 1e-12)
             for j in opposite:
                 found[i] = max(found[i], found[j])
         return np.maximum(found, 1e-9)

@@ -16,6 +16,7 @@ import numpy as np
 
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
+from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.law_pieces import Form, LearnedLaw, Reading, heard_exactly, learn_law
 
 SAMPLES: Final = 32
@@ -91,8 +92,7 @@ class GapSmoother:
     ----------
     A, B : array
         Her model.
-    shape : array, shape (rows, n)
-        H / h of D_e: the gauge of v is the largest entry of ``shape @ v``.
+    shape : Shape
     noise : float
         Standard deviation of what she reads.
     samples : int
@@ -100,12 +100,13 @@ class GapSmoother:
     """
 
     def __init__(
-        self, A: Array, B: Array, shape: Array, noise: float, samples: int = SAMPLES
+        self, A: Array, B: Array, shape: Shape, noise: float, samples: int = SAMPLES
     ) -> None:
-        self._A, self._B, self._shape, self._noise = A, B, shape, noise
+        self._A, self._B, self._noise = A, B, noise
+        self._bounded, self._shape = shape.bounded, shape.rows
         self._samples = samples
         self._n = len(A)
-        self._unit = float(np.abs(shape).max())
+        self._unit = float(np.abs(shape.rows).max())
         self._rng = np.random.default_rng(0)
         self._law: LearnedLaw | None = None
         self._d_cov = np.eye(self._n)
@@ -342,8 +343,8 @@ class GapSmoother:
 
     def _gauges(self, x: Array, offers: Array, x_next: Array) -> Array:
         residual = (x_next - x @ self._A.T)[:, None, :] - offers @ self._B.T
-        gauges: Array = np.maximum((residual @ self._shape.T).max(axis=2), 0.0)
-        return gauges
+        gauges = np.maximum((residual @ self._shape.T).max(axis=2), 0.0)
+        return self._bounded(gauges, residual)
 
     def _sample(self, means: Array, covariance: Array) -> Array:
         values, vectors = np.linalg.eigh((covariance + covariance.T) / 2)

@@ -16,6 +16,7 @@ import numpy as np
 
 from protocol.arrays import Array, Indices
 from tap_service.capture.transcript import Transition
+from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.planar_law import PlanarLaw
 
@@ -61,11 +62,10 @@ class LineSmoother:
     ----------
     A, B : array
         Her model.
-    shape : array, shape (rows, 2)
-        H / h of D_e: the gauge of v is the largest entry of ``shape @ v``.
+    shape : Shape
     law : PlanarLaw
     support : array, shape (rows,)
-        Of the disturbance: ``shape @ d`` is at most this.
+        Of the disturbance: ``shape.rows @ d`` is at most this.
     noise : float
         Standard deviation of what she reads.
     spread : float
@@ -76,7 +76,7 @@ class LineSmoother:
         self,
         A: Array,
         B: Array,
-        shape: Array,
+        shape: Shape,
         law: PlanarLaw,
         support: Array,
         noise: float,
@@ -84,7 +84,7 @@ class LineSmoother:
         particles: int = PARTICLES,
     ) -> None:
         self._A, self._b, self._shape, self._law = A, B[:, 0], shape, law
-        self._rows = shape / support[:, None]  # the gauge of the disturbance's own support
+        self._rows = shape.rows / support[:, None]  # the gauge of the disturbance's own support
         self._noise = noise
         self._exact = EXACT * max(spread, 1e-6)
         self._count = particles
@@ -275,7 +275,7 @@ class LineSmoother:
                 return state[None], np.ones(1)
             x = state + self._noise * self._rng.standard_normal((self._count, 2))
             return x, np.full(self._count, 1 / self._count)
-        edge = ANYWHERE / np.abs(self._shape).max(axis=0)
+        edge = ANYWHERE / np.abs(self._shape.rows).max(axis=0)
         x = self._rng.uniform(-edge, edge, (FIRST, 2))
         if t.candidates is None:
             return x[: 4 * self._count], np.full(4 * self._count, 1 / (4 * self._count))
@@ -403,15 +403,14 @@ class LineSmoother:
         predictions = (blurred(t.x) @ self._A.T)[:, None] + u[:, :, None] * self._b
         d = blurred(t.x_next)[:, None] - predictions
         inside = _largest(d, self._rows).min(axis=1) <= 1
-        out: Array = _largest(d[inside] if inside.any() else d, self._shape)
-        return out
+        return self._gauges(d[inside] if inside.any() else d)
 
     def _back(self, cloud: Cloud, t: Transition, after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, 2), and the gauges of that step, shape (S, M)."""
         x, w = cloud
         predictions = self._predictions(x, t)
         if len(x) == 1:
-            gauges = _largest(after[:, None] - predictions, self._shape)
+            gauges = self._gauges(after[:, None] - predictions)
             if len(after) == 1 or t.x is None:
                 return np.tile(x, (len(after), 1)), gauges
             return x, gauges
@@ -427,7 +426,10 @@ class LineSmoother:
         none = np.flatnonzero(~fits.any(axis=1))
         if len(none):
             chosen[none] = self._of_all(predictions, w, after[none])
-        return x[chosen], _largest(after[:, None] - predictions[chosen], self._shape)
+        return x[chosen], self._gauges(after[:, None] - predictions[chosen])
+
+    def _gauges(self, residuals: Array) -> Array:
+        return self._shape.bounded(_largest(residuals, self._shape.rows), residuals)
 
     def _of_all(self, predictions: Array, w: Array, after: Array) -> Indices:
         """Which particle led to each state, drawn from all."""

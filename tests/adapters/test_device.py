@@ -42,6 +42,7 @@ from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
 from tests.support.mail import mail
+from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.told import log_of
 from tests.support.twin_journals import TwinPlantJournal
@@ -341,7 +342,7 @@ def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
         env=environment,
     )
@@ -354,7 +355,7 @@ def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
         [*command, "check", str(run_dir)],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
         env=environment,
     )

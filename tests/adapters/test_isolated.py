@@ -14,6 +14,7 @@ from plant_service.adapters.registry import KINDS, open_plant
 from protocol.scenario import Scenario
 from runtime import sandbox
 from tests.adapters.test_device import line
+from tests.support.patience import PATIENCE_S
 
 PLANT = """
 import ctypes, os, subprocess, sys, threading, time
@@ -55,13 +56,13 @@ def alive(pid: int) -> bool:
 
 
 def gone(pid: int) -> bool:
-    until = time.monotonic() + 5
+    until = time.monotonic() + PATIENCE_S
     while alive(pid) and time.monotonic() < until:
         time.sleep(0.01)
     return not alive(pid)
 
 
-def written(note: Path, within_s: float = 5.0) -> str:
+def written(note: Path, within_s: float = PATIENCE_S) -> str:
     until = time.monotonic() + within_s
     while not (note.exists() and note.read_text()) and time.monotonic() < until:
         time.sleep(0.01)
@@ -84,7 +85,7 @@ def test_a_process_that_ended_while_nobody_used_it_is_not_handed_out(tmp_path: P
     first.close()
     for process in sandbox.idle.values():
         os.kill(process.child.pid, signal.SIGKILL)
-        process.child.wait(20.0)
+        process.child.wait(PATIENCE_S)
     second = opened(tmp_path, "pass")
     assert len(stepped(second, 2)) == 3
     second.close()
@@ -108,14 +109,15 @@ def test_it_steps_as_in_the_services_own_process(tmp_path: Path) -> None:
         ("raise ValueError('no\\nidea')", "ValueError: no idea"),
         ("x = bytearray(8 << 30)", "MemoryError"),
         ("os.closerange(0, 50)", "the process ended"),
-        ("time.sleep(60)", "too slow: no answer within 0.5 s"),
-        ("while True: pass", "too slow: no answer within 0.5 s"),
+        ("time.sleep(60)", "too slow: no answer within 2 s"),
+        ("while True: pass", "too slow: no answer within 2 s"),
         ("return ['?', 1]", "got the reading ['?', 1], expected a sequence of numbers"),
         ("return object()", "expected a sequence of numbers"),
     ],
 )
 def test_what_it_does_stops_it_alone(tmp_path: Path, act: str, why: str) -> None:
-    plant = opened(tmp_path, act, answer_s=0.5, memory_mib=1024)
+    answer_s = 2.0 if "too slow" in why else PATIENCE_S
+    plant = opened(tmp_path, act, answer_s=answer_s, memory_mib=1024)
     with pytest.raises(PlantError, match=r"^plant: sample: ") as error:
         stepped(plant, 3)
     assert why in str(error.value)
@@ -165,7 +167,7 @@ FORKS = """note = open({note!r}, "a")
 def test_what_it_started_ends_with_it(tmp_path: Path, leave: str, then: str) -> None:
     note = tmp_path / "pid"
     act = FORKS.format(note=str(note), leave=leave, then=then)
-    plant = opened(tmp_path, act, answer_s=0.5)
+    plant = opened(tmp_path, act, answer_s=2.0 if then == "time.sleep(60)" else PATIENCE_S)
     if then == "time.sleep(0.2)":
         stepped(plant, 4)
         guest_of(plant).close()

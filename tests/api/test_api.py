@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import wyner
+from tests.support.patience import PATIENCE_S
 from wyner import (
     Belief,
     Eavesdropper,
@@ -48,7 +49,7 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
         "assert 'numpy' in sys.modules; assert 'matplotlib' not in sys.modules; "
         "assert 'pandas' not in sys.modules; assert 'zenoh' not in sys.modules"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, timeout=60)
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)
 
 
 def test_every_name_is_there_and_has_words() -> None:

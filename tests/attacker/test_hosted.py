@@ -21,6 +21,7 @@ from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.errors import UsageError
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.scenario_file import attack_option, scenario_of
+from tests.support.patience import PATIENCE_S
 
 pytestmark = pytest.mark.slow
 
@@ -173,9 +174,9 @@ class Passed:
         thread = threading.Thread(target=self.relay.run, args=(stopping,))
         thread.start()
         self.put[type(message)](message.wire())
-        payload = self.heard.get(timeout=30)
+        payload = self.heard.get(timeout=PATIENCE_S)
         stopping.set()
-        thread.join(30)
+        thread.join(PATIENCE_S)
         return type(message).model_validate_json(payload)
 
 

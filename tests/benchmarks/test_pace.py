@@ -14,6 +14,7 @@ import pytest
 from benchmarks import fleet, overload, pace
 from benchmarks.__main__ import BENCHMARKS, main
 from protocol.messages import LATENCY_BOUNDS_S
+from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -52,7 +53,7 @@ def test_the_command_hands_its_arguments_on(tmp_path: Path) -> None:
             cwd=tmp_path,
             capture_output=True,
             text=True,
-            timeout=60,
+            timeout=PATIENCE_S,
             check=False,
             env={**os.environ, "PYTHONPATH": str(ROOT)},
         )

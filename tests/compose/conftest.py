@@ -12,7 +12,6 @@ import pytest
 from tests.compose.composition import (
     BASE_IMAGE,
     PACE,
-    ROUTED_PACE,
     Composition,
     base_image,
     docker,
@@ -100,5 +99,5 @@ def direct(image: str) -> Iterator[Composition]:
 
 @pytest.fixture(scope="module")
 def secure(image: str) -> Iterator[Composition]:
-    variables = {"WYNER_MESSAGE": "at noon", "WYNER_PACE": ROUTED_PACE}
+    variables = {"WYNER_MESSAGE": "at noon", "WYNER_PACE": PACE}
     yield from running("wyner-test-secure", "secure", **variables)

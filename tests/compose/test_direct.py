@@ -92,7 +92,7 @@ from concurrent.futures import ThreadPoolExecutor
 def attempt(target):
     host, _, port = target.rpartition(":")
     try:
-        socket.create_connection((host, int(port)), timeout=2).close()
+        socket.create_connection((host, int(port)), timeout=10).close()
     except OSError as error:
         return f"{target} failed: {error}"
     return f"{target} connected"

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.compose.composition import ROUTED_PACE, RUN, Composition, all_healthy, wait_for
+from tests.compose.composition import PACE, RUN, Composition, all_healthy, wait_for
 from tests.compose.conftest import running
 
 SERVICES = ("keys-controller", "keys-plant", "keys-tap", "kme-controller", "kme-plant")
@@ -36,7 +36,7 @@ with KeyStore(Path("{RUN}") / path, side) as store:
 
 @pytest.fixture(scope="module")
 def keys(image: str) -> Iterator[Composition]:
-    yield from running("wyner-test-keys", "keys", WYNER_PACE=ROUTED_PACE, WYNER_KEY_EVERY="1")
+    yield from running("wyner-test-keys", "keys", WYNER_PACE=PACE, WYNER_KEY_EVERY="1")
 
 
 def in_use(system: Composition, application: str) -> list[str]:

@@ -19,6 +19,7 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import PlantStatus
+from tests.support.patience import PATIENCE_S
 from tests.support.scripted import ScriptedSource
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.app import FRAME_NS, GO_ON, Ending, Watch, has_screen, speaks_unicode
@@ -343,7 +344,7 @@ class Screen:
 
     def end(self) -> str:
         """Wait for the end; what was printed after the screen closed."""
-        end = time.monotonic() + 20
+        end = time.monotonic() + PATIENCE_S
         while self.process.poll() is None:
             assert time.monotonic() < end
             self._read(0.05)

@@ -1,5 +1,8 @@
 """The table of a fleet: what it says of each loop, and who comes first."""
 
+import os
+import pty
+import termios
 from pathlib import Path
 
 import pytest
@@ -134,6 +137,20 @@ def test_malformed_bytes_and_terminal_codes_do_no_harm(
     assert "1 of 1 loops run" in said
     assert "0 of them lately; 2 messages were malformed\n" in said
     assert "\x1b" not in said
+
+
+def test_q_leaves_the_screen_and_gives_the_terminal_back(fleet: Fleet) -> None:
+    leader, follower = pty.openpty()
+    before = termios.tcgetattr(follower)
+
+    def types_and_goes_on() -> bool:
+        os.write(leader, b"xq")
+        return False
+
+    watch(fleet.table, types_and_goes_on, screen=True, keyboard=follower)
+    assert termios.tcgetattr(follower) == before
+    os.close(leader)
+    os.close(follower)
 
 
 def test_a_plant_that_counts_anew_has_missed_nothing_less_than_nothing(fleet: Fleet) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import PATIENCE_S
 from wyner.cli.main import main
 from wyner.deployment.certificates import (
     CertificateError,
@@ -22,7 +23,7 @@ HOSTS = {"plant": ["plant.example.org", "192.0.2.7", "::1"], "tap": ["localhost"
 
 def openssl(*arguments: str) -> str:
     done = subprocess.run(
-        ["openssl", *arguments], capture_output=True, text=True, timeout=30, check=True
+        ["openssl", *arguments], capture_output=True, text=True, timeout=PATIENCE_S, check=True
     )
     return done.stdout
 

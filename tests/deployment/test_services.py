@@ -13,6 +13,7 @@ import pytest
 
 from runtime.errors import Failure
 from runtime.services import PLANT_FIELD, SERVICES, Ends, Look, Service
+from tests.support.patience import PATIENCE_S
 from wyner.cli.certs import default_names
 from wyner.cli.main import commands, main
 from wyner.deployment import supervisor
@@ -124,7 +125,7 @@ def test_it_is_supervised_and_its_health_is_told(
     child = Child("counting", ["--run-dir", str(tmp_path)], tmp_path / "counting" / "log")
     child.start()
     try:
-        until = time.monotonic() + 20
+        until = time.monotonic() + PATIENCE_S
         while not (tmp_path / "counting" / "count.json").exists():
             assert child.poll(time.monotonic()) is None, child.last_line()
             assert time.monotonic() < until
@@ -140,7 +141,7 @@ def test_it_is_supervised_and_its_health_is_told(
         Supervisor([child], "counting", "").stop()
     assert child.process is not None
     assert child.process.returncode == 0
-    time.sleep(0.1)
+    time.sleep(0.3)
     assert main(["status", *arguments, "--within", "0.2"]) == 1
     assert "stands still" in capsys.readouterr().err
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import PATIENCE_S
 from wyner.deployment.supervisor import Child
 
 LEAVES = """
@@ -26,7 +27,7 @@ def killed(tmp_path: Path) -> Iterator[tuple[Child, Path]]:
     child.process = subprocess.Popen(
         [sys.executable, "-c", LEAVES, str(written)], stdin=subprocess.PIPE, process_group=0
     )
-    until = time.monotonic() + 30
+    until = time.monotonic() + PATIENCE_S
     while not written.exists() and time.monotonic() < until:
         time.sleep(0.01)
     child.process.kill()

@@ -12,6 +12,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import PATIENCE_S
+
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -52,7 +54,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
         ],
         cwd=folder,
         check=True,
-        timeout=120,
+        timeout=PATIENCE_S,
     )
     shutil.rmtree(folder / "source")
     (found,) = folder.glob("*.whl")
@@ -67,7 +69,7 @@ class Installed:
         subprocess.run(
             [sys.executable, "-m", "venv", "--without-pip", str(folder / "env")],
             check=True,
-            timeout=60,
+            timeout=PATIENCE_S,
         )
         self.python = folder / "env" / "bin" / "python"
         subprocess.run(
@@ -85,7 +87,7 @@ class Installed:
                 str(wheel),
             ],
             check=True,
-            timeout=120,
+            timeout=PATIENCE_S,
         )
         (packages,) = (folder / "env" / "lib").glob("python*/site-packages")
         # A path in a .pth file comes last, and .pth files there are not followed: the source tree
@@ -105,7 +107,7 @@ class Installed:
             cwd=self.folder,
             env={k: v for k, v in os.environ.items() if k not in hidden}
             | {"XDG_CACHE_HOME": str(self.folder / "cache")},
-            timeout=120,
+            timeout=PATIENCE_S,
             check=False,
         )
         assert done.returncode == code, done.stderr

@@ -13,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from tests.support.patience import PATIENCE_S
+
 ROOT = Path(__file__).resolve().parents[2]
 SERVICES = ("controller_service", "plant_service", "tap_service", "attacker_service")
 ROOMS = (*SERVICES, "protocol", "runtime", "wyner", "benchmarks", "tools")
@@ -67,7 +69,7 @@ def loaded_by(*modules: str) -> frozenset[str]:
         capture_output=True,
         text=True,
         cwd=ROOT,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -24,6 +24,7 @@ from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS
 from tests.support.giving import agree
 from tests.support.key_sites import KEYS, PAIRS, SIDES, Sites
+from tests.support.patience import PATIENCE_S
 from wyner.cli.main import main
 from wyner.kme.entity import KeyManagementEntity, Names
 from wyner.kme.identity import common_name
@@ -173,10 +174,11 @@ def test_it_tells_of_itself(sites: Sites, capsys: pytest.CaptureFixture[str]) ->
 @pytest.mark.slow
 def test_silent_connections_by_the_hundred_hold_nobody_up(sites: Sites) -> None:
     address = ("127.0.0.1", sites.ports["plant"])
+    alone_s = seconds_for_a_status(sites)
     silent = [socket.create_connection(address) for _ in range(250)]
     begin = time.monotonic()
     assert sites.ask("plant", "bob", "/api/v1/keys/alice/status")[0] == 200
-    assert time.monotonic() - begin < 4
+    assert time.monotonic() - begin < soon_s(alone_s)
     for connection in silent:
         connection.close()
 
@@ -202,6 +204,7 @@ def test_optional_extensions_are_passed_over(sites: Sites) -> None:
 
 @pytest.mark.slow
 def test_slow_and_silent_clients_hold_nobody_up(sites: Sites) -> None:
+    alone_s = seconds_for_a_status(sites)
     silent = socket.create_connection(("127.0.0.1", sites.ports["controller"]))
     slow = sites.tls("alice").wrap_socket(
         socket.create_connection(("127.0.0.1", sites.ports["controller"])),
@@ -212,8 +215,8 @@ def test_slow_and_silent_clients_hold_nobody_up(sites: Sites) -> None:
     )
     begin = time.monotonic()
     assert sites.ask("controller", "alice", "/api/v1/keys/bob/status")[0] == 200
-    assert time.monotonic() - begin < 3
-    slow.settimeout(15)
+    assert time.monotonic() - begin < soon_s(alone_s)
+    slow.settimeout(PATIENCE_S)
     answer = slow.recv(65536)
     assert answer.startswith(b"HTTP/1.1 400 ")
     assert time.monotonic() - begin > 4
@@ -232,6 +235,11 @@ def seconds_for_a_status(sites: Sites) -> float:
     begin = time.monotonic()
     assert sites.ask("controller", "carol", "/api/v1/keys/dave/status")[0] == 200
     return time.monotonic() - begin
+
+
+def soon_s(alone_s: float) -> float:
+    """What an answer may take, by what one took beside nothing: a machine may be slow."""
+    return max(3.0, 10 * alone_s)
 
 
 def closed_within(line: ssl.SSLSocket, seconds: float) -> bool:
@@ -253,7 +261,7 @@ def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -
         lines = process.read_text().splitlines()
         return next(int(line.split()[1]) for line in lines if line.startswith("VmRSS:"))
 
-    before = resident_kib()
+    before, alone_s = resident_kib(), seconds_for_a_status(sites)
     with connected(sites, "alice") as line:
         line.settimeout(1.0)
         sent = 0
@@ -261,23 +269,24 @@ def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -
             while sent < 2**30:
                 line.sendall(100 * REQUEST)
                 sent += 100 * len(REQUEST)
-        assert seconds_for_a_status(sites) < 3
+        assert seconds_for_a_status(sites) < soon_s(alone_s)
         assert resident_kib() - before < 16 * 1024
-        assert closed_within(line, IDLE_S + 15)
-    assert seconds_for_a_status(sites) < 3
+        assert closed_within(line, PATIENCE_S)
+    assert seconds_for_a_status(sites) < soon_s(alone_s)
 
 
 @pytest.mark.slow
 def test_a_byte_at_a_time_is_served_in_time_and_let_go_of_after_it(sites: Sites) -> None:
+    alone_s = seconds_for_a_status(sites)
     with connected(sites, "alice") as slow, connected(sites, "alice") as slower:
-        slow.settimeout(10)
+        slow.settimeout(PATIENCE_S)
         slower.settimeout(1)
         begin = time.monotonic()
         for place in range(len(REQUEST)):
             slow.sendall(REQUEST[place : place + 1])
             slower.sendall(REQUEST[place // 10 : place // 10 + 1] if place % 10 == 0 else b"")
             time.sleep(0.04)
-        assert seconds_for_a_status(sites) < 3
+        assert seconds_for_a_status(sites) < soon_s(alone_s)
         assert slow.recv(65536).startswith(b"HTTP/1.1 200 ")
         with suppress(OSError):
             for place in range(6, len(REQUEST)):
@@ -389,7 +398,7 @@ def test_where_its_health_line_cannot_be_written_it_gives_keys_all_the_same(
             code, told = one.ask("controller", "alice", f"/api/v1/keys/bob/{path}")
             assert (code, told["message"][:7]) == (503, "no key:")
         one.processes["controller"].send_signal(signal.SIGTERM)
-        assert one.processes["controller"].wait(10) == 0
+        assert one.processes["controller"].wait(PATIENCE_S) == 0
     finally:
         one.stop()
 
@@ -407,7 +416,7 @@ def test_without_keys_or_with_refused_ones_it_says_503(tmp_path: Path) -> None:
         code, error = two.ask("controller", "alice", "/api/v1/keys/bob/status")
         assert (code, error["message"]) == (503, "too many requests; ask again in a second")
         two.processes["controller"].send_signal(signal.SIGTERM)
-        assert two.processes["controller"].wait(10) == 0
+        assert two.processes["controller"].wait(PATIENCE_S) == 0
     finally:
         two.stop()
 

@@ -17,7 +17,7 @@ from protocol.link.guarded import LACKING_S, UNOPENED, Guarded
 from protocol.link.peer import Actions, Notice
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.secret.blocks import BlockResult
-from protocol.secret.tasks import Batch, GuardKeys, GuardTask
+from protocol.secret.tasks import Batch, CoinKeys, GuardKeys, GuardTask
 from tests.support.hearing import Hearing
 
 S, T = "1" * 16, "2" * 16
@@ -211,6 +211,44 @@ def test_before_its_keys_a_message_waits_and_they_are_asked_for_at_once() -> Non
     assert len(ends.at_controller.heard) == 1
 
 
+def test_a_message_of_another_session_is_the_ends_to_judge_as_it_is() -> None:
+    ends = begun(Mac(2, 4))
+    strange = measurement(FIRST).model_copy(update={"session": T}).wire()
+    for now, payload in ((2.0, strange), (3.0, b"no message")):
+        ends.controller.receive(Measurement, payload, now)
+        assert ends.at_controller.heard.pop() == (now, Measurement, payload)
+    status = ends.controller.status()
+    assert (status.guarded, status.unguarded, status.forged) == (0, 0, 0)
+
+
+def test_a_message_whose_keys_are_nowhere_counts_as_bare_until_one_was_tagged() -> None:
+    for promise, heard in (((-1, -1), 1), ((FIRST - 1, 0), 0)):
+        ends = begun(Mac(2, 4), heard=0, promise=promise)
+        wire = leaves(ends.plant, ends.at_plant, measurement(FIRST))
+        ends.controller.receive(Measurement, wire, 0.0)
+        assert ends.at_controller.heard == [], "it looks for its keys first"
+        ends.controller.key_task_done(GuardKeys(S), 0.0)
+        ends.controller.receive(Measurement, wire, 0.0)
+        found = [Measurement.model_validate_json(said) for _, _, said in ends.at_controller.heard]
+        assert found == [measurement(FIRST)] * heard
+        assert ends.controller.status().unguarded == heard
+
+
+def test_who_has_no_key_left_says_farewell_and_is_heard() -> None:
+    """Tagged under a word that was kept for it, so that whoever strips tags is still refused."""
+    defence = Mac(2, 4)
+    ends = begun(defence)
+    last = measurement(FIRST + 2 * (next_first(defence) - FIRST) - 1)
+    after = measurement(last.k + 1)
+    for said, guarded in ((last, 1), (after, 0), (after, 0)):
+        wire = leaves(ends.plant, ends.at_plant, said)
+        before = ends.controller.status()
+        ends.controller.receive(Measurement, wire, 0.0)
+        assert Measurement.model_validate_json(ends.at_controller.heard.pop()[2]) == said
+        assert ends.controller.status().guarded == before.guarded + guarded
+    assert ends.controller.receive(Measurement, after.wire(), 0.0).events, "bare it is a forgery"
+
+
 @pytest.mark.parametrize("opened", [False, True])
 def test_messages_that_do_not_open_end_the_session_unless_one_opened_before(opened: bool) -> None:
     """Keys may have gone with a process; who can only forge ends nothing."""
@@ -265,6 +303,14 @@ def test_more_keys_are_asked_for_before_the_last_step_is_covered_and_not_twice()
     assert later == [1.0 + LACKING_S], "where there were none, once in a while"
     ends.plant.key_task_done(GuardKeys(S, (batch(2, task.begins),)), 3.0)
     assert ends.plant.status().ahead == 3 * (next_first(defence) - FIRST) - 1
+
+
+def test_of_every_task_but_its_own_the_end_is_told() -> None:
+    ends = begun(Mac(2, 4))
+    confirmed, coins = BlockResult(S, 0, "confirmed", 5), CoinKeys(S)
+    for done in (confirmed, GuardKeys(S), coins):
+        ends.plant.key_task_done(done, 3.0)
+    assert ends.at_plant.done == [(confirmed, 3.0), (coins, 3.0)]
 
 
 def test_another_session_has_keys_of_its_own() -> None:

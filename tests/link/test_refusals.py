@@ -9,7 +9,7 @@ import pytest
 from controller_service.core import REMEMBERED_SESSIONS, STALE
 from protocol.agreement import INSIDE, AgreementRule, Gauge
 from protocol.link.events import FrameRefused
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.link.session import Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import encode_frame
@@ -440,6 +440,15 @@ def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
     receiver = PlantInHand(RULES, P, record)
     assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "incompatible"
     assert not receiver.refused
+
+
+def test_a_step_that_a_new_session_found_under_way_is_kept_until_it_was_looked_at_once() -> None:
+    """Another life would take it for its own, and count it as interrupted once more."""
+    begun = Step(OFFER.model_copy(update={"session": T}), 0)
+    receiver = PlantInHand(RULES, P, AT_THE_PLANT._replace(begun=begun))
+    receiver.missed((0.0,), (0.0,))
+    assert [saved.record for saved in receiver.saved] == [receiver.record]
+    assert receiver.record.begun is None
 
 
 @pytest.mark.parametrize(("flipped", "refused"), [(0, 0), (1, 1)])

@@ -6,7 +6,7 @@ import pytest
 
 from controller_service.core import INITIAL_ID, ControllerCore
 from plant_service.status import PlantTelemetry
-from protocol.link.events import Milestone, Timing
+from protocol.link.events import Milestone, SessionBegan, Timing
 from protocol.link.peer import Actions, Save
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
@@ -30,6 +30,7 @@ RULES = line_rules(alpha=4.0, largest_input=5.0)
 HALTING = replace(RULES, halts=True)
 S, P, A, NEW = "1" * 16, "c" * 16, "a" * 16, "9" * 16
 CANDIDATES = ((1.5,), (-1.5,))
+REPORTED = Measurement(session=S, k=4, x=(0.0,), applied_k=2, x_after=(0.0,))
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 
 # --- the controller's -----------------------------------------------------------------------------
@@ -99,13 +100,12 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
         transitions=3,
         applied_k=2,
     )
-    told = Measurement(session=S, k=4, x=(0.0,), applied_k=2, x_after=(0.0,))
 
     def offers(core: ControllerCore) -> bool:
         first_words(core)
         core.receive(PlantHello, hello.wire(), 1.0)
         return any(
-            isinstance(m, Offer) for m in core.receive(Measurement, told.wire(), 2.0).publish
+            isinstance(m, Offer) for m in core.receive(Measurement, REPORTED.wire(), 2.0).publish
         )
 
     assert offers(controller(MemoryControllerJournal(), None, record, HALTING))
@@ -124,6 +124,24 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
     assert not offers(core)
     assert not offers(controller(MemoryControllerJournal(), None, kept, HALTING))
     assert controller(MemoryControllerJournal()).halt() == Actions(), "the scenario's rules say so"
+
+
+def test_a_controller_whose_keys_are_gone_leaves_the_session_and_greets() -> None:
+    record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3)
+    core = controller(MemoryControllerJournal(), None, record)
+    first_words(core)
+    ended = core.end_session("the keys are gone")
+    (began,) = ended.events
+    assert isinstance(began, SessionBegan)
+    assert began.session is None
+    assert core.record.session is None
+    assert core.record.ended == (S,)
+    assert isinstance(ended.write, Save)
+    assert ended.write.record == core.record
+    assert [n.subject for n in ended.notices] == ["refusals"]
+    (greets,) = core.receive(Measurement, REPORTED.wire(), 100.0).publish
+    assert isinstance(greets, ControllerHello)
+    assert (greets.verdict, greets.session) == ("greeting", None)
 
 
 # --- the plant's ----------------------------------------------------------------------------------

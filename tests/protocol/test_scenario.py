@@ -13,6 +13,7 @@ import pytest
 
 from protocol.scenario import LAWS, Control, Scenario, ScenarioError, ScenarioTable, parse_scenario
 from runtime.scenario_file import load_scenario
+from tests.support.patience import PATIENCE_S
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 SHIPPED = sorted(SCENARIOS.glob("*.toml"))
@@ -181,7 +182,7 @@ def test_who_knows_no_law_keeps_its_table_as_it_stands() -> None:
         [sys.executable, "-c", code, json.dumps(data)],
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.stdout == "toy {'spacing': 3.0}\n", done.stderr

@@ -10,6 +10,7 @@ import pytest
 
 from protocol.messages import Status
 from runtime.health_files import HealthFiles, HealthWriter
+from tests.support.patience import PATIENCE_S
 
 LOG = logging.getLogger("health files")
 
@@ -29,7 +30,7 @@ class OnDisk(HealthFiles):
 
     def write(self, status: Status, now_s: float) -> None:
         self.entered.set()
-        assert self.held.wait(30)
+        assert self.held.wait(PATIENCE_S)
         if self._error is not None:
             raise self._error
         self.written.append(status.transitions)
@@ -42,7 +43,7 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     failed: list[tuple[str, Exception]] = []
     writer = HealthWriter(lambda loop, error: failed.append((loop, error)))
     writer.put("a", slow, status(1))
-    assert slow.entered.wait(30)
+    assert slow.entered.wait(PATIENCE_S)
     for transitions in range(2, 1000):
         writer.put("a", slow, status(transitions))
     writer.put("b", other, status(7))
@@ -65,7 +66,7 @@ def test_a_loop_whose_files_fail_is_told_and_the_others_are_written(tmp_path: Pa
     writer = HealthWriter(tell)
     error = OSError("no room")
     writer.put("a", OnDisk(tmp_path, free, error), status(1))
-    assert told.wait(30)
+    assert told.wait(PATIENCE_S)
     good = OnDisk(tmp_path, free)
     writer.put("b", good, status(2))
     writer.close(30)
@@ -80,7 +81,7 @@ def test_the_last_status_that_is_lost_is_a_warning(
     lost = OnDisk(tmp_path, held, OSError("no room"))
     writer = HealthWriter(lambda *_: pytest.fail("nobody goes on"))
     writer.put("a", lost, status(1))
-    assert lost.entered.wait(30)
+    assert lost.entered.wait(PATIENCE_S)
     threading.Timer(0.05, held.set).start()
     writer.close(30)
     assert "the last status is lost: no room" in caplog.text

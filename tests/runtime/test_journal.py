@@ -17,6 +17,7 @@ from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.messages import Measurement, Offer
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JournalError
+from tests.support.patience import PATIENCE_S
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"
@@ -183,7 +184,7 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
             capture_output=True,
             text=True,
             check=True,
-            timeout=30,
+            timeout=PATIENCE_S,
         )
     assert second.stdout.strip() == f"{path}: another process is using it"
     with ControllerJournal(path, SCENARIO):
@@ -306,7 +307,7 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             acknowledged = int(writer.stdout.readline())
         writer.send_signal(signal.SIGKILL)
         rest = [line for line in writer.stdout.read().split("\n")[:-1] if line]
-        writer.wait(10)
+        writer.wait(PATIENCE_S)
         writer.stdout.close()
         if rest:
             acknowledged = int(rest[-1])

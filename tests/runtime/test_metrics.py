@@ -18,13 +18,14 @@ from runtime.host import Host
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
+from tests.support.patience import PATIENCE_S
 
 pytest.importorskip("prometheus_client")
 
 
 def read(port: int) -> dict[str, float]:
     """The samples at a port, by their line's first word."""
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=5) as answer:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE_S) as answer:
         lines = answer.read().decode().splitlines()
     samples = (line.rpartition(" ") for line in lines if not line.startswith("#"))
     return {name: float(value) for name, _, value in samples}

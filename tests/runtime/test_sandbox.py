@@ -10,6 +10,7 @@ import pytest
 
 from runtime.processor_time import LOADING_S, PROCESSOR_S, PROCESSOR_SHARE, Meter
 from runtime.sandbox import OVERSPENT, SandboxError, SandboxProcess
+from tests.support.patience import PATIENCE_S
 
 
 def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
@@ -30,9 +31,15 @@ def test_a_guest_has_for_an_answer_what_the_answer_may_take() -> None:
     assert meter.overspent(beside + 1.1, 200.0)
 
 
-GUEST = """
+GRANTED_S = 1.0
+"""What these guests have beside their answers: less than :data:`PROCESSOR_S`, to be over sooner."""
+
+GUEST = f"""
 import os, sys, threading
+from runtime import processor_time
 from runtime.sandbox import serve
+
+processor_time.PROCESSOR_S = {GRANTED_S}
 
 def spin():
     while True:
@@ -67,10 +74,10 @@ def test_a_nice_programs_guest_is_as_nice_as_a_session(
     guest: SandboxProcess, tmp_path: Path
 ) -> None:
     own = os.nice(0)
-    assert guest.ask("weight", None, 20.0) == ["nice", str(own)]
+    assert guest.ask("weight", None, PATIENCE_S) == ["nice", str(own)]
     guest.close()
     asks = "from runtime.sandbox import SandboxProcess\nimport os\nos.nice(7)\n"
-    asks += "print(SandboxProcess('looping_guest').ask('weight', None, 20.0))"
+    asks += "print(SandboxProcess('looping_guest').ask('weight', None, 240.0))"
     told = subprocess.run([sys.executable, "-c", asks], capture_output=True, text=True, check=True)
     assert told.stdout == f"['nice', '{min(own + 7, 19)}']\n"
 
@@ -78,18 +85,18 @@ def test_a_nice_programs_guest_is_as_nice_as_a_session(
 @pytest.mark.slow
 @pytest.mark.parametrize("what", ["thread", "child"])
 def test_what_loops_between_the_answers_is_ended(guest: SandboxProcess, what: str) -> None:
-    assert guest.ask(what, None, 2.0) == "fine"
-    began, until = time.monotonic(), time.monotonic() + 120
+    assert guest.ask(what, None, PATIENCE_S) == "fine"
+    began, until = time.monotonic(), time.monotonic() + PATIENCE_S
     with pytest.raises(SandboxError) as error:
         while time.monotonic() < until:
             time.sleep(0.2)
-            assert guest.ask("is it there?", None, 2.0) == "fine"
+            assert guest.ask("is it there?", None, PATIENCE_S) == "fine"
     assert str(error.value) == f"more than {PROCESSOR_S:g} s of processor time beside its answers"
-    assert time.monotonic() - began > 0.9 * PROCESSOR_S / 2
+    assert time.monotonic() - began > 0.9 * GRANTED_S / 2
 
 
 @pytest.mark.slow
 def test_a_loop_ends_though_whoever_asked_does_not_look(guest: SandboxProcess) -> None:
     """Nobody waits for the answer: the asker may be stopped."""
     guest.begin("loop", None, 0.5)
-    assert guest.child.wait(120) == OVERSPENT
+    assert guest.child.wait(PATIENCE_S) == OVERSPENT

@@ -13,6 +13,7 @@ from protocol.topics import key_of
 from runtime.keys.store import KeyStore
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.sealed_thread import SealedThread
+from tests.support.patience import PATIENCE_S
 
 
 class Faulty:
@@ -55,7 +56,7 @@ def test_a_fault_is_told_in_a_line_and_ends_nothing(
         publisher = MemoryBus(hub).publisher(key_of(SealedReceipt, "one"))
         publisher.put(b"first")
         publisher.put(b"second")
-        assert end.again.wait(10)
+        assert end.again.wait(PATIENCE_S)
     assert end.heard == [b"first", b"second"]
     (record,) = caplog.records
     assert record.getMessage().startswith("sealed messages: unexpected KeyError: ")

@@ -10,6 +10,7 @@ import time
 import pytest
 
 from runtime.signals import stop_on_signals
+from tests.support.patience import PATIENCE_S
 
 
 def test_a_signal_sets_the_event_and_a_second_one_raises() -> None:
@@ -46,20 +47,20 @@ def stopping_child(wait: float, **environment: str) -> "subprocess.Popen[str]":
 
 
 def test_a_service_stops_when_its_standard_input_ends() -> None:
-    with stopping_child(20, WYNER_STOP_WITH_STDIN="1") as child:
-        assert child.communicate(timeout=15)[0] == "stopped\n"
+    with stopping_child(PATIENCE_S, WYNER_STOP_WITH_STDIN="1") as child:
+        assert child.communicate(timeout=PATIENCE_S)[0] == "stopped\n"
 
 
 def test_without_the_variable_standard_input_does_not_matter() -> None:
     with stopping_child(0.3, WYNER_STOP_WITH_STDIN="") as child:
-        assert child.communicate(timeout=15)[0] == "still running\n"
+        assert child.communicate(timeout=PATIENCE_S)[0] == "still running\n"
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_service_stops_on_a_signal(number: signal.Signals) -> None:
-    with stopping_child(20) as child:
+    with stopping_child(PATIENCE_S) as child:
         child.send_signal(number)
-        assert child.communicate(timeout=15)[0] == "stopped\n"
+        assert child.communicate(timeout=PATIENCE_S)[0] == "stopped\n"
         assert child.returncode == 0
 
 
@@ -76,7 +77,7 @@ with stop_on_signals() as stopping:
 
 def test_a_signal_that_another_thread_takes_ends_the_wait() -> None:
     command = [sys.executable, "-c", HANDED_TO_ANOTHER_THREAD]
-    assert subprocess.run(command, timeout=20, check=False).returncode == 0
+    assert subprocess.run(command, timeout=PATIENCE_S, check=False).returncode == 0
 
 
 def test_whoever_waits_for_a_stop_waits_no_longer_than_asked() -> None:
@@ -111,6 +112,10 @@ sys.exit(entered(command))
 def test_an_interrupt_in_a_finaliser_is_not_lost() -> None:
     """Ctrl-C in a demo's first second was once swallowed, and the demo ran on to its end."""
     done = subprocess.run(
-        [sys.executable, "-c", LOST], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-c", LOST],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
     )
     assert (done.returncode, done.stderr) == (130, "")

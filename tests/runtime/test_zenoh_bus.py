@@ -26,8 +26,8 @@ from runtime.zenoh_bus import (
     open_router,
 )
 from runtime.zenoh_settings import OPEN_MS
+from tests.support.patience import PATIENCE_S
 
-PATIENCE_S = 20.0
 KEY = "wyner/v2/loop/offer"
 
 
@@ -177,7 +177,7 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
     ):
         channel = sink.channel("wyner/v2/*/offer", 4)
         publisher = source.publisher("wyner/v2/b/offer", many=True)
-        until = time.monotonic() + 10
+        until = time.monotonic() + PATIENCE_S
         while isinstance(publisher, ZenohPublisher) and not publisher.matched:
             assert time.monotonic() < until
             time.sleep(0.01)
@@ -201,7 +201,7 @@ def test_a_channel_gives_what_waits_and_ends_when_it_is_closed(kind: str) -> Non
             assert time.monotonic() < until
             time.sleep(0.01)
         channel.close()
-        assert ended.wait(10)
+        assert ended.wait(PATIENCE_S)
         thread.join()
     assert taken == [("wyner/v2/b/offer", b"0"), ("wyner/v2/b/offer", b"1")]
 
@@ -381,7 +381,7 @@ def test_no_message_goes_through_a_segment_of_shared_memory() -> None:
     with ZenohBus(listen=[endpoint]) as speaker, ZenohBus(connect=[endpoint]) as listener:
         listener.subscribe("wyner/test/large", lambda _key, body, _t: heard.put(body))
         put = speaker.publisher("wyner/test/large").put
-        until = time.monotonic() + 10
+        until = time.monotonic() + PATIENCE_S
         while heard.empty():
             assert time.monotonic() < until
             put(bytes(10_000))
@@ -440,7 +440,7 @@ def test_a_client_that_waits_no_longer_says_which_router_it_waited_for() -> None
     began = time.monotonic()
     with pytest.raises(TransportError, match=f"{endpoint}: cannot be opened"):
         ZenohBus(connect=[endpoint], client=True, patience_s=0.2)
-    assert time.monotonic() - began < PATIENCE_S
+    assert time.monotonic() - began < 20.0  # it was told 0.2 s
 
 
 @pytest.mark.integration

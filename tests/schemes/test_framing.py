@@ -116,6 +116,15 @@ def test_every_single_damaged_bit_is_refused() -> None:
         assert len(deframer.ended) == len(b"paper")
 
 
+def test_every_frame_that_fails_is_counted_and_the_next_one_is_whole() -> None:
+    whole = encode_frame(b"paper", 2)
+    damaged = bytes([*whole[:-1], whole[-1] ^ 1])
+    deframer = Deframer(2)
+    assert (deframer.refused, deframer.ended) == (0, b"")
+    assert push_all(deframer, damaged + damaged + whole + damaged + whole) == [b"paper"] * 2
+    assert deframer.refused == 3
+
+
 @given(st.integers(3, 256), payloads, st.data())
 def test_anything_but_the_start_symbol_is_idle_between_frames(
     size: int, payload: bytes, data: st.DataObject

@@ -20,10 +20,10 @@ from runtime.keys.key_maker import KeyMaker, KeyMakerAt
 from runtime.keys.key_process import NICENESS
 from runtime.keys.store import KeyStore
 from runtime.keys.worker import KeyWorker
+from tests.support.patience import PATIENCE_S
 
 SESSION = "0123456789abcdef"
 
-PATIENCE_S = 120.0
 """It works where a core is idle, and beside other tests none may be for long."""
 
 

@@ -11,12 +11,15 @@ from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.link.session import rules_of
 from protocol.scenario import NoiseSet, Scenario, ScenarioError, SensorNoise, parse_scenario
 from protocol.scenario.noise import widened
+from studies.readings import MESSAGE, largest
+from tap_service.eavesdroppers.nearest_centre import NearestCentre
+from tap_service.eavesdroppers.text import Text
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.small_run import law_of
 from wyner.api import design, run
 from wyner.runs.score.counts import PlantCounts
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import listen
+from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.network import Simulation
 
 
@@ -100,6 +103,24 @@ def test_the_oracle_makes_the_defenders_test() -> None:
     oracle, nearest = listen(runs, transfer(runs), ("oracle", "nearest-centre"), 0)
     assert oracle.right == oracle.agreements > 100
     assert nearest.right > 0.9 * nearest.agreements
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_who_learns_the_shape_of_w_is_not_below_who_measures_along_one_coordinate(
+    share: float,
+) -> None:
+    """D_e has D_c's shape, and W another: both have every key, and `text` the message."""
+    scenario, law = largest(share)
+    runs = simulate_runs(scenario, law, seed=3, runs=range(1), steps=500, record=True)
+    link = transfer(runs, payloads=[MESSAGE])
+    keys = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
+    nearest, text = NearestCentre(scenario.knowledge()), Text(scenario.knowledge(), live=False)
+    for tap in (nearest, text):
+        at_once = {t.k: tap.observe(t).best for t in transcript(runs, link, 0)}
+        later = at_once | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
+        for named in (at_once, later):
+            assert {k: named[k] for k in keys} == keys
+        assert tap.belief().whole == (MESSAGE,)
 
 
 def test_deaths_and_a_bad_network_break_nothing() -> None:

@@ -14,7 +14,8 @@ from protocol.link.session import rules_of
 from protocol.scenario import ConvexSet, Scenario
 from studies.signalling import changed
 from tap_service.eavesdroppers import named
-from tap_service.eavesdroppers.fitted_box import KEPT, FittedBox, fitted_widths
+from tap_service.eavesdroppers.fitted_box import KEPT, FittedBox
+from tap_service.inference.fitted_shape import fitted_widths
 from wyner.simulate.engine import Runs, follow, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.taps import transcript

@@ -31,6 +31,7 @@ from studies.measurements import (
     write,
 )
 from studies.secrecy.tables import PAGE
+from tests.support.patience import PATIENCE_S
 from wyner.drawing.style import drawing, save
 from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.grid import ROOT, Row, load_sweep, points_of
@@ -83,7 +84,9 @@ def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path)
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
     command = [sys.executable, "-m", "studies.figures", "distance", "--output", "there"]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
-    subprocess.run(command, cwd=tmp_path, env=env, check=True, capture_output=True, timeout=60)
+    subprocess.run(
+        command, cwd=tmp_path, env=env, check=True, capture_output=True, timeout=PATIENCE_S
+    )
     svg, png = draw("distance", output=tmp_path / "here")
     assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
     assert png.read_bytes() == (tmp_path / "there" / png.name).read_bytes()

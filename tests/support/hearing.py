@@ -2,6 +2,7 @@
 
 from protocol.link.peer import Actions
 from protocol.messages import Message
+from protocol.secret.tasks import Done
 
 
 class Hearing:
@@ -13,6 +14,8 @@ class Hearing:
         When, and what.
     woken : list of float
         When.
+    done : list of tuple
+        Tasks of keys that it was told of, and when.
     """
 
     hears: tuple[type[Message], ...] = ()
@@ -24,6 +27,7 @@ class Hearing:
         self.says_now: tuple[Message, ...] = ()
         self.heard: list[tuple[float, type[Message], bytes]] = []
         self.woken: list[float] = []
+        self.done: list[tuple[Done, float]] = []
 
     def _said(self) -> Actions:
         return Actions(publish=self.says_now)
@@ -46,7 +50,8 @@ class Hearing:
     def finish_step(self) -> Actions:
         return self._said()
 
-    def key_task_done(self, done: object, now: float) -> Actions:
+    def key_task_done(self, done: Done, now: float) -> Actions:
+        self.done.append((done, now))
         return self._said()
 
     def appear(self, count: int) -> Actions:

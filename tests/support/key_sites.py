@@ -18,6 +18,7 @@ from runtime.addresses import free_endpoints
 from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.support.giving import agree
+from tests.support.patience import PATIENCE_S
 from wyner.deployment.certificates import ensure_certificates
 
 KEYS = 60
@@ -99,7 +100,7 @@ class Sites:
             stderr=subprocess.DEVNULL,
         )
         self.processes[side] = process
-        until = time.monotonic() + 20
+        until = time.monotonic() + PATIENCE_S
         while True:
             try:
                 socket.create_connection(("127.0.0.1", self.ports[side]), 0.2).close()
@@ -132,7 +133,7 @@ class Sites:
         self, side: str, name: str, path: str, body: bytes | None = None, method: str = ""
     ) -> Answer:
         connection = http.client.HTTPSConnection(
-            "localhost", self.ports[side], context=self.tls(name), timeout=10
+            "localhost", self.ports[side], context=self.tls(name), timeout=PATIENCE_S
         )
         with closing(connection):
             connection.request(method or ("GET" if body is None else "POST"), path, body)

@@ -19,6 +19,8 @@ from contextlib import contextmanager, suppress
 from select import select
 from typing import Any, Final
 
+from tests.support.patience import PATIENCE_S
+
 LARGEST_FRAME: Final = 1 << 17
 SOL_PACKET: Final = 263
 PACKET_VNET_HDR: Final = 15
@@ -165,7 +167,7 @@ class Medium:
         """End it, and remove all namespaces."""
         self._over.set()
         if self._thread.is_alive():
-            self._thread.join(5)
+            self._thread.join(PATIENCE_S)
         for station in self.stations:
             station.close()
 

@@ -1,11 +1,13 @@
-"""A trace that is over, whole in memory."""
+"""A trace that is over, whole in memory; and what was recovered, while it is written."""
 
+import base64
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from runtime.recording import TraceReader
+from runtime.run_folder import PLANT_TRACE
 from wyner.runs.resolve import Resolved
 
 
@@ -28,3 +30,26 @@ def read_trace(path: Path) -> Trace:
     reader = TraceReader(path)
     events = tuple(Resolved(reader.lines()))
     return Trace(reader.header, events, reader.torn, reader.parts_missing)
+
+
+class Recovered:
+    """The messages that the plant of a run has recovered so far, in order.
+
+    The trace is read through only where it tells of another number of them than last time: a test
+    that waits asks a hundred times a second.
+    """
+
+    def __init__(self, run_dir: Path) -> None:
+        self._path = run_dir / PLANT_TRACE
+        self._found: list[bytes] = []
+
+    def __call__(self) -> list[bytes]:
+        """What there is now."""
+        try:
+            lines = self._path.read_bytes().count(b'"event":"recovered"')
+        except OSError:
+            return []
+        if lines != len(self._found):
+            events = read_trace(self._path).of("recovered")
+            self._found = [base64.b64decode(event["payload"]) for event in events]
+        return list(self._found)

@@ -16,6 +16,7 @@ import pytest
 
 from runtime.shipped import scenario_file_of
 from studies.measurements import TAP_SOURCES
+from tests.support.patience import PATIENCE_S
 from wyner import api
 from wyner.cli.main import main
 from wyner.sweeps.grid import (
@@ -267,7 +268,7 @@ def test_the_same_rows_from_two_dask_workers(tmp_path: Path) -> None:
         command(str(path), "--executor", "dask", "--jobs", "2", "--output", str(output), "--json"),
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         cwd=tmp_path,
         check=False,
     )
@@ -554,7 +555,7 @@ def started(tmp_path: Path, output: Path, *options: str) -> subprocess.Popen[byt
         stderr=subprocess.PIPE,
         start_new_session=True,
     )
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + PATIENCE_S
     while time.monotonic() < deadline and process.poll() is None:
         if output.exists() and output.read_bytes().count(b"\n") > 6:
             return process
@@ -577,7 +578,7 @@ def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple
     output = tmp_path / "a.csv"
     process = started(tmp_path, output, *options)
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: the workers hear it too
-    _, error = process.communicate(timeout=30)
+    _, error = process.communicate(timeout=PATIENCE_S)
     assert process.returncode == 130
     rows = read_rows(output)
     said = [line for line in error.decode().splitlines() if line.startswith("wyner: ")]
@@ -590,7 +591,7 @@ def test_a_killed_sweep_goes_on_without_a_row_twice(tmp_path: Path) -> None:
     output = tmp_path / "a.csv"
     process = started(tmp_path, output, "--jobs", "1")
     process.kill()
-    process.communicate(timeout=30)
+    process.communicate(timeout=PATIENCE_S)
     kept = output.read_bytes()
     rows = [line for line in kept.split(b"\n") if line]
     shorter = LONG.replace("runs = 400000", "runs = 2000")
@@ -613,13 +614,13 @@ def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
     process = started(tmp_path, tmp_path / "a.csv", "--jobs", "2")
     assert len(living(process.pid)) >= 3
     process.kill()
-    process.wait(timeout=30)
-    deadline = time.monotonic() + 30
+    process.wait(timeout=PATIENCE_S)
+    deadline = time.monotonic() + PATIENCE_S
     while (left := living(process.pid)) and time.monotonic() < deadline:
         time.sleep(0.05)
     for pid in left:
         os.kill(int(pid), signal.SIGKILL)
-    process.communicate(timeout=30)
+    process.communicate(timeout=PATIENCE_S)
     assert not left
 
 
@@ -633,7 +634,7 @@ def test_progress_is_drawn_on_a_terminal_only(tmp_path: Path) -> None:
         command(str(path), "--jobs", "1", "--output", str(tmp_path / "a.csv")),
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=PATIENCE_S,
         check=True,
     )
     assert done.stderr == ""
@@ -649,14 +650,14 @@ def test_progress_is_drawn_on_a_terminal_only(tmp_path: Path) -> None:
             env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
         )
         seen = b""
-        deadline = time.monotonic() + 60
+        deadline = time.monotonic() + PATIENCE_S
         while time.monotonic() < deadline:
             ready, _, _ = select.select([master], [], [], 0.2)
             if ready:
                 seen += os.read(master, 65536)
             elif process.poll() is not None:
                 break
-        assert process.wait(timeout=10) == 0
+        assert process.wait(timeout=PATIENCE_S) == 0
     finally:
         os.close(master)
         os.close(slave)

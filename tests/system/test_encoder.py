@@ -1,5 +1,6 @@
 """A motor of which the encoder alone is read, live: both ends killed, and every check holds."""
 
+import signal
 import subprocess
 import sys
 from itertools import pairwise
@@ -8,8 +9,9 @@ from pathlib import Path
 import pytest
 
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
-from tests.system.test_integration import kill_and_see_it_back, wyner
+from tests.system.test_integration import kill_and_see_it_back, status, wyner
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
@@ -20,7 +22,7 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
     up = subprocess.Popen(
         [
             *(sys.executable, "-m", "wyner.cli.main", "up", "--scenario", "encoder"),
-            *("--pace", "x5", "--steps", "700", "--headless", "--run-dir", str(run_dir)),
+            *("--pace", "x2", "--headless", "--run-dir", str(run_dir)),
         ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
@@ -28,20 +30,22 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
     try:
         for victim in ("plant", "controller", "plant"):
             kill_and_see_it_back(up.pid, victim, run_dir)
-        assert up.wait(timeout=180) == 0
+        wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > 450)
+        up.send_signal(signal.SIGINT)
+        assert up.wait(timeout=PATIENCE_S) == 130
     finally:
         up.kill()
         up.wait()
     found = wyner("check", str(run_dir))
     assert found.returncode == 0, found.stdout
     steps = list(read_trace(run_dir / PLANT_TRACE).of("transition"))
-    assert len(steps) > 500
+    assert len(steps) > 400
     inside = [
         all(a <= v <= b for a, v, b in zip(t["box"][0], x, t["box"][1], strict=True))
         for before, t in pairwise(steps)
         if before["k"] + 1 == t["k"] and (x := before.get("true_x_next"))
     ]
-    assert len(inside) > 500
+    assert len(inside) > 100  # fewer where a busy machine misses steps between
     assert all(inside)
     tested = [t for t in steps if t["role"] == "test"]
     agreed = [t for t in tested if t["symbol"] >= 0]
@@ -50,5 +54,5 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
     theirs = read_trace(run_dir / CONTROLLER_TRACE).of("transition")
     there = {(e["session"], e["j"]): e["box"] for e in theirs}
     both = [t for t in steps if (t["session"], t["j"]) in there]
-    assert len(both) > 500
+    assert len(both) > 400
     assert all(there[t["session"], t["j"]] == t["box"] for t in both)

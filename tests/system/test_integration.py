@@ -5,8 +5,7 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,8 @@ from protocol.topics import key_of
 from runtime.addresses import free_endpoints
 from runtime.run_folder import PLANT_TRACE
 from runtime.zenoh_bus import ZenohBus
-from tests.support.traces import read_trace
+from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.traces import Recovered, read_trace
 from wyner.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
@@ -26,17 +26,10 @@ LONG = "Some words that are not there in a second."
 WYNER = [sys.executable, "-m", "wyner.cli.main"]
 
 
-def wyner(*arguments: str, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [*WYNER, *arguments], capture_output=True, text=True, timeout=timeout, check=False
+        [*WYNER, *arguments], capture_output=True, text=True, timeout=PATIENCE_S, check=False
     )
-
-
-def wait_for(condition: Callable[[], bool], seconds: float = 60.0) -> None:
-    until = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < until, "waited in vain"
-        time.sleep(0.05)
 
 
 def status(run_dir: Path, service: str) -> dict[str, Any]:
@@ -160,7 +153,7 @@ def test_the_promise_holds_under_kill_9(tmp_path: Path) -> None:
         wait_for(lambda: status(run_dir, "plant").get("transitions", 0) > 40)
         for victim in ("controller", "plant", "tap", "plant", "controller", "tap"):
             kill_and_see_it_back(process.pid, victim, run_dir)
-        out, _ = process.communicate(timeout=150)
+        out, _ = process.communicate(timeout=PATIENCE_S)
     finally:
         process.kill()
         process.wait()
@@ -187,7 +180,7 @@ def test_services_do_not_outlive_a_killed_parent(tmp_path: Path) -> None:
     finally:
         process.kill()
         process.wait()
-    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in services.values()), 15)
+    wait_for(lambda: not any(Path(f"/proc/{pid}").exists() for pid in services.values()))
 
 
 class ByHand:
@@ -253,7 +246,7 @@ class ByHand:
     def stop(self) -> dict[str, int]:
         for process in self.processes.values():
             process.terminate()
-        return {name: process.wait(60) for name, process in self.processes.items()}
+        return {name: process.wait(PATIENCE_S) for name, process in self.processes.items()}
 
 
 @pytest.fixture
@@ -265,19 +258,15 @@ def by_hand(tmp_path: Path) -> Iterator[ByHand]:
         process.communicate()
 
 
-def recovered(run_dir: Path) -> int:
-    return sum(1 for _ in read_trace(run_dir / PLANT_TRACE).of("recovered"))
-
-
 def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path: Path) -> None:
     """The controller comes first and waits; messages are sent to it while malformed flies."""
     by_hand.start("controller")
     by_hand.start("tap")
-    by_hand.start("plant", "--pace", "x50")
+    by_hand.start("plant", "--pace", "x20")
     management = ["--connect", f"management={by_hand.controller_management}"]
     sent = wyner("send", "first", *management)
     assert sent.returncode == 0, sent.stderr
-    (tmp_path / "note").write_bytes(bytes(range(0, 256, 7)))
+    (tmp_path / "note").write_bytes(bytes(range(0, 256, 17)))
     assert wyner("send", "--file", str(tmp_path / "note"), *management).returncode == 0
     with (
         ZenohBus(connect=[by_hand.plant_field, by_hand.controller_field]) as field,
@@ -296,7 +285,8 @@ def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path:
             return bool(min(malformed) > 50)
 
         wait_for(counted)
-    wait_for(lambda: recovered(by_hand.run_dir) == 2)
+    recovered = Recovered(by_hand.run_dir)
+    wait_for(lambda: len(recovered()) == 2)
     assert by_hand.stop() == {"controller": 0, "tap": 0, "plant": 0}
     checked = wyner("check", str(by_hand.run_dir))
     assert checked.returncode == 0, checked.stdout + checked.stderr
@@ -311,7 +301,8 @@ def test_killed_without_a_journal_a_new_session_begins(by_hand: ByHand) -> None:
     for path in (by_hand.run_dir / "controller").glob("journal*"):
         path.unlink()
     by_hand.start("controller", "--message", LONG)
-    wait_for(lambda: recovered(by_hand.run_dir) >= 1)
+    recovered = Recovered(by_hand.run_dir)
+    wait_for(lambda: len(recovered()) >= 1)
     assert by_hand.stop() == {"plant": 0, "controller": 0}
     trace = read_trace(by_hand.run_dir / PLANT_TRACE)
     assert len({e["session"] for e in trace.of("transition")}) == 2
@@ -384,16 +375,21 @@ def test_a_run_can_be_joined_without_an_option(
             sent = wyner("send", "second")
             assert sent.returncode == 0, sent.stderr
             assert "2 not delivered yet" in sent.stdout
-            watched = subprocess.run(
-                ["timeout", "-s", "INT", "3", sys.executable, "-m", "wyner", "dashboard"],
-                capture_output=True,
+            with subprocess.Popen(
+                [sys.executable, "-m", "wyner", "dashboard"],
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
                 text=True,
-                check=False,
-            )
-            assert f"joining the run {tmp_path / 'joined'} (sustained)" in watched.stderr
-            assert "plant running" in watched.stdout
+            ) as dashboard:
+                assert dashboard.stdout is not None
+                assert dashboard.stderr is not None
+                joined = f"joining the run {tmp_path / 'joined'} (sustained)"
+                assert joined in dashboard.stderr.readline()
+                assert any("plant running" in line for line in dashboard.stdout)
+                dashboard.send_signal(signal.SIGINT)
+                dashboard.communicate(timeout=PATIENCE_S)
             process.send_signal(signal.SIGINT)
-            out, err = process.communicate(timeout=60)
+            out, err = process.communicate(timeout=PATIENCE_S)
         finally:
             process.kill()
     assert process.returncode == 130, err

@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import re
+import signal
 import sqlite3
 import subprocess
 import sys
@@ -23,7 +24,9 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_TRACE,
 )
+from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
+from tests.system.test_integration import status
 
 SECRET = "q9"
 
@@ -79,7 +82,7 @@ def test_what_is_typed_ends_without_its_last_enter() -> None:
             stdin=follower, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
         ) as child:  # fmt: skip
             os.write(leader, b"at nine\n\x04")
-            out, said = child.communicate(timeout=30)
+            out, said = child.communicate(timeout=PATIENCE_S)
     finally:
         os.close(leader)
         os.close(follower)
@@ -176,18 +179,24 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     run, file = tmp_path / "run", tmp_path / "message"
     file.write_text(TEXT)
     arguments = ["--scenario", "keys", "--secret", "--message-file", str(file), "--pace", "fast"]
-    arguments += ["--steps", "400", "--eavesdropper", "nearest-centre", "--run-dir", str(run)]
+    arguments += ["--eavesdropper", "nearest-centre", "--run-dir", str(run)]
     process = subprocess.Popen(
         [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
     seen = Seen(run)
+
+    def keys_made() -> int:
+        if (run / MANIFEST).exists():
+            seen.look()
+        time.sleep(0.1)
+        return min(int(status(run, end).get("keys_made", 0)) for end in ("controller", "plant"))
+
     try:
-        while process.poll() is None:
-            if (run / MANIFEST).exists():
-                seen.look()
-            time.sleep(0.05)
+        wait_for(lambda: keys_made() > 10)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(PATIENCE_S) == 130
     finally:
         process.kill()
         process.wait()

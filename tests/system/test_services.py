@@ -1,6 +1,5 @@
 """The two services on a bus in memory: malformed, foreign models, deadlines, lost journals."""
 
-import base64
 import errno
 import json
 import logging
@@ -51,9 +50,10 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
+from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
-from tests.support.traces import read_trace
+from tests.support.traces import Recovered, read_trace
 from wyner.cli.main import main
 
 Service = TypeVar("Service", PlantService, ControllerService)
@@ -68,6 +68,7 @@ class System:
         self.codes: dict[str, int] = {}
         self.errors: dict[str, Exception] = {}
         self.plant_service: PlantService | None = None
+        self.recovered = Recovered(run_dir)
         self._stopping: dict[str, threading.Event] = {}
 
     @contextmanager
@@ -125,7 +126,7 @@ class System:
             yield service
         finally:
             stopping.set()
-            thread.join(10)
+            thread.join(PATIENCE_S)
             assert not thread.is_alive()
 
     def stop(self, name: str) -> None:
@@ -137,18 +138,7 @@ class System:
         assert self.plant_service is not None
         return self.plant_service.endpoint.record.k
 
-    def wait(self, condition: Callable[[], bool], seconds: float = 60.0) -> None:
-        until = time.monotonic() + seconds
-        while not condition():
-            assert time.monotonic() < until, "waited in vain"
-            time.sleep(0.01)
-
-    def recovered(self) -> list[bytes]:
-        try:
-            events = read_trace(self.run_dir / PLANT_TRACE).of("recovered")
-        except OSError:
-            return []
-        return [base64.b64decode(e["payload"]) for e in events]
+    wait = staticmethod(wait_for)
 
 
 @pytest.fixture

@@ -21,6 +21,7 @@ from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits, RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
+from tests.support.patience import PATIENCE_S
 
 LOG = logging.getLogger("test")
 NAME = "nearest-centre"
@@ -83,7 +84,7 @@ def started(run: Run, run_dir: Path) -> Iterator[Line]:
     finally:
         for end in (hers, mine):
             os.close(end)
-        thread.join(20.0)
+        thread.join(PATIENCE_S)
         for end in (asked, told):
             os.close(end)
     assert not thread.is_alive()

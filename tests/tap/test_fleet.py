@@ -2,7 +2,6 @@
 
 import json
 import threading
-import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import CAPTURE
 from tap_service.config import TapConfig
 from tap_service.fleet import TapFleet
+from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.told import log_of
 
 
@@ -28,13 +28,6 @@ def captured(folder: Path, loop: str) -> list[tuple[str, int]]:
     lines = (folder / loop / CAPTURE).read_bytes().splitlines()
     events = [json.loads(line) for line in lines]
     return [(e["topic"], e["message"]["k"]) for e in events if e["event"] == "field"]
-
-
-def wait(condition: Callable[[], bool]) -> None:
-    until = time.monotonic() + 10
-    while not condition():
-        assert time.monotonic() < until, "waited in vain"
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -88,11 +81,11 @@ def test_each_loop_is_recorded_in_its_own_folder(
             put[Measurement, loop](measurement.wire())
             offer = Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0)
             put[Offer, loop](offer.wire())
-    wait(lambda: statuses.keys() == {"a", "b"} and statuses["b"].mirrored == 10)
+    wait_for(lambda: statuses.keys() == {"a", "b"} and statuses["b"].mirrored == 10)
     path.write_text('[[loop]]\nid = "b"\n')
-    wait(lambda: statuses["a"].mirrored == 6)
+    wait_for(lambda: statuses["a"].mirrored == 6)
     stopping.set()
-    thread.join(10)
+    thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert captured(tmp_path, "a") == [(t, k) for k in range(3) for t in ("measurement", "offer")]
     assert len(captured(tmp_path, "b")) == 10
@@ -151,10 +144,10 @@ def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
         stopping = threading.Event()
         thread = threading.Thread(target=taps.run, args=(stopping,))
         thread.start()
-        wait(lambda: "raises" not in taps.taps)
+        wait_for(lambda: "raises" not in taps.taps)
         assert "good" in taps.taps
         stopping.set()
-        thread.join(10)
+        thread.join(PATIENCE_S)
     assert not thread.is_alive()
     assert any(x.startswith("loop keyless: not listened to: ") for x in knowledge_of)
     assert "loop raises: its tap failed: RuntimeError: on purpose" in knowledge_of

@@ -11,6 +11,7 @@ from studies.secrecy.runs import Run, simulate
 from studies.secrecy.study import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transcript, Transition
+from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.law_pieces import UNKNOWN, LawNearby, LawPieces, learn_law
 
@@ -44,7 +45,7 @@ def shape_of(run: Run) -> NDArray[np.float64]:
 
 def infer(run: Run, transitions: list[Transition], noise: float = 0.0) -> list[InferredStep]:
     A, B = np.array(run.scenario.A), np.array(run.scenario.B)
-    return GapSmoother(A, B, shape_of(run), noise).infer(transitions)
+    return GapSmoother(A, B, Shape(shape_of(run)), noise).infer(transitions)
 
 
 def without(run: Run, *lost: tuple[type, int]) -> list[Transition]:

@@ -13,6 +13,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.sandboxed import guarded
 from tap_service.status import Listener
+from tests.support.patience import PATIENCE_S
 from tests.support.small_run import law_of
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
@@ -112,7 +113,7 @@ def test_she_hears_messages_where_she_asks_to(tmp_path: Path) -> None:
 def test_what_she_does_stops_her_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str, why: str
 ) -> None:
-    monkeypatch.setattr(guests, "LIGHT_S", 0.7)
+    monkeypatch.setattr(guests, "LIGHT_S", 2.0 if "too slow" in why else PATIENCE_S)
     listener = Listener.of(guarded(guest(tmp_path, act)), KNOWLEDGE)
     guesses = [listener.observe(step(k)) for k in range(4)]
     assert [g is not None for g in guesses] == [True, True, False, False]
@@ -126,7 +127,7 @@ def test_what_she_does_stops_her_alone(
 def test_what_she_started_ends_with_her(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leave: str
 ) -> None:
-    monkeypatch.setattr(guests, "LIGHT_S", 0.7)
+    monkeypatch.setattr(guests, "LIGHT_S", 2.0)
     note = tmp_path / "pid"
     forking = (
         f"child = os.fork(); {leave}child and open({str(note)!r}, 'w').write(str(child)); "
@@ -137,7 +138,7 @@ def test_what_she_started_ends_with_her(
         listener.observe(step(k))
     assert "too slow" in listener.failed
     child = int(note.read_text())
-    until = time.monotonic() + 5
+    until = time.monotonic() + PATIENCE_S
     while Path(f"/proc/{child}/stat").exists() and time.monotonic() < until:
         if Path(f"/proc/{child}/stat").read_text().rpartition(")")[2].split()[0] == "Z":
             break
@@ -159,7 +160,7 @@ def test_what_she_started_ends_with_her(
 def test_one_that_cannot_be_loaded_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: str, why: str
 ) -> None:
-    monkeypatch.setattr(guests, "START_S", 3.0)
+    monkeypatch.setattr(guests, "START_S", 3.0 if "too slow" in why else PATIENCE_S)
     with pytest.raises(KnowledgeError) as error:
         guarded(guest(tmp_path, before=before))
     assert why in str(error.value)

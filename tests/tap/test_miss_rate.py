@@ -8,7 +8,9 @@ import random
 import numpy as np
 import pytest
 
-from plant_service.punctuality import DOUBT
+from plant_service.punctuality import DOUBT, ReachWatch
+from protocol.agreement import AgreementResult
+from protocol.scenario import Calibration
 from protocol.statistics import better_than
 from tap_service.inference.miss_rate import ALPHA, AWAY, Audit, Misses, miss_rate, worst
 
@@ -78,6 +80,28 @@ def test_a_kept_promise_of_d_c_is_doubted_no_more_often_than_stated(violation: f
     """After every session, 2000 of them: 10,000 plants."""
     share = crossed(boundary_of(violation, 2000, DOUBT), violation, seed=2)
     assert share <= DOUBT + 3 * (DOUBT / RUNS) ** 0.5
+
+
+@pytest.mark.parametrize("violation", [0.05, 0.2])
+def test_the_watch_of_d_c_doubts_at_that_boundary_and_no_session_sooner(violation: float) -> None:
+    """Sessions of two steps that leave D_c as soon as that does not reach the boundary yet."""
+    promise = Calibration(
+        sessions=100, steps=2, exceeded=0, violation=violation, confidence=0.99, law_fingerprint="x"
+    )
+    boundary = boundary_of(violation, 300, DOUBT).tolist()
+    watch = ReachWatch(promise)
+    inside, outside = AgreementResult((0.5, 2.0), -1), AgreementResult((1.5, 2.0), -1)
+    for fewest in boundary[:-1]:
+        leaves = watch.exceeded + 1 < fewest
+        told = [watch.counted(outside if leaves else inside, 0), watch.counted(inside, 0)]
+        assert not any(told)
+        assert not watch.doubt
+    while watch.exceeded < boundary[watch.sessions - 1]:
+        assert not watch.doubt
+        watch.counted(outside, 0)
+        watch.counted(inside, 0)
+        boundary += boundary_of(violation, watch.sessions + 1, DOUBT)[len(boundary) :].tolist()
+    assert watch.doubt
 
 
 def test_true_faults_are_found() -> None:

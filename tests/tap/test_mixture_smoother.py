@@ -11,6 +11,7 @@ from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
+from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.message_reader import verdicts_of
@@ -90,7 +91,7 @@ def test_what_went_before_and_came_after_says_more_than_each_step_alone(
     heard, told = heard_by(run, view), view.knowledge(run.scenario.knowledge())
     together = Inference(told).infer(heard)
     shape = np.array(told.disturbance_H) / np.array(told.disturbance_h)[:, None]
-    alone = GapSmoother(np.array(told.A), np.array(told.B), shape, noise, samples=96)
+    alone = GapSmoother(np.array(told.A), np.array(told.B), Shape(shape), noise, samples=96)
     bits = [lost(run, s, (0.0, 1.0)) for s in (together.steps, alone.infer(heard))]
     assert bits[0] < bits[1] - 0.5
 

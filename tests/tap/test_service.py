@@ -40,6 +40,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
+from tests.support.patience import PATIENCE_S
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import Replay
 
@@ -47,7 +48,11 @@ LIGHT = ("set-membership", "nearest-centre")
 
 
 def config(run: Run, run_dir: Path, **more: object) -> TapConfig:
-    settings: dict[str, object] = {"names": LIGHT, "limits": Limits(free_bytes=0)} | more
+    settings: dict[str, object] = {
+        "names": LIGHT,
+        "limits": Limits(free_bytes=0),
+        "finish_s": PATIENCE_S,
+    } | more
     return TapConfig(
         run_dir,
         run.scenario.knowledge(),
@@ -274,7 +279,7 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     child = wire.service.heavy.process
     assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
-    assert child.wait(5.0) == 0
+    assert child.wait(PATIENCE_S) == 0
 
 
 @pytest.mark.slow
@@ -372,7 +377,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     assert "nearest-centre failed" in (tmp_path / "tap" / "health").read_text()
 
 
-def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = 20.0) -> None:
+def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:
     deadline = time.monotonic() + timeout_s
     while not condition():
         assert time.monotonic() < deadline, f"no {what} within {timeout_s} s"
@@ -414,7 +419,7 @@ def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> 
                 time.sleep(0.001)
             wait_for(arrived.is_set, "status of all messages")
             process.send_signal(how)
-            assert process.wait(15) == (-9 if how == signal.SIGKILL else 0)
+            assert process.wait(PATIENCE_S) == (-9 if how == signal.SIGKILL else 0)
         finally:
             if process.poll() is None:
                 process.kill()

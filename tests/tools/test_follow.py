@@ -75,19 +75,19 @@ def test_a_byte_is_followed_through_three_real_processes(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     way_points = ("wyner.cli.send:answers", "Host._hear", "encrypt", "decrypt")
-    for _ in range(3):  # on a busy machine most steps are missed, and the byte goes another way
+    for _ in range(6):  # on a busy machine most steps are missed, and the byte goes another way
         assert follow.main(["--walk"]) == 0
         text = capsys.readouterr().out
-        if all(name in text for name in way_points):
+        figures = re.search(r"in all  \d+ frames, (\d+) of them carry, (\d+) types", text)
+        assert figures is not None
+        # 49 carry; a repeat beside a status is one more
+        if all(name in text for name in way_points) and int(figures[1]) <= 50:
             break
     else:
-        pytest.fail(f"expected {way_points} in:\n{text}")
+        pytest.fail(f"expected {way_points} in at most 50 frames that carry:\n{text}")
     for part in ("send", "queue", "decide", "decode"):
         found = next(line for line in text.splitlines() if line.startswith(part))
         assert not found.startswith(f"{part:<8}0 frames"), found
-    figures = re.search(r"in all  \d+ frames, (\d+) of them carry, (\d+) types", text)
-    assert figures is not None
-    assert int(figures[1]) <= 50, figures[0]  # 49; a repeat beside a status is one more
     assert int(figures[2]) <= 8, figures[0]
     document = Path("docs/architecture.md").read_text(encoding="utf-8")
     section = document.partition("## One byte, followed\n")[2].partition("\n## ")[0]

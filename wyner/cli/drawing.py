@@ -208,6 +208,24 @@ def draw_rows(
     )
 
 
+def drawable(option: str, text: str) -> Path:
+    """The file of a figure, by its name: to be asked before hours of work are drawn into it.
+
+    Raises
+    ------
+    UsageError
+        When matplotlib is missing, or the file's kind is none that can be drawn.
+    """
+    try:
+        from wyner.drawing.style import KINDS
+    except ImportError:
+        raise UsageError(needs(option, "matplotlib")) from None
+    path = Path(text)
+    if path.suffix not in KINDS:
+        raise UsageError(f"{option}: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
+    return path
+
+
 def drawn_to(
     option: str, text: str, size: tuple[float, float], draw: "Callable[[Figure], str]"
 ) -> Path:
@@ -220,13 +238,9 @@ def drawn_to(
     Failure
         When the file cannot be written.
     """
-    try:
-        from wyner.drawing.style import KINDS, drawing, save
-    except ImportError:
-        raise UsageError(needs(option, "matplotlib")) from None
-    path = Path(text)
-    if path.suffix not in KINDS:
-        raise UsageError(f"{option}: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
+    path = drawable(option, text)
+    from wyner.drawing.style import drawing, save
+
     with drawing(size) as figure:
         figure.supxlabel(draw(figure), fontsize=6.5, color="0.35")
         try:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
-from wyner.cli.drawing import add_options, draw_sweep
+from wyner.cli.drawing import add_options, draw_sweep, drawable
 from wyner.sweeps import SWEEPS
 
 if TYPE_CHECKING:
@@ -171,6 +171,8 @@ def run(args: argparse.Namespace) -> int:
 
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
     at_least("--jobs", jobs, 1)
+    if args.plot is not None:
+        drawable("--plot", args.plot or "rows.png")
     if args.scheduler is not None and args.executor != "dask":
         raise UsageError("--scheduler: expected together with --executor dask")
     shipped = SWEEPS / f"{args.file}.toml"

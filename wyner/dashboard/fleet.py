@@ -15,9 +15,11 @@ from protocol.messages import ControllerStatus, Message, PlantStatus, TapStatus
 from protocol.topics import every_loop
 from runtime.fleet import LARGEST_FLEET
 from runtime.inbox import Inbox
+from wyner.dashboard.keymap import Action, action_of
 from wyner.dashboard.model import TAPS_KEPT
 from wyner.dashboard.parts import WIDE, Column, fitting, line, table
 from wyner.dashboard.source import WAITING_AT_MOST
+from wyner.dashboard.terminal import cbreak
 from wyner.dashboard.text import drawn
 
 if TYPE_CHECKING:
@@ -184,10 +186,15 @@ def _order(row: LoopRow, now_s: float) -> tuple[bool, int, str]:
     return (row.state(now_s) == "running", -row.lately, row.loop)
 
 
-def watch(fleet: FleetTable, until: Callable[[], bool], *, screen: bool) -> None:
-    """Show the table until told to stop: on the screen, or printed every few seconds."""
+def watch(
+    fleet: FleetTable, until: Callable[[], bool], *, screen: bool, keyboard: int | None = None
+) -> None:
+    """Show the table until told to stop: on the screen, or printed every few seconds.
+
+    ``keyboard`` is the terminal from which q leaves the screen; standard input if not given.
+    """
     if screen:
-        _on_screen(fleet, until)
+        _on_screen(fleet, until, keyboard)
         return
     next_s = 0.0
     while not until():
@@ -213,11 +220,14 @@ def _print(shown: RenderableType) -> None:
     sys.stdout.flush()
 
 
-def _on_screen(fleet: FleetTable, until: Callable[[], bool]) -> None:
+def _on_screen(fleet: FleetTable, until: Callable[[], bool], keyboard: int | None) -> None:
     console = Console()
-    with Live(console=console, screen=True, auto_refresh=False) as live:
+    foot = line("q  quit   `wyner dashboard --loop NAME` opens one")
+    with cbreak(keyboard) as keys, Live(console=console, screen=True, auto_refresh=False) as live:
         while not until():
             now_s = time.monotonic()
             fleet.take(now_s)
-            live.update(fleet.shown(now_s, *console.size), refresh=True)
-            time.sleep(REFRESH_S)
+            width, height = console.size
+            live.update(Group(fleet.shown(now_s, width, height - 1), foot), refresh=True)
+            if any(action_of(key) is Action.QUIT for key in keys.read(REFRESH_S)):
+                return

@@ -58,7 +58,7 @@ HELP: Final = (
     "look]. secret bit/key: -log2 of her chance, at most. texts tried: ways to read",
     "the steps that she keeps. model error: of her A, B. whole at step: when she was",
     "sure of the text. bit/s is a count and her odds are her own: no interval. When",
-    "keys were agreed may stay hidden: at most log2(2N + 1) bit in N steps.",
+    "keys were agreed may stay hidden: at most f log2(2N + 1) bit for f widths.",
     "missed: steps whose input did not come in time. wrong keys: the ends differ.",
     "x1 said: the state as it is reported; x1 true: as it is, under an attack.",
     "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",

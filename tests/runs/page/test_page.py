@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tap_service.eavesdroppers.base import Belief
+from tests.support.patience import PATIENCE_S
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
@@ -351,7 +352,7 @@ def test_a_browser_shows_it_whole(run_dir: Path, tmp_path: Path) -> None:
         ],
         capture_output=True,
         text=True,
-        timeout=120,
+        timeout=PATIENCE_S,
         check=False,
     )
     assert done.returncode == 0, done.stderr

@@ -123,12 +123,12 @@ def attack_lines(found: dict[str, Any]) -> list[str]:
     if found["alarm_k"] >= 0:
         away = found["away_at_alarm"]
         text = f"alarm at step {found['alarm_k']}, {_steps(found['delay'])} on"
-        told = "" if away is None else f"; the plant was then {away:.2g} from what was shown"
+        told = "" if away is None else f"the plant was then {away:.2g} from what was shown"
     else:
         away = found["away"]
         text = "no alarm"
-        told = "" if away is None else f"; at the end the plant is {away:.2g} from what is shown"
-    lines = [f"Attack     {head}: {text}{told}."]
+        told = "" if away is None else f"at the end the plant is {away:.2g} from what is shown"
+    lines = [f"Attack     {head}: {text}", *([f"           {told}"] if told else [])]
     if not found["watched"]:
         lines.append("           no step was watched: no key chose the plant's input")
     elif found["unwatched"]:

@@ -169,8 +169,8 @@ def render(summary: dict[str, Any]) -> str:
         f"recovered  {got}",
         *_others(summary),
         f"loop       {summary['steps']} steps ({_missed(summary)}), "
-        f"{summary['seconds']:.0f} s of plant time, {summary['agreements']} keys agreed, "
-        + (f"{errors} WRONG" if errors else "none wrong"),
+        f"{summary['seconds']:.0f} s of plant time",
+        f"agreed     {summary['agreements']} keys, {f'{errors} WRONG' if errors else 'none wrong'}",
         f"carried    {summary['bits']:.0f} message bits, "
         f"{summary['bits_per_second']:.2f} a second of plant time, counted",
         *cost_lines(summary["control_cost"]),
