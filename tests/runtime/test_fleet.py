@@ -45,7 +45,7 @@ TWO = '[[loop]]\nid = "two"\nseed = 2\n'
         ("", "loop: expected at least one table"),
         ("loop = 3", "loop: expected at least one table"),
         ("x = 1\n" + ONE, "x: expected tables"),
-        ("[[loop]]\n", "loop 1: id: Field required"),
+        ("[[loop]]\n", "loop 1: id: expected"),
         ('[[loop]]\nid = "a b"\n', "loop 1: id: loop: got 'a b'"),
         ('[[loop]]\nid = "a"\nseed = -1\n', "loop 1: seed: "),
         ('[[loop]]\nid = "a"\ncolour = 1\n', "loop 1: colour: "),

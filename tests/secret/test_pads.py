@@ -172,7 +172,7 @@ def broken(signed: Signed) -> tuple[int, int, str, bytes, int, int]:
     return later, pads[5], shown, text, adds[4], found
 
 
-def test_two_blocks_heard_whole_give_the_point_until_one_is_missed(signed: Signed) -> None:
+def test_three_blocks_heard_whole_give_the_point_until_one_is_missed(signed: Signed) -> None:
     later, pad, shown, text, missed, _ = broken(signed)
     forged = (polynomial(later, b"plant/" + text) + pad) % PRIME
     assert f"{forged:032x}" != shown

@@ -357,6 +357,7 @@ def test_the_version_covers_what_the_numbers_come_from(
         *(f"runtime/{name}.py" for name in ("errors", "options", "pace", "run_folder")),
         "runtime/scenario_file.py",
         "protocol/brief.py",  # how objects look in a notebook
+        "protocol/wrong_fields.py",  # how a wrong field is told
         "runtime/shipped.py",
         "protocol/statistics.py",
         # types that the session's module names: the engine sends no message and keeps no record
