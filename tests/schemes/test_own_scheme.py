@@ -30,6 +30,7 @@ from tap_service.eavesdroppers import EAVESDROPPERS
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.service import TapService
+from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.small_run import SCENARIOS, SmallRun
 from tests.system.test_services import System
@@ -335,6 +336,7 @@ def test_three_live_services_follow_it(
         Addresses(),
         Addresses(),
         names=("nearest-centre", "list-decoder", f"{__file__}:Last"),
+        finish_s=PATIENCE_S,
     )
     tap = TapService(config)
     tap.attach(MemoryBus(system.field), MemoryBus(system.management))
