@@ -16,7 +16,7 @@ from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.secret.blocks import BlockResult
 from protocol.secret.records import Side
-from protocol.secret.tasks import Done, GuardKeys, GuardTask
+from protocol.secret.tasks import Broken, Done, GuardKeys, GuardTask
 
 AHEAD: Final = 96
 """Steps before the last covered one at which more keys are asked for."""
@@ -106,7 +106,7 @@ class Guarded:
         self._session = ""
         self._k = -1
         self._plain_k = -1
-        self._asked = False
+        self._asked = self._broken = False
         self._again_at = -inf
         self._promise, self._unsaid = Promise(), False
         self._lacking = self._looked = self._looks = -1
@@ -143,7 +143,7 @@ class Guarded:
         opened = self._in.opened(k, payload, self._promise)
         if opened.lacking >= 0:
             self._lacking = max(self._lacking, opened.lacking)
-            if self._looked < opened.lacking:
+            if self._looked < opened.lacking and not self._broken:
                 return Actions(keys=self._tasks(now))  # it comes again
             opened = self._in.without(k, payload, self._promise)
         if opened.plain is None:
@@ -181,6 +181,7 @@ class Guarded:
         """A task of the keys is done."""
         if isinstance(done, BlockResult):
             self._again_at = -inf  # there may be keys now
+        self._broken = self._broken or isinstance(done, Broken)  # nothing is looked up any more
         if not isinstance(done, GuardKeys):
             return self._closed(self._end.key_task_done(done, now), now)
         self._asked = False
@@ -285,12 +286,14 @@ class Guarded:
         """A message that is no message of the partner's, or that cannot be opened.
 
         :data:`UNOPENED` of them in a row end the session where keys may have gone with a process:
-        from an end's beginning on, until a message opens. Else who can only forge would end it, to
-        be heard in the next one, which begins bare. A code alone refuses no bare message anyway.
+        from an end's beginning on, until a message opens, and once its key store is broken. Else
+        who can only forge would end it, to be heard in the next one, which begins bare. A code
+        alone refuses no bare message anyway.
         """
         self._unopened += 1
         actions = NOTHING_TO_DO if not opened.why else self._forgery(k, opened.why)
-        if self._unopened < UNOPENED or (self._in.tags and not self._doubtful):
+        expected = self._doubtful or self._broken or not self._in.tags
+        if self._unopened < UNOPENED or not expected:
             return actions
         self._session, self._unopened = "", 0
         ended = self._closed(self._anew("the keys that guard its messages are gone"), now)

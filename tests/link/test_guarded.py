@@ -17,7 +17,7 @@ from protocol.link.guarded import LACKING_S, UNOPENED, Guarded
 from protocol.link.peer import Actions, Notice
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.secret.blocks import BlockResult
-from protocol.secret.tasks import Batch, CoinKeys, GuardKeys, GuardTask
+from protocol.secret.tasks import Batch, Broken, CoinKeys, GuardKeys, GuardTask
 from tests.support.hearing import Hearing
 
 S, T = "1" * 16, "2" * 16
@@ -271,6 +271,25 @@ def test_messages_that_do_not_open_end_the_session_unless_one_opened_before(open
     ) == opened
     ends.controller.receive(Measurement, wire, 0.0)
     assert len(ends.ended) == (0 if opened else 1), "that is over"
+
+
+@pytest.mark.parametrize("made", GUARDS)
+def test_a_broken_key_store_ends_the_session_once_messages_do_not_open(
+    made: Callable[[int, int], Defence],
+) -> None:
+    """No key comes any more, and the loop is not to stand until the partner's are used up."""
+    defence = made(2, 4)
+    ends = begun(defence, heard=1)
+    opens = leaves(ends.plant, ends.at_plant, measurement(FIRST))
+    ends.controller.receive(Measurement, opens, 0.0)
+    ends.controller.key_task_done(GuardKeys(S), 0.0)
+    wire = leaves(ends.plant, ends.at_plant, measurement(next_first(defence)))
+    assert ends.controller.receive(Measurement, wire, 0.0).keys, "it looks for its keys"
+    ends.controller.key_task_done(Broken("disk full"), 0.0)
+    for _ in range(UNOPENED):
+        assert ends.ended == []
+        assert ends.controller.receive(Measurement, wire, 0.0).keys == (), "nobody would answer"
+    assert len(ends.ended) == 1
 
 
 # --- keys -----------------------------------------------------------------------------------------
