@@ -8,7 +8,7 @@ are, over a network that loses, through noise of her own, and where she misses m
 import csv
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from studies.secrecy.study import offline
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
-from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
 from wyner.sweeps.grid import ROOT, TAP_SOURCES
@@ -115,8 +115,18 @@ def output_rows() -> Iterator[tuple[Any, ...]]:
                 )  # fmt: skip
 
 
-def _counts(condition: str, run: int) -> list[list[int]]:
-    """Of a run, for each eavesdropper: keys, right at once, later; messages, and those read."""
+class Counts(NamedTuple):
+    """What an eavesdropper made of a run: keys, right at once and later; messages, those read."""
+
+    keys: int
+    at_once: int
+    later: int
+    delivered: int
+    read: int
+
+
+def _counts(condition: str, run: int) -> list[Counts]:
+    """Of a run, for each eavesdropper."""
     loss, view = CONDITIONS[condition]
     view = view.model_copy(update={"seed": run})
     scenario = over(at_the_corners("encoder"), loss)
@@ -124,18 +134,27 @@ def _counts(condition: str, run: int) -> list[list[int]]:
     runs = simulate_runs(
         scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
     )
-    link = transfer(runs, payloads=[MESSAGE])
+    return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), view)
+
+
+def heard(
+    taps: Sequence[str], scenario: Scenario, runs: Runs, link: Transfer, view: View
+) -> list[Counts]:
+    """What each eavesdropper makes of the first run, heard through ``view``."""
     truth = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
     messages = whole_messages(link.message_symbol[:, 0].tolist(), scenario.secrecy.candidates)
-    heard = heard_by(list(transcript(runs, link, 0)), view)
+    transitions = heard_by(list(transcript(runs, link, 0)), view)
     out = []
-    for kind in map(named, TAPS):
+    for kind in map(named, taps):
         tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))
-        first = {t.k: tap.observe(t).best for t in heard}
+        first = {t.k: tap.observe(t).best for t in transitions}
         second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
         whole = tap.belief().whole
-        right = [sum(said.get(k) == key for k, key in truth.items()) for said in (first, second)]
-        out.append([len(truth), *right, len(messages), sum(m in whole for m in messages)])
+        at_once, later = (
+            sum(said.get(k) == key for k, key in truth.items()) for said in (first, second)
+        )
+        read = sum(m in whole for m in messages)
+        out.append(Counts(len(truth), at_once, later, len(messages), read))
     return out
 
 

@@ -1,6 +1,11 @@
-"""What noise of the plant's own sensors leaves: candidates, keys, and the eavesdroppers."""
+"""What noise of the plant's own sensors leaves: candidates, keys, and the eavesdroppers.
 
-from collections.abc import Iterator
+``python -m studies.readings`` puts the table of the data on the page.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
@@ -8,39 +13,37 @@ from controller_service.laws.registry import make_law, synthesise
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario, parse_scenario
-from protocol.statistics import wilson
+from protocol.statistics import Interval, share_over_runs, wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from studies import DATA
+from studies.outputs import Counts, heard
+from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import TapResult, listen
+from wyner.sweeps.grid import ROOT, TAP_SOURCES
 from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-from wyner.sweeps.grid import TAP_SOURCES
 
-SOURCES: Final = ("studies/readings.py", *LOOP_SOURCES, *TAP_SOURCES)
+SOURCES: Final = ("studies/readings.py", "studies/outputs.py", *LOOP_SOURCES, *TAP_SOURCES)
 """Where the numbers of this module come from."""
 
 SHARES: Final = (0.05, 0.2, 0.3, 0.5)
 """Half-width of the noise over that of D_c, in each coordinate."""
 RUNS, STEPS, SEED = 20, 500, 7
-TAPPED, TAPPED_STEPS = 2, 500
+HEARD: Final = 10
+"""So many of the runs are listened to."""
+
 MESSAGE: Final = b"We sail at dawn."
 TAPS: Final = ("nearest-centre", "list-decoder", "learning", "text")
 
+PAGE: Final = ROOT / "docs" / "control.md"
+BEGIN: Final = "<!-- begin readings -->\n"
+END: Final = "<!-- end readings -->"
+
 COLUMNS: Final = (
-    "share",
-    "candidates",
-    "runs",
-    "steps",
-    "seed",
-    "agreed",
-    "agreed_low",
-    "wrong",
-    "impossible",
-    "tapped_runs",
-    "tapped_steps",
-    "delivered",
-    *(f"{tap} {what}" for tap in TAPS for what in ("keys right", "of keys", "read")),
-)
+    "share", "candidates", "runs", "steps", "seed", "agreed", "agreed_low", "wrong", "impossible",
+    "tap", "heard_runs", "keys_of", "keys", "keys_low", "keys_high", "delivered", "read",
+    "read_low", "read_high",
+)  # fmt: skip
 
 
 def noisy(share: float, candidates: int) -> Scenario:
@@ -69,39 +72,80 @@ def largest(share: float) -> tuple[Scenario, CandidateLaw]:
 
 
 def reading_rows() -> Iterator[tuple[Any, ...]]:
-    """One row a share of noise."""
-    for share in SHARES:
-        scenario, law = largest(share)
-        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
-        possible = runs.largest <= scenario.secrecy.alpha
-        agreed = possible & (runs.symbol != NO_SYMBOL)
-        count = int(agreed.sum())
-        heard = list(_heard(scenario, law))
-        yield (
-            share,
-            scenario.secrecy.candidates,
-            RUNS,
-            STEPS,
-            SEED,
-            count / agreed.size,
-            wilson(count, agreed.size).low,
-            int((agreed & (runs.symbol != runs.coin)).sum()),
-            int((~possible).sum()),
-            TAPPED,
-            TAPPED_STEPS,
-            sum(one[0].delivered for one in heard),
-            *(
-                sum(getattr(one[place], what) for one in heard)
-                for place in range(len(TAPS))
-                for what in ("right", "agreements", "read")
-            ),
-        )
+    """One row a share of noise and eavesdropper."""
+    with ProcessPoolExecutor() as pool:
+        found = {
+            share: [pool.submit(_heard, share, run) for run in range(HEARD)] for share in SHARES
+        }
+        for share in SHARES:
+            scenario, law = largest(share)
+            runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
+            possible = runs.largest <= scenario.secrecy.alpha
+            agreed = possible & (runs.symbol != NO_SYMBOL)
+            count = int(agreed.sum())
+            taps = zip(TAPS, zip(*(one.result() for one in found[share]), strict=True), strict=True)
+            for tap, counts in taps:
+                yield (
+                    share, scenario.secrecy.candidates, RUNS, STEPS, SEED,
+                    count / agreed.size, wilson(count, agreed.size).low,
+                    int((agreed & (runs.symbol != runs.coin)).sum()), int((~possible).sum()),
+                    tap, HEARD, *told(counts),
+                )  # fmt: skip
 
 
-def _heard(scenario: Scenario, law: CandidateLaw) -> Iterator[list[TapResult]]:
+def _heard(share: float, run: int) -> list[Counts]:
+    """What each eavesdropper makes of a run."""
+    scenario, law = largest(share)
     runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(TAPPED), steps=TAPPED_STEPS, record=True
+        scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
     )
-    link = transfer(runs, payloads=[MESSAGE])
-    for place in range(TAPPED):
-        yield listen(runs, link, TAPS, place)
+    return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), View())
+
+
+def told(counts: Sequence[Counts]) -> tuple[float, ...]:
+    """Keys, the share right in the end and its interval over runs; the same of messages."""
+    keys = share_over_runs((one.later, one.keys) for one in counts)
+    read = share_over_runs((one.read, one.delivered) for one in counts)
+    return (sum(c.keys for c in counts), *keys, sum(c.delivered for c in counts), *read)
+
+
+def table(rows: Sequence[dict[str, str]]) -> str:
+    """The table of docs/control.md: a line a share of noise."""
+    lines = [("noise over D_c", "M", "agreed, wrong", *(f"`{tap}`" for tap in TAPS))]
+    for share in SHARES:
+        mine = {row["tap"]: row for row in rows if float(row["share"]) == share}
+        first = mine[TAPS[0]]
+        steps = int(first["runs"]) * int(first["steps"])
+        agreed = round(float(first["agreed"]) * steps)
+        lines.append(
+            (
+                f"{100 * share:.0f} %",
+                first["candidates"],
+                f"{agreed:,} of {steps:,}, {first['wrong']}",
+                *(_cell(mine[tap]) for tap in TAPS),
+            )
+        )
+    head, *others = ("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join([head, "|---" * len(lines[0]) + "|", *others])
+
+
+def _cell(row: dict[str, str]) -> str:
+    keys = Interval(*(100 * float(row[name]) for name in ("keys", "keys_low", "keys_high")))
+    read = round(float(row["read"]) * int(row["delivered"]))
+    return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {read} of {row['delivered']}"
+
+
+def written(text: str, rows: Sequence[dict[str, str]]) -> str:
+    """The page with the table between its marks."""
+    before, _, rest = text.partition(BEGIN)
+    return f"{before}{BEGIN}{table(rows)}\n{END}{rest.partition(END)[2]}"
+
+
+def recorded() -> list[dict[str, str]]:
+    """The rows of the data file."""
+    with (DATA / "readings.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")

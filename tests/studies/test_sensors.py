@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import DATA, corners, outputs, waiting
+from studies import DATA, corners, outputs, readings, waiting
 from studies.__main__ import main
 
 
@@ -41,6 +41,22 @@ def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.Monk
 def test_the_page_has_the_listeners_at_an_encoder_as_they_are_on_record() -> None:
     page = outputs.PAGE.read_text(encoding="utf-8")
     assert page == outputs.written(page, outputs.recorded())
+
+
+def test_the_page_has_the_listeners_to_noisy_readings_as_they_are_on_record() -> None:
+    page = readings.PAGE.read_text(encoding="utf-8")
+    assert page == readings.written(page, readings.recorded())
+
+
+def test_a_row_of_noisy_readings_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small one: 5 runs of 40 steps at one noise, the lightest listener."""
+    small = {"RUNS": 5, "STEPS": 40, "HEARD": 5, "SHARES": (0.2,), "TAPS": ("nearest-centre",)}
+    for name, value in small.items():
+        monkeypatch.setattr(readings, name, value)
+    ((row),) = [dict(zip(readings.COLUMNS, row, strict=True)) for row in readings.reading_rows()]
+    assert (row["candidates"], row["agreed"], row["wrong"]) == (3, 1.0, 0)
+    assert row["keys"] > 0.95
+    assert row["keys_low"] <= row["keys"] <= row["keys_high"]
 
 
 def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
