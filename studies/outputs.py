@@ -19,6 +19,7 @@ from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import wilson
 from studies import DATA
 from studies.corners import at_the_corners
+from studies.pages import between_marks, markdown_table
 from studies.secrecy.study import offline
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
@@ -41,8 +42,6 @@ TAPS: Final = (
 )  # fmt: skip
 
 PAGE: Final = ROOT / "docs" / "control.md"
-BEGIN: Final = "<!-- begin outputs -->\n"
-END: Final = "<!-- end outputs -->"
 
 CONDITIONS: Final[dict[str, tuple[float, View]]] = {
     "clear": (0.0, View()),
@@ -168,14 +167,12 @@ def table(rows: Sequence[dict[str, str]]) -> str:
         lines.append(
             (f"`{tap}`", *(f"{row['later']}; {row['read']} of {row['delivered']}" for row in mine))
         )
-    head, *others = ("| " + " | ".join(line) + " |" for line in lines)
-    return "\n".join([head, "|---" * len(lines[0]) + "|", *others])
+    return markdown_table(lines)
 
 
 def written(text: str, rows: Sequence[dict[str, str]]) -> str:
     """The page with the table between its marks."""
-    before, _, rest = text.partition(BEGIN)
-    return f"{before}{BEGIN}{table(rows)}\n{END}{rest.partition(END)[2]}"
+    return between_marks(text, "outputs", table(rows))
 
 
 def recorded() -> list[dict[str, str]]:

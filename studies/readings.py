@@ -18,6 +18,7 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from studies import DATA
 from studies.outputs import Counts, heard
+from studies.pages import between_marks, markdown_table
 from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.sweeps.grid import ROOT, TAP_SOURCES
@@ -36,8 +37,6 @@ MESSAGE: Final = b"We sail at dawn."
 TAPS: Final = ("nearest-centre", "list-decoder", "learning", "text")
 
 PAGE: Final = ROOT / "docs" / "control.md"
-BEGIN: Final = "<!-- begin readings -->\n"
-END: Final = "<!-- end readings -->"
 
 COLUMNS: Final = (
     "share", "candidates", "runs", "steps", "seed", "agreed", "agreed_low", "wrong", "impossible",
@@ -125,8 +124,7 @@ def table(rows: Sequence[dict[str, str]]) -> str:
                 *(_cell(mine[tap]) for tap in TAPS),
             )
         )
-    head, *others = ("| " + " | ".join(line) + " |" for line in lines)
-    return "\n".join([head, "|---" * len(lines[0]) + "|", *others])
+    return markdown_table(lines)
 
 
 def _cell(row: dict[str, str]) -> str:
@@ -137,8 +135,7 @@ def _cell(row: dict[str, str]) -> str:
 
 def written(text: str, rows: Sequence[dict[str, str]]) -> str:
     """The page with the table between its marks."""
-    before, _, rest = text.partition(BEGIN)
-    return f"{before}{BEGIN}{table(rows)}\n{END}{rest.partition(END)[2]}"
+    return between_marks(text, "readings", table(rows))
 
 
 def recorded() -> list[dict[str, str]]:

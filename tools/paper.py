@@ -13,11 +13,11 @@ from typing import Final
 
 from runtime.errors import needs
 from studies import DATA
+from studies.pages import between_marks
 from studies.secrecy.tables import exact_of, read_rows, share_of
 from wyner.runs.score.report import percent
 
 FOLDER: Final = Path(__file__).resolve().parent.parent / "paper"
-MARKS: Final = ("<!-- begin results -->", "<!-- end results -->")
 
 SHOWN: Final = (
     ("ladder", "framed, 1000 steps", "set-membership", "as the paper models her"),
@@ -47,9 +47,7 @@ def results(data: Path = DATA) -> str:
 
 def with_results(text: str) -> str:
     """The paper with its table made anew."""
-    before, _, rest = text.partition(MARKS[0])
-    _, _, after = rest.partition(MARKS[1])
-    return f"{before}{MARKS[0]}\n{results()}\n{MARKS[1]}{after}"
+    return between_marks(text, "results", results())
 
 
 def build(folder: Path, output: Path) -> None:

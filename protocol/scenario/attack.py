@@ -1,7 +1,7 @@
 """``[attack]``: who lies about the plant, from which step on, and what she knows."""
 
 import json
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
@@ -10,9 +10,6 @@ from protocol.wrong_fields import expected_of
 
 Place = Literal["sensor", "bus", "actuator"]
 Known = Literal["model", "bus", "coins"]
-
-UNATTACKED: Final = "attack: expected none, as these loops are honest (wyner up attacks one)"
-"""Over a scenario whose attack would be left out."""
 
 
 class Attack(ScenarioTable, extra="allow"):

@@ -7,6 +7,7 @@ from typing import Final
 
 from protocol.statistics import wilson
 from studies.attacks.study import FILE, SETTLED, Task, attacked
+from studies.pages import between_marks, markdown_table
 from wyner.simulate.engine.attacks import ONSET
 from wyner.sweeps.grid import ROOT, SweepError
 
@@ -115,24 +116,13 @@ def honest_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     return lines
 
 
-def in_markdown(table: Sequence[Sequence[str]]) -> str:
-    """A table as the page holds it."""
-    head, *lines = ("| " + " | ".join(line) + " |" for line in table)
-    return "\n".join([head, "|---" * len(table[0]) + "|", *lines])
-
-
 TABLES: Final = {"matrix": matrix_table, "attacks": main_table, "honest": honest_table}
 
 
 def written(text: str, rows: Sequence[Row]) -> str:
     """The page with its tables between their marks."""
     for name, make in TABLES.items():
-        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
-        before, mark, rest = text.partition(begin)
-        _, closed, after = rest.partition(end)
-        if not (mark and closed):
-            raise ValueError(f"{PAGE.name}: lacks the marks of the table {name!r}")
-        text = f"{before}{begin}{in_markdown(make(rows))}\n{end}{after}"
+        text = between_marks(text, name, markdown_table(make(rows)))
     return text
 
 

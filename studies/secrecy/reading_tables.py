@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from protocol.statistics import CONFIDENCE, Interval, wilson
+from studies.pages import markdown_table
 from studies.secrecy.reading import FILE
 from studies.secrecy.tables import codes_of, put_on_page
 from studies.secrecy.tables import read_rows as read_view_rows
@@ -143,19 +144,13 @@ def misstated(rows: Sequence[Row]) -> str:
     return f"Outside the interval of what came true: {'; '.join(outside)}."
 
 
-def in_markdown(lines: Sequence[tuple[str, ...]]) -> str:
-    """Lines as a table; the first is its head."""
-    head, *rest = ("| " + " | ".join(line) + " |" for line in lines)
-    return "\n".join([head, "|---" * len(lines[0]) + "|", *rest])
-
-
 def write_tables() -> None:
     """Put the tables between their marks on the page."""
     rows = read_rows()
     put_on_page(
         {
-            "reading": in_markdown(results(rows)),
-            "reliability": in_markdown(reliability([*rows, *views()])),
+            "reading": markdown_table(results(rows)),
+            "reliability": markdown_table(reliability([*rows, *views()])),
             "misstated": misstated([*rows, *views()]),
         }
     )

@@ -13,6 +13,7 @@ from typing import Final
 
 from protocol.statistics import Interval
 from studies import DATA
+from studies.pages import between_marks, markdown_table
 from studies.secrecy.study import ALL_READ, measure_study
 from tap_service.inference.message_reader import SURE
 from wyner.runs.score.report import over_runs, percent
@@ -88,12 +89,6 @@ def table(study: str) -> list[tuple[str, ...]]:
     return lines
 
 
-def in_markdown(study: str) -> str:
-    """The table of a study as the page holds it."""
-    head, *lines = ("| " + " | ".join(line) + " |" for line in table(study))
-    return "\n".join([head, "|---" * head.count(" | ") + "|---|", *lines])
-
-
 def against_the_smoother(rows: Sequence[Row]) -> str:
     """Where `text` stands beside `smoother`, on the runs before both."""
     by = {(r["condition"], r["tap"], r["seed"]): r for r in rows}
@@ -132,7 +127,7 @@ def against_the_smoother(rows: Sequence[Row]) -> str:
 
 def write_tables() -> None:
     """Put the tables between their marks on the page."""
-    parts = {study: in_markdown(study) for study in TABLES}
+    parts = {study: markdown_table(table(study)) for study in TABLES}
     parts["beside"] = against_the_smoother(read_rows("view"))
     put_on_page(parts)
 
@@ -141,11 +136,7 @@ def put_on_page(parts: Mapping[str, str]) -> None:
     """Put each text between its marks on the page."""
     text = PAGE.read_text(encoding="utf-8")
     for name, part in parts.items():
-        begin, end = f"<!-- begin {name} -->\n", f"<!-- end {name} -->"
-        before, _, rest = text.partition(begin)
-        _, mark, after = rest.partition(end)
-        if mark:
-            text = f"{before}{begin}{part}\n{end}{after}"
+        text = between_marks(text, name, part)
     PAGE.write_text(text, encoding="utf-8")
 
 

@@ -229,8 +229,8 @@ class KeySolver(Eavesdropper):
         rates = self._misses.judge()
         direction, rate = worst(rates)
         for name, message in self._sealed.items():
-            news, text = self._texts.get(name, (-1, None))
-            if text is None or (news != self._openers and text.known_bits < text.bits):
+            openers, text = self._texts.get(name, (-1, None))
+            if text is None or (openers != self._openers and text.known_bits < text.bits):
                 self._texts[name] = self._openers, self._read(message)
         read = tuple(self._texts[name][1] for name in self._sealed)
         return Belief(

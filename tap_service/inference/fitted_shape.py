@@ -67,6 +67,20 @@ def fitted_widths(along: Array) -> Array:
     return best
 
 
+def both_ways(rows: Array, reach: Array) -> Array:
+    """How far what is even over a set reaches: as far both ways, where a facet has an opposite.
+
+    Parameters
+    ----------
+    rows : array, shape (rows, n)
+    reach : array, shape (rows,)
+        What was seen along each.
+    """
+    opposite = np.abs(rows[:, None] + rows).max(axis=2) < OPPOSITE
+    out: Array = np.maximum(reach, np.where(opposite, reach, -np.inf).max(axis=1))
+    return out
+
+
 @dataclass(frozen=True)
 class Shape:
     """What the candidates of a step are measured in.
@@ -128,9 +142,7 @@ def likelier_shape(told: Array, A: Array, B: Array, heard: Sequence[Transition])
     along = residuals_of(A, B, whole) @ told.T
     scale = max(float(np.maximum(0.0, along.max(axis=2)).min(axis=1).max()), SMALLEST)
     widths = fitted_widths(along)
-    for i, row in enumerate(told):  # what is even over a symmetric set reaches as far both ways
-        for j in np.flatnonzero(np.abs(told + row).max(axis=1) < OPPOSITE):
-            widths[i] = max(widths[i], widths[j])
+    widths = both_ways(told, widths)
     # each direction has two facets
     gain = 0.5 * count * (rows * math.log(scale) - float(np.log(widths).sum()))
     if gain <= 0.5 * (rows - 1) * math.log(count) + rows:

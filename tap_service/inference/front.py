@@ -16,7 +16,13 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.fitted_shape import Shape, likelier_shape, residuals_of
+from tap_service.inference.fitted_shape import (
+    SMALLEST,
+    Shape,
+    both_ways,
+    likelier_shape,
+    residuals_of,
+)
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
 from tap_service.inference.line_smoother import LineSmoother
 from tap_service.inference.mixture_smoother import MixtureSmoother
@@ -212,12 +218,7 @@ class Inference:
         products = residuals_of(self._A, self._B, whole) @ rows.T
         nearest = products[np.arange(len(whole)), products.max(axis=2).argmin(axis=1)]
         found: Array = nearest.max(axis=0) * (1 + 2 / len(whole))
-        # what is even over a symmetric set reaches as far the other way
-        for i, row in enumerate(rows):
-            opposite = np.flatnonzero(np.abs(rows + row).max(axis=1) < 1e-12)
-            for j in opposite:
-                found[i] = max(found[i], found[j])
-        return np.maximum(found, 1e-9)
+        return np.maximum(both_ways(rows, found), SMALLEST)
 
 
 def _among(support: float) -> tuple[float, float]:

@@ -1,6 +1,7 @@
 """What an end reports beside its record: the first messages of a life, statuses, notices."""
 
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 
@@ -162,19 +163,22 @@ def news(sustained: Scenario) -> PlantTelemetry:
     return PlantTelemetry(sustained, "realtime", seeded=False)
 
 
-def met(receiver: PlantInHand) -> PlantInHand:
-    """A plant whose session a controller has taken up."""
-    greets = ControllerHello(
+def answer(verdict: Literal["greeting", "accepted", "unknown-session"]) -> ControllerHello:
+    """What the controller says to the plant's hello."""
+    return ControllerHello(
         instance=A,
         incarnation=1,
         fingerprint=RULES.fingerprint,
-        verdict="greeting",
+        verdict=verdict,
         session=S,
         answers=P,
     )
-    receiver.heard_controller(greets, NEW)
-    accepts = greets.model_copy(update={"verdict": "accepted"})
-    assert receiver.heard_controller(accepts, NEW) == "accepted"
+
+
+def met(receiver: PlantInHand) -> PlantInHand:
+    """A plant whose session a controller has taken up."""
+    receiver.heard_controller(answer("greeting"), NEW)
+    assert receiver.heard_controller(answer("accepted"), NEW) == "accepted"
     return receiver
 
 
@@ -218,15 +222,7 @@ def test_a_status_of_a_message_that_came_through_is_due_at_once(news: PlantTelem
 
 def test_a_session_that_ends_is_a_warning_and_names_the_next() -> None:
     receiver = met(PlantInHand(RULES, P, AT_THE_PLANT))
-    disowned = ControllerHello(
-        instance=A,
-        incarnation=1,
-        fingerprint=RULES.fingerprint,
-        verdict="unknown-session",
-        session=S,
-        answers=P,
-    )
-    assert receiver.heard_controller(disowned, NEW) == "ended"
+    assert receiver.heard_controller(answer("unknown-session"), NEW) == "ended"
     (line,) = receiver.notices
     assert line.level == "warning"
     assert NEW in line.text

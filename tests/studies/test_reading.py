@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import pytest
 
 from protocol.statistics import MISSTATED, wilson
+from studies.pages import markdown_table
 from studies.secrecy.reading import ANY_BYTES
 from studies.secrecy.reading_tables import (
     STATED_HEAD,
     Row,
-    in_markdown,
     median,
     misstated,
     read_rows,
@@ -29,8 +29,8 @@ def rows() -> Sequence[Row]:
 
 def test_the_page_shows_the_tables_of_its_data(rows: Sequence[Row]) -> None:
     text = PAGE.read_text(encoding="utf-8")
-    assert in_markdown(results(rows)) in text
-    assert in_markdown(reliability([*rows, *views()])) in text
+    assert markdown_table(results(rows)) in text
+    assert markdown_table(reliability([*rows, *views()])) in text
     assert against_the_smoother(views()) in text
 
 

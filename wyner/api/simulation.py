@@ -15,10 +15,10 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
 from protocol.brief import Brief
 from protocol.scenario import Scenario
-from protocol.scenario.attack import UNATTACKED
 from protocol.statistics import Interval, mean_over_runs
 from runtime.errors import needs
 from wyner.api.systems import System, design
+from wyner.simulate import UNATTACKED
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow, whole_messages
 from wyner.simulate.single import simulate_plant

@@ -88,10 +88,10 @@ def distilled(state: State, width: int) -> list[Row]:
     lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
     of = "key" if plant.keys_made == 1 else "keys"
     made = f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {lost}"
-    knowledge_of = line(made)
+    made_and_held = line(made)
     hers, style = held(state, room - cell_len(made))
-    knowledge_of.append(hers, style=STYLES[style])
-    keys: Row = "distilled keys", knowledge_of
+    made_and_held.append(hers, style=STYLES[style])
+    keys: Row = "distilled keys", made_and_held
     against = [*contradictions(state)]
     if plant.keys_stopped:
         against.insert(0, f"STOPPED: {drawn(plant.keys_stopped)}")

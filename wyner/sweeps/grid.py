@@ -17,9 +17,9 @@ from typing import Annotated, Any, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
-from protocol.scenario.attack import UNATTACKED
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from wyner.simulate import UNATTACKED
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"

@@ -354,10 +354,11 @@ def test_missing_files_are_one_line(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("study", ["ladder", "learning", "view"])
 def test_the_page_shows_the_tables_of_its_data(study: str) -> None:
-    from studies.secrecy.tables import PAGE, in_markdown, read_rows
+    from studies.pages import markdown_table
+    from studies.secrecy.tables import PAGE, read_rows, table
 
     assert read_rows(study)
-    assert in_markdown(study) in PAGE.read_text(encoding="utf-8")
+    assert markdown_table(table(study)) in PAGE.read_text(encoding="utf-8")
 
 
 def test_a_row_of_the_data_comes_out_again() -> None:
