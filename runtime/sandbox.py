@@ -89,7 +89,7 @@ class SandboxProcess:
     """
 
     def __init__(self, module: str, arguments: Sequence[str] = (), memory: int = MEMORY) -> None:
-        self.like = module, tuple(arguments), memory
+        self.like = _like(module, tuple(arguments), memory)
         self.child = Child(module, (str(memory), *arguments), own_session=True, quiet=True)
         self._to, self._from = self.child.line.write, self.child.line.read
         os.set_blocking(self._to, False)
@@ -176,13 +176,20 @@ class SandboxProcess:
         return b"".join(parts)
 
 
-idle: dict[tuple[str, tuple[str, ...], int], SandboxProcess] = {}
+_Like = tuple[str, tuple[str, ...], int, Path]
+
+idle: dict[_Like, SandboxProcess] = {}
 """Idle processes, one of a kind, for reuse: a sweep makes one guest after the other."""
+
+
+def _like(module: str, arguments: tuple[str, ...], memory: int) -> _Like:
+    """What two processes of a kind share; the folder too, for one that is gone fails its guests."""
+    return module, arguments, memory, Path.cwd()
 
 
 def acquire(module: str, arguments: tuple[str, ...] = (), memory: int = MEMORY) -> SandboxProcess:
     """A :class:`SandboxProcess` that was given back, or a new one."""
-    waiting = idle.pop((module, arguments, memory), None)
+    waiting = idle.pop(_like(module, arguments, memory), None)
     if waiting is not None and waiting.alive:
         return waiting
     return SandboxProcess(module, arguments, memory)

@@ -91,6 +91,21 @@ def test_a_process_that_ended_while_nobody_used_it_is_not_handed_out(tmp_path: P
     second.close()
 
 
+def test_an_idle_process_is_not_handed_out_in_another_folder_as_its_own_may_be_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "gone").mkdir()
+    monkeypatch.chdir(tmp_path / "gone")
+    first = opened(tmp_path, "os.getcwd()")
+    assert len(stepped(first, 4)) == 5
+    first.close()
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "gone").rmdir()
+    second = opened(tmp_path, "os.getcwd()")  # as libraries do that load native code
+    assert len(stepped(second, 4)) == 5
+    second.close()
+
+
 def test_it_steps_as_in_the_services_own_process(tmp_path: Path) -> None:
     far, near = opened(tmp_path, "pass"), open_plant(line())
     assert stepped(far, 20) == stepped(near, 20)
