@@ -1,9 +1,13 @@
 """Fixtures that many tests share."""
 
+import gc
+import importlib
 import os
 import shutil
 import signal
+import sys
 import tempfile
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -25,6 +29,10 @@ settings.load_profile("wyner")
 # that a test starts: it could not be interrupted.
 signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
+
+# Where the environment forbids it, each process would compile the project and rewrite the asserts.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 
 MEMORY_DISK = Path("/dev/shm")
 """Where the tests' files are, if there is room: on a disk each step of a live loop waits for it."""
@@ -58,6 +66,24 @@ LONGEST = (
     *("benchmarks/test_pace.py", "runtime/test_fleet.py", "system/test_network_table.py"),
 )
 """Files that take longest go first: at the end no process then waits for another one's file."""
+
+
+def pytest_collection(session: pytest.Session) -> None:
+    """Import a share of the files first: what one process has compiled, the others read."""
+    worker = getattr(session.config, "workerinput", None)
+    if worker is None:
+        return
+    files = sorted(file for path in session.config.args for file in Path(path).rglob("test_*.py"))
+    first = int(worker["workerid"].removeprefix("gw"))
+    for file in files[first :: worker["workercount"]]:
+        with suppress(Exception, pytest.skip.Exception):  # told when the file is collected
+            importlib.import_module(".".join(file.with_suffix("").parts))
+
+
+def pytest_collection_finish() -> None:
+    """What is loaded stays: it is not searched for garbage again and again."""
+    gc.collect()
+    gc.freeze()
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
