@@ -216,9 +216,10 @@ class FrameScores:
 
     def _text(self, which: Indices, values: Indices) -> None:
         h = self._hypotheses
-        h.score[which] += self._ratios[h.before[which], h.last[which], values]
+        classes = class_of(values)
+        h.score[which] += self._ratios[h.before[which], h.last[which], classes]
         h.before[which] = h.last[which]
-        h.last[which] = class_of(values)
+        h.last[which] = classes
 
     def _refuse(self, which: Indices) -> None:
         if len(which):

@@ -74,7 +74,7 @@ right more often than the newspaper.
 
 @cache
 def table() -> NDArray[np.float64]:
-    """Log ratios by class of the two characters before, and the byte: shape (96, 96, 256)."""
+    """Log ratios by class of the two characters before, and of the next: shape (96, 96, 96)."""
     classes = _classes()
     size = OTHER + 1
     text = classes[np.frombuffer(SAMPLE.encode("ascii").replace(b"\n", b" "), dtype=np.uint8)]
@@ -99,9 +99,7 @@ def table() -> NDArray[np.float64]:
     p = w3 * shares(tri) + w2 * shares(bi)[None] + w1 * shares(single) + w0 * flat
     p /= p.sum(axis=-1, keepdims=True)
     p[..., OTHER] = 0.0
-    by_byte = p[..., classes]
-    by_byte[..., classes == OTHER] = 0.0
-    ratios: NDArray[np.float64] = np.log(256 * (TEXT_WEIGHT * by_byte + (1 - TEXT_WEIGHT) / 256))
+    ratios: NDArray[np.float64] = np.log(256 * (TEXT_WEIGHT * p + (1 - TEXT_WEIGHT) / 256))
     return ratios
 
 

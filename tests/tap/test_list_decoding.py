@@ -198,7 +198,8 @@ def test_bytes_of_symbols() -> None:
 def plausibility(text: bytes) -> float:
     """Log ratio of a text as English over random bytes."""
     classes = [OTHER, OTHER, *class_of(np.frombuffer(text, dtype=np.uint8)).tolist()]
-    return sum(float(table()[classes[i], classes[i + 1], byte]) for i, byte in enumerate(text))
+    threes = zip(classes, classes[1:], classes[2:], strict=False)
+    return sum(float(table()[three]) for three in threes)
 
 
 def test_english_is_more_plausible_than_noise_at_any_length() -> None:
