@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Array, Flags, Indices
-from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES, blocks, digits_of, frame_length
+from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES, block_bytes, digits_of, frame_length
 from tap_service.inference.english import AnyBytes, Contexts, English
 from tap_service.inference.lattice import Lattice
 
@@ -30,14 +30,18 @@ class Plan:
         self.bytes = np.zeros(shape, dtype=np.intp)  # of the block to which each symbol belongs
         self.place = np.zeros(shape, dtype=np.intp)  # of the symbol in its block
         self.digits = np.zeros(shape, dtype=np.intp)
+        count = block_bytes(size)
+        digits = digits_of(count, size)
+        place = np.arange(longest) % digits
         for i, n in enumerate(lengths):
-            at = 0
-            for count in list(blocks(n + CHECK_BYTES, size))[1:]:
-                digits = digits_of(count, size)
-                self.bytes[i, at : at + digits] = count
-                self.place[i, at : at + digits] = np.arange(digits)
-                self.digits[i, at : at + digits] = digits
-                at += digits
+            whole, rest = divmod(n + CHECK_BYTES, count)
+            at = whole * digits
+            self.bytes[i, :at], self.place[i, :at], self.digits[i, :at] = count, place[:at], digits
+            if rest:  # the last block is shorter
+                last = digits_of(rest, size)
+                end = at + last
+                self.bytes[i, at:end], self.digits[i, at:end] = rest, last
+                self.place[i, at:end] = np.arange(last)
 
 
 class Beam:
