@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from plant_service.adapters import PlantError, SimulatedPlant
+from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from protocol.scenario import Scenario
-from tests.adapters.plants import PERIOD_S, Device, PythonLine, build_fmu, line, operated
+from tests.adapters.plants import Device, PythonLine, build_fmu, line, operated
 from wyner.api import System, build, design, load, run, vary
 from wyner.simulate.engine import Runs, SimulationError, simulate_runs
 from wyner.simulate.single import simulate_plant
@@ -89,11 +89,13 @@ def test_the_kinds_of_a_file_open_and_run(undisturbed: System, tmp_path: Path) -
     """The same plant named in a scenario as a function, an object and an FMU."""
     path, sha256 = build_fmu("line_fmi2", tmp_path)
     (tmp_path / "mine.py").write_text(
-        "def dynamics(t, x, u): return x[1], u[0]\nfrom tests.adapters.plants import PythonLine\n"
+        "def dynamics(t, x, u): return x[1], u[0]\n"
+        "from tests.adapters.plants import PythonLine, Device\n"
     )
     kinds: list[dict[str, object]] = [
         {"kind": "ode", "object": "mine.py:dynamics", "substeps": 1, "initial_state": [-5.0, -2.0]},
         {"kind": "python", "object": "mine.py:PythonLine"},
+        {"kind": "python", "object": "mine.py:Device"},
         {
             "kind": "fmu",
             "file": path.name,
@@ -116,25 +118,8 @@ def test_an_object_of_ones_own_takes_the_plants_place(undisturbed: System) -> No
     scenario = quiet(undisturbed.scenario)
     system = System(scenario, undisturbed.design, undisturbed.law)
     one = run(system, steps=30, runs=2, seed=4, plant=PythonLine())
-    two = run(system, steps=30, runs=2, seed=4, plant=SimulatedPlant(PythonLine(), PERIOD_S))
+    two = run(system, steps=30, runs=2, seed=4, plant=Device())
     same(one.record, two.record)
-
-
-def test_a_device_is_refused_in_one_line_and_left_alone(
-    undisturbed: System, tmp_path: Path
-) -> None:
-    """An object, and one that a scenario names: nothing is started, and nothing applied."""
-    device = Device()
-    system = System(quiet(undisturbed.scenario), undisturbed.design, undisturbed.law)
-    with pytest.raises(SimulationError, match=r"^plant: got a device, .* expected a simulation"):
-        run(system, steps=30, plant=device)
-    assert not {"start", "apply", "sample"} & set(device.calls)
-    (tmp_path / "mine.py").write_text("from tests.adapters.plants import Device\n")
-    data = tables(undisturbed)
-    data["plant"] = {**data["plant"], "kind": "python", "object": "mine.py:Device"}  # type: ignore[dict-item]
-    named = System(build(data), undisturbed.design, undisturbed.law, tmp_path)
-    with pytest.raises(SimulationError, match=r"^plant: got a device, .* wyner up runs it$"):
-        run(named, steps=30)
 
 
 def test_what_cannot_be_written_to_cannot_be_disturbed(

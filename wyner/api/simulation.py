@@ -207,16 +207,16 @@ def run(
     message : bytes
         Sent once, then idle symbols.
     plant : Stepped or PlantAdapter, optional
-        An object of one's own in place of the scenario's plant, in physical units; it is reset for
-        each run. No device: it has a clock, which a simulation does not wait for.
+        An object of one's own in place of the scenario's plant, in physical units; it is reset, or
+        started, for each run.
     folder : path, optional
         Where the files that the scenario names are looked for, if not in the system's folder.
 
     Raises
     ------
     SimulationError
-        When a state leaves every set or a plant fails; the message names run and step. Also when
-        the plant is a device.
+        When a state leaves every set or a plant fails; the message names run and step. Also for a
+        device of which outputs alone are read.
     PlantError
         When the plant cannot be opened.
     UsageError

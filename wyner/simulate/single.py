@@ -197,8 +197,8 @@ def simulate_plant(
     Raises
     ------
     SimulationError
-        When a state leaves every set, or the plant fails; the message names run and step. Also when
-        the plant is a device.
+        When a state leaves every set, or the plant fails; the message names run and step. Also for
+        a device of which outputs alone are read: its states are not known.
     """
     n, m, M = scenario.n, scenario.m, scenario.secrecy.candidates
     spec = scenario.plant.disturbance
@@ -255,9 +255,9 @@ def simulate_plant(
         if boxed is not None:
             propose, test, instead = boxed.candidates, boxed.judge, boxed.fallback
         try:
-            if plant.device:
-                text = "plant: got a device, whose time nothing here waits for, expected a "
-                raise SimulationError(f"{text}simulation; wyner up runs it")
+            if outputs is not None and plant.device:
+                text = "plant.C: expected none of a device here, as its states are not known; the "
+                raise SimulationError(f"{text}two ends and wyner up run it")
             x = read(0, plant.start(seed + run))
             xs[0, :, place] = x
             toss = partial(coins.symbol, size=M)
