@@ -214,8 +214,10 @@ def _replayed(run: "Run", names: tuple[str, ...], scenario_name: str | None) -> 
     try:
         replay = Replay(run.folder, names, scenario=scenario)
         replay.run()
-    except (CaptureError, KnowledgeError) as error:
+    except CaptureError as error:
         raise UsageError(str(error)) from None
+    except KnowledgeError as error:
+        raise UsageError(f"--eavesdropper: {error}") from None
     return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.outputs()))
 
 
