@@ -1,12 +1,12 @@
 """What keys cost the loop: its speed with and without them, and offers while a block is distilled.
 
 Rounds alternate in one run, because machines are noisy: the scenario `keys` without its table
-``keys``, then as it is; in lock-step, for the speed, then at a pace, for the offers. The tap hears
-everything here, so that each message's time is on record. An offer falls *into a distillation* when
-the controller's trace shows it between the transition that closed a block and the line that the
-block is stored; the plant distils at the same time. How much later such an offer comes is the mean
-over rounds of the difference of two medians, with an interval: a delay longer than the interval is
-wide would have been seen.
+``keys``, as it is, and with a keyed coin; in lock-step, for the speed; then the first two at a
+pace, for the offers. The tap hears everything here, so that each message's time is on record. An
+offer falls *into a distillation* when the controller's trace shows it between the transition that
+closed a block and the line that the block is stored; the plant distils at the same time. How much
+later such an offer comes is the mean over rounds of the difference of two medians, with an
+interval: a delay longer than the interval is wide would have been seen.
 """
 
 import json
@@ -30,6 +30,9 @@ from wyner.fit.toml import as_toml
 
 SCENARIO: Final = Path(__file__).resolve().parent.parent / "runtime" / "scenarios" / "keys.toml"
 CASES: Final = ("off", "on", "distilling")
+LOOPS: Final = ("off", "on", "coin")
+"""Without keys, with them, and with the coin keyed besides."""
+
 PACES: Final = ("fast", "x50")
 """Lock-step, where the cores are full, and 500 steps a second, where they are not."""
 
@@ -42,11 +45,13 @@ class KeyRound:
     offers_us: dict[str, list[float]]
 
 
-def _variant(folder: Path, keys: bool) -> Path:
+def _variant(folder: Path, loop: str) -> Path:
     tables = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     tables["tap"]["loss"] = 0.0
-    if not keys:
+    if loop == "off":
         del tables["keys"]
+    if loop == "coin":
+        tables["defence"] = {"kind": "keyed-coin"}
     path = folder / "scenario.toml"
     path.write_text(as_toml(tables), encoding="utf-8")
     return path
@@ -74,8 +79,8 @@ def in_distillation(lines: Iterable[dict[str, Any]], last_of: Callable[[int], in
     return found
 
 
-def key_round(*, keys: bool, steps: int, pace: str) -> KeyRound:
-    """Run the services for ``steps`` steps.
+def key_round(loop: str, *, steps: int, pace: str) -> KeyRound:
+    """Run the services of one of `LOOPS` for ``steps`` steps.
 
     Raises
     ------
@@ -84,7 +89,7 @@ def key_round(*, keys: bool, steps: int, pace: str) -> KeyRound:
     """
     with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
         folder = Path(name)
-        with running(_variant(folder, keys), folder, steps, pace) as services:
+        with running(_variant(folder, loop), folder, steps, pace) as services:
             services["plant"].wait(PATIENCE_S + STEP_LIMIT_S * steps)
         seen: dict[str, dict[int, int]] = {Measurement.topic: {}, Offer.topic: {}}
         for line in (folder / CAPTURE).read_bytes().splitlines()[1:]:
@@ -103,7 +108,7 @@ def key_round(*, keys: bool, steps: int, pace: str) -> KeyRound:
     offers: dict[str, list[float]] = {case: [] for case in CASES}
     for k in range(begin, end):
         if k in measured and k in offered:
-            case = "off" if not keys else "distilling" if k in distilling else "on"
+            case = "off" if loop == "off" else "distilling" if k in distilling else "on"
             offers[case].append((offered[k] - measured[k]) / 1e3)
     seconds = (measured[end] - measured[begin]) / 1e9
     return KeyRound((end - begin) / seconds, offers)
@@ -164,12 +169,12 @@ def _figures(values: Sequence[float]) -> dict[str, float]:
 def measure(
     *, rounds: int = 3, steps: int = 3000, progress: Callable[[str], None] | None = None
 ) -> dict[str, Any]:
-    """Measure the loop with keys off and on.
+    """Measure the loop without keys, with them, and with a keyed coin.
 
     Parameters
     ----------
     rounds : int
-        Of one run without keys and one with them, at each of `PACES`.
+        Of a run of each of `LOOPS` in lock-step, then one without keys and one with them at a pace.
     steps : int
         Steps of each run.
     progress : callable, optional
@@ -178,8 +183,9 @@ def measure(
     Returns
     -------
     dict
-        ``steps_per_second`` (``off``, ``on``: medians over rounds in lock-step), ``ratio`` (of the
-        two), ``rounds`` (each round's two figures), ``offers_us`` (for each of `PACES` and `CASES`:
+        ``steps_per_second`` (of `LOOPS`: medians over rounds in lock-step), ``ratio`` (with keys to
+        without), ``coin_ratio`` (with a keyed coin to keys alone), ``rounds`` (each round's
+        figures), ``offers_us`` (for each of `PACES` and `CASES`:
         how many, quantiles, ``longest``), ``delay_us`` (for each of `PACES` what :func:`delay`
         says), ``steps``.
 
@@ -189,32 +195,35 @@ def measure(
         When a process fails.
     """
     say = progress or (lambda _line: None)
-    runs: dict[str, list[tuple[KeyRound, KeyRound]]] = {pace: [] for pace in PACES}
+    runs: dict[str, list[dict[str, KeyRound]]] = {pace: [] for pace in PACES}
     for i in range(rounds):
         for pace in PACES:
-            off, on = (key_round(keys=keys, steps=steps, pace=pace) for keys in (False, True))
-            runs[pace].append((off, on))
-        off, on = runs["fast"][-1]
+            loops = LOOPS if pace == "fast" else LOOPS[:2]
+            order = loops if i % 2 == 0 else loops[::-1]
+            runs[pace].append({loop: key_round(loop, steps=steps, pace=pace) for loop in order})
+        told = runs["fast"][-1]
         say(
-            f"round {i + 1} of {rounds}: {off.steps_per_second:.0f} steps/s without keys, "
-            f"{on.steps_per_second:.0f} with"
+            f"round {i + 1} of {rounds}: {told['off'].steps_per_second:.0f} steps/s without keys, "
+            f"{told['on'].steps_per_second:.0f} with, {told['coin'].steps_per_second:.0f} with a "
+            "keyed coin"
         )
-    speed = [(off.steps_per_second, on.steps_per_second) for off, on in runs["fast"]]
-    medians = {
-        name: statistics.median(pair[i] for pair in speed) for i, name in enumerate(("off", "on"))
-    }
+    speed = [{loop: round_[loop].steps_per_second for loop in LOOPS} for round_ in runs["fast"]]
+    medians = {loop: statistics.median(one[loop] for one in speed) for loop in LOOPS}
     return {
         "steps_per_second": medians,
         "ratio": medians["on"] / medians["off"],
-        "rounds": [{"off": off, "on": on} for off, on in speed],
+        "coin_ratio": medians["coin"] / medians["on"],
+        "rounds": speed,
         "offers_us": {
             pace: {
-                case: _figures([us for pair in pairs for r in pair for us in r.offers_us[case]])
+                case: _figures(
+                    [us for o in of for loop in ("off", "on") for us in o[loop].offers_us[case]]
+                )
                 for case in CASES
             }
-            for pace, pairs in runs.items()
+            for pace, of in runs.items()
         },
-        "delay_us": {pace: delay([on for _, on in pairs]) for pace, pairs in runs.items()},
+        "delay_us": {pace: delay([one["on"] for one in of]) for pace, of in runs.items()},
         "steps": steps,
     }
 
@@ -229,8 +238,9 @@ def render(result: dict[str, Any]) -> str:
         "tap attached",
         "",
         f"lock-step, steps a second: {speed['off']:.0f} without keys, {speed['on']:.0f} with them "
-        f"({result['ratio']:.2f}); round by round "
-        + ", ".join(f"{r['off']:.0f}/{r['on']:.0f}" for r in result["rounds"]),
+        f"({result['ratio']:.2f}), {speed['coin']:.0f} with a keyed coin besides "
+        f"({result['coin_ratio']:.3f} of keys alone); round by round "
+        + ", ".join("/".join(f"{r[loop]:.0f}" for loop in LOOPS) for r in result["rounds"]),
         "",
         f"{'an offer after its measurement, us':<38}{'offers':>8}"
         + "".join(f"{name:>9}" for name in columns),

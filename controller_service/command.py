@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--model-folder",
         metavar="D",
-        help="where the file of defender.model is (default: the scenario's own folder)",
+        help="where the files of defender.model and [network] are (default: beside the scenario)",
     )
     add_end_arguments(parser, "controller")
 
@@ -80,6 +80,7 @@ def run_controller(options: ControllerOptions) -> int:
         When an option's value is wrong.
     """
     from controller_service.service import ControllerConfig, ControllerService, run_controllers
+    from runtime.network import check_delays
     from runtime.scenario_file import keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
@@ -94,6 +95,10 @@ def run_controller(options: ControllerOptions) -> int:
                 fleet, folder, _law_of, bounds, pace, field, management, stopping
             )
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
+    folder = folder_of(
+        "--model-folder", options.model_folder, scenario_file_of(options.scenario).parent
+    )
+    check_delays(scenario, folder)
     if options.check:
         return DONE
     config = ControllerConfig(
@@ -107,9 +112,7 @@ def run_controller(options: ControllerOptions) -> int:
         secret=None if options.secret is None else Path(options.secret),
         clear_alarm=options.clear_alarm,
         run_dir=run_dir_of(options.run_dir),
-        folder=folder_of(
-            "--model-folder", options.model_folder, scenario_file_of(options.scenario).parent
-        ),
+        folder=folder,
     )
     with buses_of(options, "controller") as (stopping, field, management):
         keep_scenario(config.run_dir, options.scenario)

@@ -42,6 +42,7 @@ from runtime.run_folder import (
     CONTROLLER_TRACE,
 )
 from runtime.scenario_file import keep_scenario, scenario_of
+from runtime.shipped import scenario_file_of
 from runtime.user_code import UserCodeError
 
 
@@ -199,7 +200,10 @@ def run_controllers(
             laws[loop.scenario] = (scenario, law_of(scenario))
         scenario, law = laws[loop.scenario]
         config = ControllerConfig(
-            scenario, folder, loop.id, law, loop.payload, pace, seed=loop.seed, bounds=bounds
+            *(scenario, folder, loop.id, law, loop.payload, pace),
+            seed=loop.seed,
+            bounds=bounds,
+            folder=scenario_file_of(loop.scenario).parent,
         )
         core, files = open_controller(config, status_s=FLEET_STATUS_S)
         return behind(_channel(config), files.guarded or core, Measurement), files

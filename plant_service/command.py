@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--plant-folder",
         metavar="D",
-        help="where the files are that [plant] names (default: the scenario's own folder)",
+        help="where the files are that [plant] and [network] name (default: beside the scenario)",
     )
     parser.add_argument(
         "--clear-safe",
@@ -68,6 +68,7 @@ def run_plant(options: PlantOptions) -> int:
         When an option's value is wrong.
     """
     from plant_service.service import PlantConfig, PlantService, run_plants
+    from runtime.network import check_delays
     from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
@@ -83,6 +84,10 @@ def run_plant(options: PlantOptions) -> int:
             return run_plants(fleet, folder, pace, bounds, field, management, stopping)
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     attack = attack_option(options.attack, scenario.attack, options.steps)
+    folder = folder_of(
+        "--plant-folder", options.plant_folder, scenario_file_of(options.scenario).parent
+    )
+    check_delays(scenario, folder)
     if options.check:
         return DONE
     config = PlantConfig(
@@ -95,9 +100,7 @@ def run_plant(options: PlantOptions) -> int:
         bounds=bounds,
         secret=None if options.secret is None else Path(options.secret),
         run_dir=run_dir_of(options.run_dir),
-        folder=folder_of(
-            "--plant-folder", options.plant_folder, scenario_file_of(options.scenario).parent
-        ),
+        folder=folder,
     )
     if options.clear_safe:
         (config.run_dir / PLANT_SAFE).unlink(missing_ok=True)

@@ -5,8 +5,8 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 
 from attacker_service.asking import Attacker
-from plant_service.adapters.base import PlantAdapter, Stepped
-from plant_service.adapters.registry import is_model, open_plant
+from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
+from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
 from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import (
@@ -111,6 +111,8 @@ def open_core(
         try:
             if operated.device and pacing.step_s != scenario.plant.period_s:
                 raise UsageError("--pace: expected realtime, as the plant is a device")
+            if operated.device and spec is not None:
+                raise PlantError(NOISE_OF_ITS_OWN)
             x = operated.start(seed)
         except BaseException:
             operated.close()

@@ -45,6 +45,7 @@ from runtime.run_folder import (
     PLANT_TRACE,
 )
 from runtime.scenario_file import keep_scenario, scenario_of
+from runtime.shipped import scenario_file_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +230,12 @@ def run_plants(
             kind = scenario.plant.kind
             said = f"plant.kind: got {kind!r}, expected linear in a fleet"
             raise UsageError(f"{loop.scenario}: {said}")
-        config = PlantConfig(scenario, folder, loop.id, pace, seed=loop.seed, bounds=bounds)
+        config = PlantConfig(
+            *(scenario, folder, loop.id, pace),
+            seed=loop.seed,
+            bounds=bounds,
+            folder=scenario_file_of(loop.scenario).parent,
+        )
         phase = number % SLOTS / SLOTS
         core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
         return behind(_channel(config), files.guarded or core, Offer), files

@@ -6,7 +6,7 @@ if TYPE_CHECKING:
     from pydantic_core import ErrorDetails
 
 EXPECTED: Final = {
-    "tuple_type": "expected a list, such as [1.0] for one number",
+    "tuple_type": 'expected a list, such as [1.0] or ["name"]',
     "missing": "expected here, and not given",
     "extra_forbidden": "no such field",
     "float_type": "expected a number",

@@ -53,11 +53,11 @@ class Addresses:
     scouting: bool = False
 
 
-def check_endpoint(endpoint: str, *, tls: bool = False) -> str:
+def check_endpoint(endpoint: str, option: str = "endpoint", *, tls: bool = False) -> str:
     """Return ``endpoint`` when it reads ``tcp/HOST:PORT``, or ``tls/HOST:PORT`` with ``tls``.
 
     Without ``tls`` it may be ``udp/HOST:PORT`` too: there a lost datagram stays lost. Where HOST is
-    a multicast group each message is one datagram, whoever listens.
+    a multicast group each message is one datagram, whoever listens. ``option`` is what gave it.
 
     Raises
     ------
@@ -67,7 +67,7 @@ def check_endpoint(endpoint: str, *, tls: bool = False) -> str:
     protocols = ("tls",) if tls else ("tcp", "udp")
     found = _ENDPOINT.fullmatch(endpoint)
     if found is None or int(found[3]) > 65535 or found[1] not in protocols:
-        raise TransportError(f"endpoint: got {endpoint!r}, expected {protocols[0]}/HOST:PORT")
+        raise TransportError(f"{option}: got {endpoint!r}, expected {protocols[0]}/HOST:PORT")
     return endpoint
 
 

@@ -141,9 +141,9 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
     for option, pairs in (("--listen", listens), ("--connect", connects)):
         for name, endpoint in pairs:
             try:
-                check_endpoint(endpoint, tls=name in folders)
+                check_endpoint(endpoint, f"{option} {name}", tls=name in folders)
             except TransportError as error:
-                raise UsageError(f"{option} {name}: {error}") from None
+                raise UsageError(str(error)) from None
     for name in options.client:
         if name not in defaults:
             expected = bus_names(name, defaults)

@@ -13,6 +13,15 @@ Direction = Literal["to_plant", "to_controller"]
 MOST_DELAYS: Final = 1_000_000
 """Lines of a file of measured delays at most."""
 
+MOST_BYTES: Final = 64 * MOST_DELAYS
+"""Of such a file."""
+
+SHOWN: Final = 40
+"""Characters of a wrong line that are told."""
+
+MOST_PERIODS: Final = 40
+"""Periods for which a message under way is waited for; a later one counts as never."""
+
 
 def measured_delays(table: ChannelTable, folder: Path) -> tuple[float, ...]:
     """The delays of a direction's file, in seconds; none where it has no file.
@@ -26,12 +35,17 @@ def measured_delays(table: ChannelTable, folder: Path) -> tuple[float, ...]:
         return ()
     path = folder / table.file
     try:
-        lines = path.read_text(encoding="utf-8").split()
+        if path.exists() and not path.is_file():
+            raise OSError(0, "expected a regular file")
+        with path.open("rb") as file:
+            raw = file.read(MOST_BYTES + 1)
+        lines = raw.decode("utf-8-sig").split()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UsageError(f"network: {path}: cannot be read: {reason}") from None
-    if not 1 <= len(lines) <= MOST_DELAYS:
-        raise UsageError(f"network: {path}: got {len(lines)} delays, expected 1 to {MOST_DELAYS}")
+    if len(raw) > MOST_BYTES or not 1 <= len(lines) <= MOST_DELAYS:
+        count = f"more than {MOST_BYTES} bytes" if len(raw) > MOST_BYTES else f"{len(lines)} delays"
+        raise UsageError(f"network: {path}: got {count}, expected 1 to {MOST_DELAYS} delays")
     found = []
     for number, line in enumerate(lines, start=1):
         try:
@@ -39,9 +53,25 @@ def measured_delays(table: ChannelTable, folder: Path) -> tuple[float, ...]:
         except ValueError:
             value = -1.0
         if value < 0 or not isfinite(value):
-            raise UsageError(f"network: {path}: delay {number}: got {line}, expected seconds")
+            got = line if len(line) <= SHOWN else f"{line[:SHOWN]}..."
+            raise UsageError(
+                f"network: {path}: delay {number}: got {got}, expected seconds, 0 or more"
+            )
         found.append(value)
     return tuple(found)
+
+
+def check_delays(scenario: Scenario, folder: Path) -> None:
+    """Read the files of measured delays before anything is started.
+
+    Raises
+    ------
+    UsageError
+        As :func:`measured_delays`.
+    """
+    if scenario.network is not None:
+        for way in (scenario.network.to_controller, scenario.network.to_plant):
+            measured_delays(way, folder)
 
 
 def channel_of(
@@ -80,9 +110,13 @@ def channel_of(
 
 
 def round_trip_s(scenario: Scenario, folder: Path) -> float:
-    """Seconds of the plant's clock within which a measurement is answered, but very rarely."""
+    """Seconds of the plant's clock within which a measurement is answered, but very rarely.
+
+    At most `MOST_PERIODS` periods.
+    """
     network = scenario.network
     if network is None:
         return 0.0
     ways = (network.to_plant, network.to_controller)
-    return sum(way.longest_s(measured_delays(way, folder)) for way in ways)
+    longest = sum(way.longest_s(measured_delays(way, folder)) for way in ways)
+    return min(longest, MOST_PERIODS * scenario.plant.period_s)

@@ -384,6 +384,20 @@ def parts_of(path: Path) -> list[Path]:
     return sorted([*found, path] if path.is_file() else found, key=number_of)
 
 
+def ended(path: Path) -> bool:
+    """Whether the recording at ``path`` was ended by its writer, and not cut or left.
+
+    Raises
+    ------
+    OSError
+        When its newest part cannot be read.
+    """
+    with parts_of(path)[-1].open("rb") as file:
+        file.seek(max(0, file.seek(0, os.SEEK_END) - 2 * END_BYTES))
+        last = file.read().rpartition(b"\n{")[2]
+    return last.startswith(f'"event":"{END}"'.encode()) and last.endswith(b"}\n")
+
+
 # --- traces ---------------------------------------------------------------------------------------
 
 TRACE_FORMAT: Final = "wyner-trace"

@@ -206,8 +206,9 @@ class ZenohBus(Bus):
     ) -> None:
         if client and (listen or not connect):
             raise TransportError("client: expected endpoints to connect to, and none to listen on")
-        for endpoint in (*listen, *connect):
-            check_endpoint(endpoint, tls=tls is not None)
+        for option, given in (("listen", listen), ("connect", connect)):
+            for endpoint in given:
+                check_endpoint(endpoint, option, tls=tls is not None)
         for endpoint in filter(is_group, connect):
             raise TransportError(f"{endpoint}: a multicast group: expected it to be listened on")
         import zenoh

@@ -29,6 +29,9 @@ LOSSES: Final = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7)
 ROUND_TRIPS: Final = (0.2, 0.6, 0.8, 1.0, 1.2)
 """Mean round trip in periods; each way takes half of it, with half of that as its deviation."""
 
+DIGITS: Final = 12
+"""Of the computed share: those beyond are the machine's algebra's."""
+
 COLUMNS: Final = (
     "part",
     "value",
@@ -80,7 +83,7 @@ def network_rows() -> Iterator[tuple[Any, ...]]:
                     RUNS,
                     STEPS,
                     seed,
-                    expected_missed_share(scenario),
+                    round(expected_missed_share(scenario) or 0.0, DIGITS),
                     *_mean(runs.missed_share),
                     *_mean(runs.mean_cost),
                     *_mean(rate),

@@ -147,7 +147,7 @@ def names_of(values: Iterable[str]) -> tuple[str, ...]:
     return tuple(n.strip() for value in values for n in value.split(",") if n.strip())
 
 
-def find_each(names: Iterable[str], find: Callable[[str], object], where: str = "") -> None:
+def find_each(names: Iterable[str], find: Callable[[str], object], where: str) -> None:
     """Find every eavesdropper, before anything starts.
 
     Raises
@@ -281,7 +281,7 @@ def run_with_knowledge(
     def config_of(told: GivenKnowledge | None, loop: str, folder: Path) -> TapConfig:
         assert told is not None, "a fleet's taps are told by loop"
         names = names_of(options.eavesdropper)
-        names, where = (names, "") if names else (told.names, told.where)
+        names, where = (names, "--eavesdropper: ") if names else (told.names, told.where)
         view = view_of(options, told.view)
         config = TapConfig(
             run_dir=folder,
@@ -322,5 +322,7 @@ def run_with_knowledge(
             return DONE
         with alone_in(run_dir_of(options.run_dir) / "tap"):
             return run_tap(config, with_metrics)
-    except (KnowledgeError, TransportError) as error:
+    except TransportError as error:
         raise UsageError(str(error)) from None
+    except KnowledgeError as error:
+        raise UsageError(f"--eavesdropper: {error}") from None

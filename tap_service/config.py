@@ -56,7 +56,7 @@ class TapConfig:
         """What the eavesdropper ``name`` is told; the oracle's model has no error."""
         if name == ORACLE:
             if self.oracle_knowledge is None:
-                raise KnowledgeError(f"eavesdropper {ORACLE}: expected a scenario, which has alpha")
+                raise KnowledgeError(f"{ORACLE}: expected a scenario, which has alpha")
             return self.oracle_knowledge
         return self.view.knowledge(self.knowledge, model=guarded(name).told_model)
 

@@ -95,7 +95,7 @@ def guarded(name: str) -> type[Eavesdropper]:
     except SandboxError as error:
         if error.kind == LACKS:
             raise KnowledgeError(str(error)) from None
-        raise KnowledgeError(f"eavesdropper {name}: cannot be loaded: {error}") from None
+        raise KnowledgeError(f"{name}: cannot be loaded: {error}") from None
     finally:
         process.close()
     attributes = {

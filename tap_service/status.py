@@ -74,9 +74,7 @@ class Listener:
         except KnowledgeError:
             raise
         except Exception as error:
-            raise KnowledgeError(
-                f"eavesdropper {kind.name}: cannot be made: {_in_short(error)}"
-            ) from None
+            raise KnowledgeError(f"{kind.name}: cannot be made: {_in_short(error)}") from None
 
     def observe(self, transition: Transition) -> Guess | None:
         """Feed her one transition; None once she has failed, and from one who does not guess."""

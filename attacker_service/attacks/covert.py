@@ -15,7 +15,9 @@ class Covert(BusAttack):
     """u_a on top of every candidate; e(k+1) = A e(k) + B u_a is taken off x(k+1).
 
     Where a candidate would leave U, which the plant refuses, as much of u_a is added as fits to all
-    of them. A step whose offer was not applied moves e by A alone.
+    of them. A step whose offer was not applied moves e by A alone, as where the fallback is zero.
+    Under another one she shows a part of what she did. No alarm comes of it: the controller tests
+    no such step, and each step that it tests moves e by the model, whatever e was.
     """
 
     class Options(CommonOptions):

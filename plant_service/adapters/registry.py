@@ -178,6 +178,10 @@ for kind in KINDS:
     PLANTS.register(name, kind)
 
 
+NOISE_OF_ITS_OWN = "plant.noise: expected none of a device, whose sensors have their own"
+"""Why a device's scenario is refused that would have noise simulated."""
+
+
 def is_model(scenario: Scenario) -> bool:
     """Whether the plant is two matrices and nothing else, which nobody has to open."""
     plant = scenario.plant

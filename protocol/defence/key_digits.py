@@ -16,7 +16,7 @@ Once x(k+1) is out, the digit is public: everybody sees which candidate explains
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Final, NamedTuple
+from typing import Final
 
 from protocol.agreement import INSIDE
 
@@ -76,32 +76,6 @@ def digits(key: bytes, size: int) -> tuple[int, ...]:
                 word, digit = divmod(word, size)
                 out.append(digit)
     return tuple(out)
-
-
-class KeyDigits(NamedTuple):
-    """The choices of the steps that one key serves.
-
-    Parameters
-    ----------
-    key_id : str
-    first : int
-        The step that its first digit belongs to.
-    digits : tuple of int
-    """
-
-    key_id: str
-    first: int
-    digits: tuple[int, ...]
-
-    def digit(self, k: int) -> int | None:
-        """The candidate of step ``k``; None where the key has no digit for it."""
-        at = k - self.first
-        return self.digits[at] if 0 <= at < len(self.digits) else None
-
-    @property
-    def end(self) -> int:
-        """The first step after those that it serves."""
-        return self.first + len(self.digits)
 
 
 def fails(gauges: Sequence[float], digit: int) -> bool:

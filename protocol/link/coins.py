@@ -13,7 +13,7 @@ from math import inf
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
-from protocol.defence.key_digits import KeyDigits, digits
+from protocol.defence.key_digits import digits
 from protocol.messages import Offer
 from protocol.secret.records import Key
 from protocol.secret.tasks import CoinKeys, CoinTask
@@ -81,8 +81,8 @@ class _Coins:
         name, first = offer.coin_key, offer.coin_from
         if not name or first is None:
             return None
-        found = self._digits.get(name)
-        return None if found is None else KeyDigits(name, first, found).digit(offer.k)
+        found, at = self._digits.get(name, ()), offer.k - first
+        return found[at] if 0 <= at < len(found) else None
 
     def _task(self, number: int, served: tuple[str, ...]) -> CoinTask:
         self._asked = True
@@ -208,12 +208,8 @@ class AppliedCoins(_Coins):
         are left.
         """
         name, first = offer.coin_key, offer.coin_from
-        if offer.coin_last and offer.coin_last != self._newest:
-            self._wanted = offer.coin_last
-        if not name or first is None or first > offer.k:
-            return None
-        if name not in self._digits:
-            self._wanted = offer.coin_last or name
+        self._wanted = self._lacked(offer.coin_last or name or "")
+        if not name or first is None or first > offer.k or name not in self._digits:
             return None
         if name != self.key:
             for before in list(self._digits):
@@ -237,6 +233,12 @@ class AppliedCoins(_Coins):
     def done(self, done: CoinKeys, now: float) -> None:
         """Take keys that the controller has had marked."""
         self._take(done)
-        if self._wanted in self._digits or self._wanted == self._newest:
-            self._wanted = ""
+        self._wanted = self._lacked(self._wanted)
         self.again_at = -inf if done.keys else now + LACKING_S
+
+    def _lacked(self, newest: str) -> str:
+        """The newest key that the controller holds, if this end has not read it yet; or nothing.
+
+        This end may hold newer ones, which the controller has not been told of yet.
+        """
+        return "" if newest in self._digits or newest == self._newest else newest

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Final, Literal
 
 from protocol.defence.alarm_rule import AlarmRule, alarm_rule
 from protocol.defence.words import KEY_WORDS
-from protocol.registry import UnknownError
+from protocol.registry import UnknownError, names_a_file
 from protocol.scenario.defender import Calibration
 from protocol.scenario.keys import Keys
 from protocol.scenario.link import Link
@@ -19,6 +19,9 @@ CLEAR: Final = "clear"
 
 TESTS: Final = ("residual", "keyed-coin")
 """The tests that are shipped."""
+
+GUARDS: Final = (CLEAR, "mac", "coding")
+"""What is shipped to guard messages, and nothing."""
 
 
 def _class(name: str) -> "type[Defence]":
@@ -143,17 +146,25 @@ class DefenceTable(ScenarioTable):
         """Why a defence cannot do what ``field`` asks of it."""
         from protocol.defence.registry import DEFENCES
 
+        shipped, own = (
+            (TESTS, "a test without a key of its own")
+            if field == "kind"
+            else (GUARDS, "one that codes or tags")
+        )
+        expected = f"expected {', '.join(shipped)} or {own}, as path/to/file.py:Name"
+        other = f"defence.{field}: got {name!r}, {expected}"
+        if name not in DEFENCES and not names_a_file(name):
+            yield other
+            return
         try:
             made = DEFENCES[name](states, candidates)
         except UnknownError as error:
             yield f"defence.{field}: {error}"
             return
         words = made.session_words + made.step_words
-        if field == "kind" and (words or name in DEFENCES.shipped):
-            one = "a test without a key of its own, as path/to/file.py:Name"
-            yield f"defence.kind: got {name!r}, expected {', '.join(TESTS)} or {one}"
-        elif field == "messages" and not (made.codes or made.tags):
-            yield f"defence.messages: got {name!r}, expected clear, mac, coding or one that codes"
+        tests, guards = not words and name not in DEFENCES.shipped, made.codes or made.tags
+        if not (tests if field == "kind" else guards):
+            yield other
         elif field == "messages" and not made.step_words:
             yield f"defence.messages: {name}: expected one with a fresh key for each message"
         elif field == "messages" and words > KEY_WORDS:

@@ -12,6 +12,9 @@ from protocol.scenario.parts import Positive, ScenarioTable
 LONG: float = 6.0
 """Standard deviations beyond its mean that a gamma delay is allowed for."""
 
+WIDEST: float = 1000.0
+"""Mean over deviation of a gamma delay, and its inverse, at most."""
+
 
 class ChannelTable(Losses, ScenarioTable):
     """One direction: each message is lost or comes late, by draws of its own.
@@ -50,6 +53,11 @@ class ChannelTable(Losses, ScenarioTable):
             )
         if self.delay == "gamma" and not (self.delay_s and self.jitter_s):
             raise ValueError("delay_s and jitter_s: expected both above 0 where delay is 'gamma'")
+        if self.delay == "gamma" and not 1 / WIDEST <= self.jitter_s / self.delay_s <= WIDEST:
+            raise ValueError(
+                f"jitter_s: got {self.jitter_s:g}, expected from delay_s / {WIDEST:g} "
+                f"to {WIDEST:g} delay_s, {self.delay_s:g}"
+            )
         return self
 
     @property

@@ -77,4 +77,4 @@ def named(name: str) -> type[Eavesdropper]:
     try:
         return EAVESDROPPERS[name]
     except UnknownError as error:
-        raise KnowledgeError(f"eavesdropper: {error}") from None
+        raise KnowledgeError(str(error)) from None

@@ -230,7 +230,7 @@ class Eavesdropper(ABC):
         """
         if knowledge.C is not None and not cls.reads_outputs:
             raise KnowledgeError(
-                f"eavesdropper {cls.name}: wants whole states, and this plant is read through "
+                f"{cls.name}: wants whole states, and this plant is read through "
                 "some outputs alone (plant.C)"
             )
 
@@ -286,7 +286,7 @@ class Model:
         missing = [f for f in ("A", "B", "disturbance_H", "disturbance_h") if getattr(k, f) is None]
         if missing:
             raise KnowledgeError(
-                f"eavesdropper {needed_by}: knowledge lacks {', '.join(missing)}, expected a model"
+                f"{needed_by}: knowledge lacks {', '.join(missing)}, expected a model"
             )
         assert k.A is not None
         assert k.B is not None

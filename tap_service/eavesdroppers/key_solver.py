@@ -103,7 +103,7 @@ class KeySolver(Eavesdropper):
         schedule = None if knowledge.keys is None else schedule_of(knowledge.keys)
         if schedule is None:
             raise KnowledgeError(
-                f"eavesdropper {self.name}: knowledge lacks keys, expected a claim that makes some"
+                f"{self.name}: knowledge lacks keys, expected a claim that makes some"
             )
         self._schedule = schedule
         self._claim = schedule.assumption

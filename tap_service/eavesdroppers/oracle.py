@@ -24,7 +24,7 @@ class Oracle(Following):
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         if knowledge.alpha is None:
-            raise KnowledgeError(f"eavesdropper {self.name}: knowledge lacks alpha")
+            raise KnowledgeError(f"{self.name}: knowledge lacks alpha")
         assert knowledge.disturbance_H is not None
         assert knowledge.disturbance_h is not None
         h = tuple(b / knowledge.alpha for b in knowledge.disturbance_h)

@@ -14,7 +14,7 @@ from attacker_service.attacks.replay import Replay
 from attacker_service.attacks.stuck import Stuck
 from attacker_service.base import AttackError, Observation
 from protocol.arrays import Array
-from tests.attacker.watched import SPACING, WIDTHS, B, model, rewritten, spoofed
+from tests.attacker.watched import SPACING, WIDTHS, A, B, model, rewritten, spoofed
 
 NONE: dict[str, Any] = {}
 
@@ -115,6 +115,27 @@ def test_covert_stays_in_U_and_follows_a_step_that_was_missed() -> None:
     covert.toward_plant(4, edge)
     missed = covert.toward_controller(5, x, np.array(False))
     assert np.allclose(missed, model().A @ first)
+
+
+@pytest.mark.parametrize("holds", [False, True])
+def test_covert_gives_no_tested_step_away_where_some_are_missed(holds: bool) -> None:
+    covert, chance = Covert(model(), {"input": 0.3}, rng()), np.random.default_rng(4)
+    x = np.array([4.0, -2.0])
+    shown, in_force, off, tested = x, np.zeros(1), 0.0, 0
+    for k in range(200):
+        u = np.clip(-0.3 * shown[:1] - 0.5 * shown[1:], -5, 5)
+        offered = covert.toward_plant(k, u[None])
+        applied = chance.random() < 0.7
+        in_force = offered[0] if applied else in_force * holds
+        d = chance.uniform(-WIDTHS, WIDTHS)
+        x = A @ x + B @ in_force + d
+        after = covert.toward_controller(k + 1, x, np.array(applied))
+        if applied:
+            tested += 1
+            assert np.allclose(after - A @ shown - B @ u, d)
+        shown, off = after, np.abs(x - after).max()
+    assert tested > 100
+    assert off > 1
 
 
 def test_stuck_keeps_the_last_input_or_a_value() -> None:

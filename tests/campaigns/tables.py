@@ -25,11 +25,15 @@ from wyner.simulate.missed import missed_steps
 
 BURSTS: Final = "loss = 0.05\nloss_bad = 0.9\nto_bad = 0.05\nto_good = 0.3\n"
 JITTER: Final = 'delay = "gamma"\ndelay_s = 0.03\njitter_s = 0.02\n'
+MEASURED: Final = 'delay = "measured"\nfile = "delays.txt"\n'
+DELAYS: Final = "0.004\n0.012\n0.031\n0.058\n0.012\n0.24\n"
+"""A file of measured delays, one of them longer than two steps."""
 TABLES: Final = {
     "losses": ("loss = 0.4\n", "loss = 0.4\n"),
     "bursts": ("", BURSTS),
     "jitter": (JITTER, JITTER),
     "late": ("delay_s = 0.05\n", 'delay = "uniform"\ndelay_s = 0.03\njitter_s = 0.03\n'),
+    "measured": (MEASURED, MEASURED),
 }
 """Each table's two directions, to the controller and to the plant, as in a scenario's file."""
 
@@ -38,12 +42,13 @@ MANY: Final = 400
 
 
 def scenario_file(folder: Path, name: str) -> Path:
-    """The scenario `sustained` behind a table, in a file."""
+    """The scenario `sustained` behind a table, in a file beside that of the measured delays."""
     up, down = TABLES[name]
     text = (SCENARIOS / "sustained.toml").read_text()
     text += f"\n[network.to_controller]\n{up}\n[network.to_plant]\n{down}"
     path = folder / f"{name}.toml"
     path.write_text(text)
+    (folder / "delays.txt").write_text(DELAYS)
     return path
 
 
@@ -72,7 +77,7 @@ def live(folder: Path, name: str, seed: int, steps: int, pace: str) -> dict[str,
     events = read_trace(run_dir / PLANT_TRACE).events
     without = {e["k"] for e in events if e["event"] == "missed"}
     made = {e["k"] for e in events if e["event"] == "transition"}
-    taken = missed_steps(load_scenario(file), seed=seed, runs=range(1), steps=steps)
+    taken = missed_steps(load_scenario(file), seed=seed, runs=range(1), steps=steps, folder=folder)
     assert taken is not None
     table = {k for k in range(steps) if taken[k, 0]}
     return {
@@ -91,8 +96,8 @@ def judged(folder: Path, name: str, rows: Sequence[dict[str, Any]]) -> tuple[boo
     """Whether a table's runs are as computed, and the line that says so."""
     scenario = load_scenario(scenario_file(folder, name))
     steps = rows[0]["steps"]
-    expected = expected_missed_share(scenario)
-    many = missed_steps(scenario, seed=999, runs=range(MANY), steps=steps)
+    expected = expected_missed_share(scenario, folder)
+    many = missed_steps(scenario, seed=999, runs=range(MANY), steps=steps, folder=folder)
     assert many is not None
     assert expected is not None
     spread = float(many.mean(axis=0).std()) / len(rows) ** 0.5

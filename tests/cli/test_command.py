@@ -137,7 +137,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["plant", "--seed", "-1"], "--seed: got -1"),
         (["plant", "--loop", "a/b"], "--loop: got 'a/b'"),
         (["plant", "--pace", "fast", "--listen", "field"], "--listen: got 'field', expected BUS="),
-        (["plant", "--listen", "field=foo"], "--listen field: endpoint: got 'foo', expected tcp/"),
+        (["plant", "--listen", "field=foo"], "--listen field: got 'foo', expected tcp/"),
         (["plant", "--listen", "adversary=tcp/127.0.0.1:1"], "with BUS one of field, management"),
         (["plant", "--listen", "field=nowhere"], "got 'nowhere', expected tcp/HOST:PORT"),
         (["controller", "--connect", "management=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),
@@ -289,8 +289,7 @@ def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anyt
     for command in (["up"], ["tap", "--run-dir", "runs"]):
         lines = usage_error(capsys, *command, "--scenario", "mine.toml")
         assert [line.partition(", expected")[0] for line in lines] == [
-            f"wyner: mine.toml: tap.eavesdroppers: eavesdropper: got {name!r}"
-            for name in ("eve", "zip")
+            f"wyner: mine.toml: tap.eavesdroppers: got {name!r}" for name in ("eve", "zip")
         ]
         assert not (tmp_path / "runs").exists()
 

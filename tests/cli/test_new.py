@@ -338,4 +338,4 @@ def test_a_sweep_names_an_eavesdropper_that_is_not_there(
         'eavesdroppers = ["nobody"]\n'
     )
     assert main(["sweep", str(sweep), "--output", str(tmp_path / "s.csv")]) == 2
-    assert "eavesdropper: got 'nobody'" in capsys.readouterr().err
+    assert "eavesdroppers: got 'nobody'" in capsys.readouterr().err

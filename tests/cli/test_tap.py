@@ -127,7 +127,7 @@ def test_the_oracle_in_a_replay_needs_the_scenario(
 ) -> None:
     code, _, err = call(capsys, "score", run_dir, "--decode", "--eavesdropper", "oracle")
     assert code == 2
-    assert err == "wyner: eavesdropper oracle: expected --scenario, for alpha\n"
+    assert err == "wyner: --eavesdropper: oracle: expected --scenario, for alpha\n"
     asked = ("score", run_dir, "--decode", "--eavesdropper", "oracle")
     report = json.loads(call(capsys, *asked, "--scenario", "sustained", "--json")[1])
     assert report["taps"]["oracle"]["message"] == run.payloads[0].decode()

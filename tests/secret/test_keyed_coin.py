@@ -212,6 +212,21 @@ def test_the_plant_binds_a_key_to_its_first_step_and_takes_none_that_was_left() 
     assert plant.digit(offer(13, "k1", 9)) is None
 
 
+def test_a_plant_that_holds_newer_keys_than_the_controller_does_not_look_for_more() -> None:
+    plant = AppliedCoins(2, on=True)
+    plant.begin("s", keys(1))
+
+    def offered(k: int, newest: str) -> tuple[CoinTask, ...]:
+        plant.digit(offer(k, "k0", 0).model_copy(update={"coin_last": newest}))
+        return plant.tasks(10.0 * k)
+
+    assert offered(0, "k0") == ()
+    assert offered(1, "k1") == (CoinTask("s", "k0", 0, ()),)
+    plant.done(CoinKeys("s", tuple(keys(4)[1:])), 10.0)
+    assert [offered(k, f"k{k - 1}") for k in range(2, 5)] == [()] * 3  # it has k3 already
+    assert offered(5, "k4") == (CoinTask("s", "k3", 0, ()),)
+
+
 def test_what_cannot_be_agreed_is_unwatched() -> None:
     controller = OfferedCoins(2, on=True)
     controller.begin("s", keys(1))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import DATA, corners, outputs, readings, waiting
+from studies import DATA, corners, network, outputs, readings, waiting
 from studies.__main__ import main
 
 
@@ -85,6 +85,27 @@ def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers
     assert large["within"] == 1
     assert large["offer_secret"] > 40
     assert large["offer_resolved"] == 0
+
+
+def test_the_share_computed_lies_in_the_interval_of_each_point_on_record() -> None:
+    """33 rows: six losses and five delays under three fallbacks, 100 runs of 500 steps each."""
+    rows = recorded("network")
+    assert len(rows) == 33
+    for row in rows:
+        low, high = float(row["missed_low"]), float(row["missed_high"])
+        assert low <= float(row["expected_missed"]) <= high, row
+
+
+def test_a_point_of_the_network_measured_now_is_the_one_on_record(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Losses of 0.4 each way: cost, rate and missed steps under the three fallbacks."""
+    monkeypatch.setattr(network, "LOSSES", (0.4,))
+    monkeypatch.setattr(network, "ROUND_TRIPS", ())
+    monkeypatch.setattr(network, "FIRST_SEED", {"loss": 102, "delay": 200})
+    now = [dict(zip(network.COLUMNS, map(str, row), strict=True)) for row in network.network_rows()]
+    there = [row for row in recorded("network") if (row["part"], row["value"]) == ("loss", "0.4")]
+    assert [{k: row[k] for k in network.COLUMNS} for row in there] == now
 
 
 def test_data_are_measured_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -272,7 +272,7 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, name: str, expected: str) -> N
     "name", ["set-membership", "nearest-centre", "list-decoder", "smoother", "oracle"]
 )
 def test_one_who_needs_a_model_says_what_she_lacks(name: str) -> None:
-    with pytest.raises(KnowledgeError, match=f"eavesdropper {name}: knowledge lacks A, B"):
+    with pytest.raises(KnowledgeError, match=f"{name}: knowledge lacks A, B"):
         named(name)(Knowledge(scenario="s", period_s=0.1, candidates=2))
 
 

@@ -16,16 +16,13 @@ import numpy as np
 
 from protocol.arrays import Array
 from protocol.scenario import ChannelTable, Scenario
-from runtime.network import measured_delays
+from runtime.network import MOST_PERIODS, measured_delays
 
 QUANTILES: Final = 4000
 """Equally likely delays of one direction, over which the round trip's distribution is summed."""
 
 EDGE: Final = 1e-9
 """Of a step: an offer that comes with the tick is too late."""
-
-MOST_PERIODS: Final = 40
-"""Periods for which an offer under way is followed; later ones count as never."""
 
 
 class _Way(NamedTuple):

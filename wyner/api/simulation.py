@@ -191,7 +191,7 @@ def run(
     seed: int = 1,
     message: bytes = b"",
     plant: Stepped | PlantAdapter | None = None,
-    folder: str | Path = ".",
+    folder: str | Path | None = None,
 ) -> Simulated:
     """Simulate runs of a system; run r of a seed is the same however many others there are.
 
@@ -209,15 +209,18 @@ def run(
     plant : Stepped or PlantAdapter, optional
         An object of one's own in place of the scenario's plant, in physical units; it is reset, or
         started, for each run.
-    folder : path
-        Where the files that the scenario's plant names are looked for.
+    folder : path, optional
+        Where the files that the scenario names are looked for, if not in the system's folder.
 
     Raises
     ------
     SimulationError
-        When a state leaves every set or a plant fails; the message names run and step.
+        When a state leaves every set or a plant fails; the message names run and step. Also for a
+        device of which outputs alone are read.
     PlantError
         When the plant cannot be opened.
+    UsageError
+        When a file of measured delays cannot be read.
     ValueError
         When a number is none that can be, the message is text, or the scenario has an attack.
     """
@@ -231,6 +234,7 @@ def run(
     s = system if isinstance(system, System) else design(system)
     if s.scenario.attack is not None:
         raise ValueError(f"{s.scenario.name}: {UNATTACKED}")
+    place = s.folder if folder is None else Path(folder)
     linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
     if plant is None and linear:
         record = simulate_runs(
@@ -240,17 +244,17 @@ def run(
             runs=range(runs),
             steps=steps,
             record=True,
-            folder=Path(folder),
+            folder=place,
         )
     else:
         record = simulate_plant(
             s.scenario,
             s.law,
-            lambda: open_plant(s.scenario, Path(folder), plant),
+            lambda: open_plant(s.scenario, place, plant),
             seed=seed,
             runs=range(runs),
             steps=steps,
-            folder=Path(folder),
+            folder=place,
         )
     return Simulated(s, seed, record, transfer(record, payloads=[message] if message else []))
 

@@ -76,11 +76,14 @@ class System(Brief):
     design : Design
         The sets T_0..T_N.
     law : CandidateLaw
+    folder : Path
+        Where the files that the scenario names are: beside its own, or here.
     """
 
     scenario: Scenario
     design: Design
     law: CandidateLaw
+    folder: Path = Path()
 
     def brief(self) -> dict[str, object]:
         """Which system it is: sizes, law, sets."""
@@ -133,6 +136,9 @@ def design(scenario: Scenario | str | Path) -> System:
     ScenarioError, SynthesisError, ProgramError
         With one line that names the field.
     """
-    s = scenario if isinstance(scenario, Scenario) else load(scenario)
-    found = cached_design(s)
-    return System(s, found, make_law(s, found))
+    folder = Path()
+    if not isinstance(scenario, Scenario):
+        folder = scenario_file_of(str(scenario)).parent
+        scenario = load(scenario)
+    found = cached_design(scenario)
+    return System(scenario, found, make_law(scenario, found), folder)

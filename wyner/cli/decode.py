@@ -76,8 +76,10 @@ def decode(args: argparse.Namespace, path: Path) -> int:
             CaptureReader(path).header.get("eavesdroppers") or DEFAULT
         )
         replay = Replay(path, names, first=args.first, last=args.last, scenario=scenario)
-    except (CaptureError, KnowledgeError) as error:
+    except CaptureError as error:
         raise UsageError(str(error)) from None
+    except KnowledgeError as error:
+        raise UsageError(f"--eavesdropper: {error}") from None
     try:
         if args.watch:
             _watch(replay)

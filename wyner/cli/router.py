@@ -98,7 +98,7 @@ def check_guards(
 
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
-    from runtime.addresses import TlsFiles
+    from runtime.addresses import TlsFiles, check_endpoint
     from runtime.bus import TransportError
     from runtime.zenoh_bus import log_access, open_router
     from wyner.deployment.access import access_control
@@ -108,6 +108,9 @@ def run(args: argparse.Namespace) -> int:
     check_guards(args.guard, listens, folders)
     log = logger("router")
     try:
+        for bus, endpoints in listens.items():
+            for endpoint in endpoints:
+                check_endpoint(endpoint, f"--listen {bus}", tls=bus in folders)
         with stop_on_signals() as stopping, ExitStack() as stack:
             if args.guard:
                 stack.enter_context(denials_told(RateLimitedLog(log)))

@@ -101,6 +101,9 @@ def _run(args: argparse.Namespace) -> int:
         if gone := run.parts_missing("plant"):
             what = f"parts 0 to {gone - 1} of the plant's trace are gone"
             print(f"wyner: {run_dir}: {what}: only what came after is scored", file=sys.stderr)
+        if not run.ended("plant"):
+            what = "the plant's trace has no end: it runs still, was killed, or the file was cut"
+            print(f"wyner: {run_dir}: {what}; what is there is scored", file=sys.stderr)
         runs.append(run)
     report = reporting.report(scores)
     if args.figure is not None:
@@ -214,8 +217,10 @@ def _replayed(run: "Run", names: tuple[str, ...], scenario_name: str | None) -> 
     try:
         replay = Replay(run.folder, names, scenario=scenario)
         replay.run()
-    except (CaptureError, KnowledgeError) as error:
+    except CaptureError as error:
         raise UsageError(str(error)) from None
+    except KnowledgeError as error:
+        raise UsageError(f"--eavesdropper: {error}") from None
     return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.outputs()))
 
 

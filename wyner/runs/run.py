@@ -18,7 +18,7 @@ from pydantic_core import from_json
 
 from protocol.scenario import Scenario
 from protocol.secret.records import Side
-from runtime.recording import TraceError, TraceReader, parts_of, read_lines
+from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
     BELIEFS,
@@ -111,6 +111,19 @@ class Run:
             When it cannot be read.
         """
         return TraceReader(self.trace(side)).parts_missing
+
+    def ended(self, side: Side) -> bool:
+        """Whether an end's trace was ended by itself: it was not killed, and nothing is cut off.
+
+        Raises
+        ------
+        runtime.recording.TraceError
+            When it cannot be read.
+        """
+        try:
+            return ended(self.trace(side))
+        except OSError as error:
+            raise TraceError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
     def feed(self, side: Side, *takers: Callable[[Event], object]) -> int:
         """Hand every event of an end's trace that counts to each taker, in order.

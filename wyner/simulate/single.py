@@ -14,6 +14,7 @@ from typing import Final, NamedTuple, Protocol
 import numpy as np
 
 from plant_service.adapters import Operated, PlantError
+from plant_service.adapters.registry import NOISE_OF_ITS_OWN
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult, spread
 from protocol.agreement import predict as predict_linear
@@ -258,6 +259,8 @@ def simulate_plant(
             if outputs is not None and plant.device:
                 text = "plant.C: expected none of a device here, as its states are not known; the "
                 raise SimulationError(f"{text}two ends and wyner up run it")
+            if noise_of is not None and plant.device:
+                raise SimulationError(NOISE_OF_ITS_OWN)
             x = read(0, plant.start(seed + run))
             xs[0, :, place] = x
             toss = partial(coins.symbol, size=M)

@@ -17,6 +17,8 @@ from typing import Annotated, Any, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
+from runtime.errors import UsageError
+from runtime.network import check_delays, measured_delays
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.simulate import UNATTACKED
@@ -194,11 +196,26 @@ def canonical(value: object) -> str:
 
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
-    """What of a scenario the numbers depend on; a field that is left as it is names nothing new."""
+    """What of a scenario the numbers depend on; a field that is left as it is names nothing new.
+
+    Of measured delays that is what their file says, wherever it lies.
+    """
     neutral = NEUTRAL if scenario.network is None else NEUTRAL - {"link"}
-    return scenario.model_dump(
+    data = scenario.model_dump(
         mode="json", exclude=set(neutral), exclude_none=True, exclude_defaults=True
     )
+    for name, way in _measured(data):
+        way["file"] = _hash(measured_delays(getattr(scenario.network, name), Path()))
+    return data
+
+
+def _measured(data: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """The directions of a scenario's network whose delays are a file's, in its fields."""
+    network = data.get("network")
+    ways = network.items() if isinstance(network, dict) else ()
+    return [
+        (n, way) for n, way in ways if isinstance(way, dict) and isinstance(way.get("file"), str)
+    ]
 
 
 def _hash(value: object) -> str:
@@ -267,10 +284,14 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                         set_field(data, field_path, value)
                     except ScenarioError as error:
                         raise SweepError(f"{where}: {error}") from None
+                for _, way in _measured(data):
+                    way["file"] = str((path.parent / way["file"]).resolve())
                 try:
                     scenario = parse_scenario(data, where)
-                except ScenarioError as error:
-                    problems += [p for p in error.problems if p not in problems]
+                    check_delays(scenario, Path())
+                except (ScenarioError, UsageError) as error:
+                    said = error.problems if isinstance(error, ScenarioError) else error.lines
+                    problems += [p for p in said if p not in problems]
                     continue
                 if scenario.attack is not None:
                     problems += [p for p in [f"{where}: {UNATTACKED}"] if p not in problems]

@@ -178,3 +178,17 @@ def test_a_score_says_what_it_leaves_out(
     assert (
         "of the plant's trace are gone: only what came after is scored" in capsys.readouterr().err
     )
+
+
+def test_a_score_says_where_the_plants_trace_was_cut(
+    copied: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    said = "the plant's trace has no end: it runs still, was killed, or the file was cut"
+    newest = parts_of(copied / PLANT_TRACE)[-1]
+    whole = newest.read_bytes()
+    (copied / BELIEFS).parent.mkdir(exist_ok=True)
+    (copied / BELIEFS).write_text("{}")
+    for cut in (0, 1, 20, len(whole.splitlines(keepends=True)[-1])):
+        newest.write_bytes(whole[: len(whole) - cut])
+        assert main(["score", str(copied)]) == 0
+        assert (said in capsys.readouterr().err) == (cut > 0)

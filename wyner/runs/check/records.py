@@ -11,6 +11,7 @@ from protocol.agreement import AgreementResult
 from protocol.link.session import Rules
 from protocol.schemes.base import Carry
 from protocol.vectors import Vector
+from protocol.wrong_fields import expected_of
 
 STRICT: Final = ConfigDict(extra="forbid", strict=True)
 
@@ -356,7 +357,8 @@ def wrong(error: ValidationError) -> str:
     """A validation error in a line."""
     first = error.errors(include_url=False, include_context=False, include_input=False)[0]
     path = ".".join(str(part) for part in first["loc"])
-    return f"{path}: {first['msg'].lower()}" if path else first["msg"].lower()
+    said = expected_of(first)
+    return f"{path}: {said}" if path else said
 
 
 def payload_of(line: EventLine) -> bytes:

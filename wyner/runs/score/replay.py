@@ -67,7 +67,7 @@ class Replay:
             kind = guarded(name)
             if name == ORACLE:
                 if scenario is None:
-                    raise KnowledgeError(f"eavesdropper {ORACLE}: expected --scenario, for alpha")
+                    raise KnowledgeError(f"{ORACLE}: expected --scenario, for alpha")
                 mine = scenario.oracle_knowledge()
             else:
                 mine = self.view.knowledge(self.knowledge, model=kind.told_model)

@@ -3,6 +3,7 @@
 import base64
 import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 from protocol.statistics import COUNTED
@@ -41,8 +42,10 @@ SHOWN_PAIRS: Final = 5
 """The same for people, after the first."""
 
 
-def summarise(run: Run, payload: bytes) -> dict[str, Any]:
+def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]:
     """What a run came to, from its traces.
+
+    The network's measured delays are looked for in the folder ``delays``.
 
     ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
     ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
@@ -90,7 +93,7 @@ def summarise(run: Run, payload: bytes) -> dict[str, Any]:
         "seconds": seconds,
         "transitions": counts.transitions,
         "missed": steps - counts.transitions,
-        "missed_by_network": missed_by_network(run, counts.without, steps),
+        "missed_by_network": missed_by_network(run, counts.without, steps, delays),
         "control_cost": counts.mean_cost,
         "agreements": counts.agreements,
         "symbol_errors": counts.symbol_errors,
@@ -129,10 +132,11 @@ def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     }
 
 
-def missed_by_network(run: Run, without: Sequence[int], steps: int) -> int | None:
+def missed_by_network(run: Run, without: Sequence[int], steps: int, delays: Path) -> int | None:
     """How many of the steps without an offer the network's table takes, however fast the machine.
 
-    None without a table, in lock-step, where a step waits for its offer, and of long runs.
+    None without a table, in lock-step, where a step waits for its offer, and of long runs; also
+    where the file of measured delays is not in the folder ``delays``.
     """
     scenario, told = run.scenario, run.manifest or {}
     if scenario.network is None or told.get("pace") == LOCKSTEP or not 0 < steps <= MOST_STEPS:
@@ -140,9 +144,9 @@ def missed_by_network(run: Run, without: Sequence[int], steps: int) -> int | Non
     seed = told.get("seed")
     try:
         taken = missed_steps(
-            scenario, seed=int(seed or 0), runs=range(1), steps=steps, folder=run.folder
+            scenario, seed=int(seed or 0), runs=range(1), steps=steps, folder=delays
         )
-    except UsageError:  # the file of measured delays is not with the run
+    except UsageError:
         return None
     assert taken is not None
     return sum(bool(taken[k, 0]) for k in without if k < steps)
