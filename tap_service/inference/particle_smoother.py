@@ -176,13 +176,17 @@ class ParticleSmoother:
         groups = [self._weighed(way, predictions, w, Q) for way in ways]
         table = np.concatenate([g.ravel() for g, *_ in groups])
         flat, total = self._picked(table, count)
-        parts, first = [], 0
-        for way, (g, K, factor, e) in zip(ways, groups, strict=True):
-            mine = flat[(flat >= first) & (flat < first + g.size)] - first
-            first += g.size
+        ends = np.cumsum([g.size for g, *_ in groups])
+        parts, begin = [], 0
+        for way, (g, K, e), last in zip(ways, groups, ends, strict=True):
+            end = int(flat.searchsorted(last))  # they are in order
+            mine, begin = flat[begin:end] - (last - g.size), end
+            if not len(mine):
+                continue
             centre, j = np.unravel_index(mine, g.shape)
             mean = predictions[centre] + np.einsum("pnr,rp->pn", K[j], e[:, centre, j])
             z = self._rng.standard_normal(mean.shape)
+            factor = _factor(Q - K @ K.swapaxes(1, 2))
             x = mean + np.einsum("pnm,pm->pn", factor[j], z)
             ok = self._ways.allowed(x, items, way, self._scales)
             parts.append((x, np.where(ok, total, -np.inf), predictions[centre]))
@@ -191,15 +195,15 @@ class ParticleSmoother:
 
     def _weighed(
         self, way: Ways, predictions: Array, w: Array, Q: Array
-    ) -> tuple[Array, Array, Array, Array]:
-        """Log weights of centres and ways, shape (R, H), and of each way gain and spread.
+    ) -> tuple[Array, Array, Array]:
+        """Log weights of centres and ways, shape (R, H), and of each way its gain.
 
         Last the whitened residuals, shape (rows, R, H).
         """
         rows = way.y.shape[1]
         if not rows:  # nothing is read
             nothing = np.empty((0, len(predictions), 1))
-            return w[:, None] + way.prior, np.empty((1, self._n, 0)), _factor(Q)[None], nothing
+            return w[:, None] + way.prior, np.empty((1, self._n, 0)), nothing
         CQ = way.C @ Q
         S = CQ @ way.C.swapaxes(1, 2) + way.r[:, :, None] * np.eye(rows)
         # of S; its rows make the readings independent
@@ -212,8 +216,7 @@ class ParticleSmoother:
         for q in range(rows):
             np.subtract(y[:, q], predictions @ C[:, q].T, out=e[q])
             table -= 0.5 * np.square(e[q])
-        K = (white @ CQ).swapaxes(1, 2)
-        return table, K, _factor(Q - K @ K.swapaxes(1, 2)), e
+        return table, (white @ CQ).swapaxes(1, 2), e
 
     def _picked(self, w: Array, count: int) -> tuple[Places, float]:
         """Places drawn by log weights, as evenly as can be, in order; the log of their sum."""
