@@ -50,6 +50,8 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     assert any(line.endswith("100.0 % of bits, not whole") for line in lines)
     # each symbol of the message is right, and others stand between them: no frame fits
     assert any(line.endswith("100.0 % of bits, 1234 stray symbols") for line in lines)
+    summary["taps"]["nearest-centre"]["stray_steps"] = 1
+    assert "100.0 % of bits, 1 stray symbol\n" in render(summary)
     assert any(line.endswith(f"not scored: {SILENT}") for line in lines)
     assert any(line.endswith(f"not scored: {UNFINISHED}: wyner score --decode") for line in lines)
     assert any(line.endswith("17 steps were not looked at: wyner score --decode") for line in lines)

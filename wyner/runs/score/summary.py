@@ -273,7 +273,8 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
         whole = "none was whole yet"
     elif not tap["messages_exact"] and tap["stray_steps"]:
         # each of the message's symbols may be right: others stand between them, and no frame fits
-        whole = f"{tap['stray_steps']} stray symbols"
+        stray = tap["stray_steps"]
+        whole = f"{stray} stray symbol{'s' if stray > 1 else ''}"
     return (
         f"{share(tap['symbol_accuracy'])} of keys, "
         f"{share(tap['message_bit_accuracy'])} of bits, {whole}"
