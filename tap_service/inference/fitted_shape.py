@@ -14,7 +14,7 @@ from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array
+from protocol.arrays import Array, Counts
 from tap_service.capture.transcript import Transition
 
 ENOUGH: Final = 16
@@ -49,22 +49,33 @@ def fitted_widths(along: Array) -> Array:
     -------
     array, shape (rows,)
     """
-    steps = np.arange(len(along))
-    starts = [np.maximum(0.0, along.max(axis=2)).argmin(axis=1)]
+    starts = [nearest(along)]
     starts += [np.abs(along[:, :, r]).argmin(axis=1) for r in range(along.shape[2])]
     best, least = np.ones(along.shape[2]), math.inf
     for start in starts:
-        choice = start
-        for _ in range(ROUNDS):
-            widths = np.maximum(SMALLEST, along[steps, choice].max(axis=0))
-            again = (along / widths).max(axis=2).argmin(axis=1)
-            if (again == choice).all():
-                break
-            choice = again
+        widths = settled_widths(along, start)
         volume = float(np.log(widths).sum())
         if volume < least - 1e-12:
             best, least = widths, volume
     return best
+
+
+def nearest(along: Array) -> Counts:
+    """The candidate of least gauge, of each step; ``along`` as in :func:`fitted_widths`."""
+    out: Counts = np.maximum(0.0, along.max(axis=2)).argmin(axis=1)
+    return out
+
+
+def settled_widths(along: Array, choice: Counts) -> Array:
+    """Widths that decisions leave which are taken in these widths, searched from ``choice`` on."""
+    steps = np.arange(len(along))
+    for _ in range(ROUNDS):
+        widths: Array = np.maximum(SMALLEST, along[steps, choice].max(axis=0))
+        again = nearest(along / widths)
+        if (again == choice).all():
+            break
+        choice = again
+    return widths
 
 
 def both_ways(rows: Array, reach: Array) -> Array:
@@ -124,7 +135,8 @@ def likelier_shape(told: Array, A: Array, B: Array, heard: Sequence[Transition])
     """The shape that the disturbance shows, or that of D_e where it explains the steps as well.
 
     By the likelihoods for d even over either set, less half the logarithm of the steps for each
-    width beyond the one that D_e's own shape has.
+    width beyond the one that D_e's own shape has. Where D_e's does as well, near ties between
+    candidates are still told apart in the widths that its own decisions leave.
 
     Parameters
     ----------
@@ -146,7 +158,10 @@ def likelier_shape(told: Array, A: Array, B: Array, heard: Sequence[Transition])
     # each direction has two facets
     gain = 0.5 * count * (rows * math.log(scale) - float(np.log(widths).sum()))
     if gain <= 0.5 * (rows - 1) * math.log(count) + rows:
-        return Shape(told)
+        own = nearest(along)
+        widths = both_ways(told, settled_widths(along, own))
+        if (nearest(along / widths) == own).all():
+            return Shape(told)
     gauges = (along / widths).max(axis=2)
     possible = (along <= 1.0).all(axis=(1, 2))
     most = float(gauges[possible].max(initial=1.0)) * (1 + ROOM)

@@ -1,5 +1,7 @@
 """In which shape to tell candidates apart: that of D_e, or one that the disturbance shows."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -78,3 +80,20 @@ def test_a_set_of_another_shape_is_found_and_orders_the_candidates(seed: int) ->
 def test_of_few_steps_nothing_is_learned() -> None:
     heard, _ = steps(np.array([0.4, 0.1]), 15, 1)
     assert likelier_shape(TOLD, A, B, heard).told is None
+
+
+def test_near_ties_are_told_apart_in_the_widths_that_its_own_decisions_leave() -> None:
+    """The set reaches hardly less far where the input decides, too little to be another shape."""
+    width, wrong = 0.098, np.zeros(2, int)
+    for seed in range(5):
+        draw, heard = np.random.default_rng(seed + 100), []
+        before, applied = steps(np.array([0.1, 0.0]), 600, seed, gap=2.0001 * width / B[1, 0])
+        for t in before:
+            assert t.x_next is not None
+            after = t.x_next[0], t.x_next[1] + float(draw.choice([-width, width]))
+            heard.append(replace(t, x_next=after))
+        residuals = residuals_of(A, B, heard)
+        for i, rows in enumerate((TOLD, likelier_shape(TOLD, A, B, heard).rows)):
+            wrong[i] += ((residuals @ rows.T).max(axis=2).argmin(axis=1) != applied).sum()
+    assert wrong[0] >= 10
+    assert wrong[1] <= 2  # the step that reaches farthest may be such a tie itself
