@@ -200,7 +200,12 @@ def run_controllers(
             laws[loop.scenario] = (scenario, law_of(scenario))
         scenario, law = laws[loop.scenario]
         config = ControllerConfig(
-            *(scenario, folder, loop.id, law, loop.payload, pace),
+            scenario,
+            folder,
+            loop.id,
+            law,
+            loop.payload,
+            pace,
             seed=loop.seed,
             bounds=bounds,
             folder=scenario_file_of(loop.scenario).parent,

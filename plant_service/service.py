@@ -231,7 +231,10 @@ def run_plants(
             said = f"plant.kind: got {kind!r}, expected linear in a fleet"
             raise UsageError(f"{loop.scenario}: {said}")
         config = PlantConfig(
-            *(scenario, folder, loop.id, pace),
+            scenario,
+            folder,
+            loop.id,
+            pace,
             seed=loop.seed,
             bounds=bounds,
             folder=scenario_file_of(loop.scenario).parent,
