@@ -44,7 +44,7 @@ WRONG = {
         "nosuch",
         "/scenarios/nosuch.toml: no such file; /scenarios has batch-reactor, ",
     ),
-    "WYNER_TAPS": ("nobody", "eavesdropper: got 'nobody'"),
+    "WYNER_TAPS": ("nobody", "--eavesdropper: got 'nobody'"),
     "WYNER_MESSAGE": ("x" * 70_000, "message: got 70000 bytes"),
     "WYNER_LOOPS": ("0", "--loops: got 0"),
     "WYNER_KEY_EVERY": ("0", "got '0'"),
