@@ -17,7 +17,18 @@ from protocol.scenario import Scenario
 from runtime.files import PUBLIC_FILE, replacing
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies import corners, keys, network, noise, outputs, readings, shape, signalling, waiting
+from studies import (
+    corners,
+    keys,
+    network,
+    noise,
+    other_sets,
+    outputs,
+    readings,
+    shape,
+    signalling,
+    waiting,
+)
 from studies.attacks import study as attacks
 from studies.attacks import watermark
 from studies.secrecy.study import STUDIES, measure_study
@@ -309,6 +320,7 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "block-codes": measure_rows(signalling.BLOCK_COLUMNS, signalling.block_rows),
     "noise-bound": measure_rows(noise.COLUMNS, noise.bound_rows, noise.SOURCES),
     "secrecy-shape": measure_rows(shape.COLUMNS, shape.shape_rows, shape.SOURCES),
+    "other-sets": measure_rows(other_sets.COLUMNS, other_sets.other_set_rows, other_sets.SOURCES),
     "readings": measure_rows(readings.COLUMNS, readings.reading_rows, readings.SOURCES),
     "corners": measure_rows(corners.COLUMNS, corners.corner_rows, corners.SOURCES),
     "outputs": measure_rows(outputs.COLUMNS, outputs.output_rows, outputs.SOURCES),

@@ -22,7 +22,9 @@ HEAD: Final = (
     "condition", "tap", "runs", "keys right", "likeliest is it", "share", "claimed and it",
     "bits left", "seconds of a core", "code",
 )  # fmt: skip
-STATED_HEAD: Final = ("stated", "messages", "stated on average", "right", "share right")
+STATED_HEAD: Final = (
+    "stated", "messages", "stated on average", "right", "share right", "P[as few]", "P[as many]",
+)  # fmt: skip
 
 STATED: Final = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
 """Ends of the probabilities that are counted together."""
@@ -112,11 +114,20 @@ def by_stated(rows: Sequence[Row]) -> Iterator[tuple[float, float, list[tuple[fl
             yield low, high, mine
 
 
+def tails(stated: Sequence[float], right: int) -> tuple[float, float]:
+    """P[as few right] and P[as many], exactly, where each comes true as often as it is stated."""
+    among = [1.0]  # probability of each count
+    for p in stated:
+        among = [a * (1 - p) + b * p for a, b in zip([*among, 0.0], [0.0, *among], strict=True)]
+    return sum(among[: right + 1]), sum(among[right:])
+
+
 def reliability(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     """How often what ``text`` states comes true, by what she states."""
     lines: list[tuple[str, ...]] = [STATED_HEAD]
     for low, high, mine in by_stated(rows):
         right = sum(x for _, x in mine)
+        few, many = tails([p for p, _ in mine], right)
         lines.append(
             (
                 f"{low:g} to {high:g}",
@@ -124,24 +135,30 @@ def reliability(rows: Sequence[Row]) -> list[tuple[str, ...]]:
                 f"{sum(p for p, _ in mine) / len(mine):.4f}",
                 str(right),
                 _share(right, len(mine)),
+                f"{few:.3f}",
+                f"{many:.3f}",
             )
         )
     return lines
 
 
 def misstated(rows: Sequence[Row]) -> str:
-    """Of which classes the probability stated lies outside the interval of what came true."""
-    outside = []
+    """Of which classes an exact test rejects what was stated."""
+    outside, least = [], 1.0
     for low, high, mine in by_stated(rows):
-        right, stated = sum(x for _, x in mine), sum(p for p, _ in mine) / len(mine)
-        limits = wilson(right, len(mine))
-        if not limits.low <= stated <= limits.high:
-            more = "more" if stated > limits.high else "less"
-            of = f"{right} of {len(mine)}"
-            outside.append(f"{low:g} to {high:g}: {stated:.4f} stated, {more} than {of} bears out")
+        right = sum(x for _, x in mine)
+        few, many = tails([p for p, _ in mine], right)
+        least = min(least, few, many)
+        if min(few, many) < (1 - CONFIDENCE) / 2:
+            what = "more" if few < many else "less"
+            outside.append(
+                f"{low:g} to {high:g}, where {what} is stated than {right} of {len(mine)} bears out"
+            )
     if not outside:
-        return "In every class the mean stated lies within the interval of what came true."
-    return f"Outside the interval of what came true: {'; '.join(outside)}."
+        return (
+            f"No class is off by an exact test: no tail is below 2.5 %, the least is {least:.3f}."
+        )
+    return f"Off by an exact test, at 2.5 % a tail: {'; '.join(outside)}."
 
 
 def write_tables() -> None:

@@ -131,12 +131,14 @@ def residuals_of(A: Array, B: Array, whole: Sequence[Transition]) -> Array:
     return out
 
 
-def likelier_shape(told: Array, A: Array, B: Array, heard: Sequence[Transition]) -> Shape:
+def likelier_shape(
+    told: Array, A: Array, B: Array, heard: Sequence[Transition], *, ties: bool = True
+) -> Shape:
     """The shape that the disturbance shows, or that of D_e where it explains the steps as well.
 
     By the likelihoods for d even over either set, less half the logarithm of the steps for each
     width beyond the one that D_e's own shape has. Where D_e's does as well, near ties between
-    candidates are still told apart in the widths that its own decisions leave.
+    candidates may still be told apart in the widths that its own decisions leave.
 
     Parameters
     ----------
@@ -146,6 +148,9 @@ def likelier_shape(told: Array, A: Array, B: Array, heard: Sequence[Transition])
         Her model.
     heard : sequence of Transition
         Without noise; those heard whole count.
+    ties : bool
+        Whether near ties are told apart: not where a test leaves both out, and D_e may be a
+        multiple of its set.
     """
     whole = [t for t in heard if t.whole]
     count, rows = len(whole), len(told)
@@ -158,6 +163,8 @@ def likelier_shape(told: Array, A: Array, B: Array, heard: Sequence[Transition])
     # each direction has two facets
     gain = 0.5 * count * (rows * math.log(scale) - float(np.log(widths).sum()))
     if gain <= 0.5 * (rows - 1) * math.log(count) + rows:
+        if not ties:
+            return Shape(told)
         own = nearest(along)
         widths = both_ways(told, settled_widths(along, own))
         if (nearest(along / widths) == own).all():

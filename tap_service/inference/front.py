@@ -110,7 +110,8 @@ class Inference:
         runs = [_joined(run) for run in steps_in_a_row(transitions)]
         kept = [t for run in runs for t in run]
         if not self._noise:
-            self._shape = likelier_shape(self._told, self._A, self._B, kept)
+            ties = self._certain or self._other_set
+            self._shape = likelier_shape(self._told, self._A, self._B, kept, ties=ties)
         law = None if self._planar is None else self._fitted(self._planar, kept)
         if law is not None:
             return self._by_lines(law, runs, kept)

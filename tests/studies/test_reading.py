@@ -1,5 +1,6 @@
 """The reading study's recorded runs: what the page shows of them, and that what is stated holds."""
 
+import math
 from collections.abc import Sequence
 
 import pytest
@@ -15,6 +16,7 @@ from studies.secrecy.reading_tables import (
     read_rows,
     reliability,
     results,
+    tails,
     views,
 )
 from studies.secrecy.study import ALL_READ, VIEWS, tasks
@@ -63,14 +65,15 @@ def test_text_is_run_once_where_another_tap_has_every_message_already() -> None:
 
 def test_what_text_states_comes_true_as_often_as_it_is_stated(rows: Sequence[Row]) -> None:
     """Over 200 messages under mixed views: below .99 each class's mean lies within the interval
-    measured. Above it one claim was wrong, and the page says so.
+    measured, and of no class an exact test rejects it. Above it one claim was wrong.
     """
     everything = [*rows, *views()]
     head, *classes = reliability(everything)
     assert head == STATED_HEAD
     counted = 0
-    for name, messages, stated, right, _ in classes:
+    for name, messages, stated, right, _, few, many in classes:
         limits = wilson(int(right), int(messages))
+        assert min(float(few), float(many)) >= 0.025
         if name != "0.99 to 1":
             assert limits.low <= float(stated) <= limits.high
         counted += int(messages)
@@ -78,6 +81,26 @@ def test_what_text_states_comes_true_as_often_as_it_is_stated(rows: Sequence[Row
     (top,) = [c for c in classes if c[0] == "0.99 to 1"]
     assert int(top[3]) >= 0.98 * int(top[1])
     assert misstated(everything) in PAGE.read_text(encoding="utf-8")
+
+
+def test_the_tails_of_a_count_are_exact() -> None:
+    """Of a binomial count, and of three messages by hand."""
+    alike = [math.comb(10, n) * 0.3**n * 0.7 ** (10 - n) for n in range(11)]
+    assert tails([0.3] * 10, 4) == pytest.approx((sum(alike[:5]), sum(alike[4:])))
+    assert tails([0.9, 0.5, 0.2], 0) == pytest.approx((0.1 * 0.5 * 0.8, 1.0))
+    assert tails([0.9, 0.5, 0.2], 3) == pytest.approx((1.0, 0.9 * 0.5 * 0.2))
+
+
+def test_a_tap_that_states_too_much_or_too_little_is_called_so() -> None:
+    def rows_of(stated: float, right: int) -> list[Row]:
+        return [
+            {"tap": "text", "condition": "", "probability": str(stated), "likeliest_exact": str(x)}
+            for x in [1] * right + [0] * (100 - right)
+        ]
+
+    assert "no tail is below" in misstated(rows_of(0.8, 80))
+    assert "0.5 to 0.9, where more is stated than 60 of 100" in misstated(rows_of(0.8, 60))
+    assert "0.5 to 0.9, where less is stated than 95 of 100" in misstated(rows_of(0.8, 95))
 
 
 @pytest.mark.parametrize(

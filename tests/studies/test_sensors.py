@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from studies import DATA, corners, network, outputs, readings, waiting
+from studies import DATA, corners, network, other_sets, outputs, readings, waiting
 from studies.__main__ import main
 from tools.reproduce import same
 
@@ -47,6 +47,22 @@ def test_the_page_has_the_listeners_at_an_encoder_as_they_are_on_record() -> Non
 def test_the_page_has_the_listeners_to_noisy_readings_as_they_are_on_record() -> None:
     page = readings.PAGE.read_text(encoding="utf-8")
     assert page == readings.written(page, readings.recorded())
+
+
+def test_the_page_has_the_listeners_whom_d_e_tells_no_test_as_they_are_on_record() -> None:
+    page = other_sets.PAGE.read_text(encoding="utf-8")
+    assert page == other_sets.written(page, other_sets.recorded())
+
+
+def test_whom_d_e_tells_no_test_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A small one, 2 runs of 60 steps: a shape misleads the nearest, noise does not."""
+    for name, value in (("RUNS", 2), ("STEPS", 60), ("TAPS", ("nearest-centre", "fitted-box"))):
+        monkeypatch.setattr(other_sets, name, value)
+    rows = [dict(zip(other_sets.COLUMNS, r, strict=True)) for r in other_sets.other_set_rows()]
+    by = {(row["condition"], row["tap"]): row["keys"] for row in rows}
+    shape, noise = other_sets.CONDITIONS
+    assert by[shape, "nearest-centre"] < 1.0
+    assert by[noise, "nearest-centre"] == by[noise, "fitted-box"] == 1.0
 
 
 def test_a_row_of_noisy_readings_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:

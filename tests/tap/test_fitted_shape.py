@@ -11,6 +11,7 @@ from studies.secrecy.study import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.inference.fitted_shape import likelier_shape, residuals_of
+from tap_service.inference.front import Inference
 
 A = np.array([[1.0, 0.1], [0.0, 0.95]])
 B = np.array([[0.0], [0.5]])
@@ -97,3 +98,14 @@ def test_near_ties_are_told_apart_in_the_widths_that_its_own_decisions_leave() -
             wrong[i] += ((residuals @ rows.T).max(axis=2).argmin(axis=1) != applied).sum()
     assert wrong[0] >= 10
     assert wrong[1] <= 2  # the step that reaches farthest may be such a tie itself
+
+
+def test_a_tie_that_no_test_agrees_on_leaves_the_threshold_known() -> None:
+    """Where candidates coincide one is as near as the other: D_e is still a multiple of D_c."""
+    run = simulate(300, 11, name="sustained", payloads=[b"Go."])
+    k = run.scenario.knowledge()
+    told = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
+    heard = heard_by(run, View())
+    assert likelier_shape(told, np.array(k.A), np.array(k.B), heard).told is not None
+    low, high = Inference(k).infer(heard).among
+    assert low < 1 / run.scenario.secrecy.alpha < high < 1.01 * low
