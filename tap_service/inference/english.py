@@ -146,6 +146,19 @@ def _stable_order(keys: Codes) -> Codes:
     return np.sort(keys << bits | np.arange(len(keys))) & ((1 << bits) - 1)
 
 
+def distinct(*columns: NDArray[np.integer]) -> tuple[Indices, Indices]:
+    """The rows that differ, in order: where each is first, and which one is at each place."""
+    order = np.lexsort(columns[::-1])
+    new = np.zeros(len(order), dtype=bool)
+    new[:1] = True
+    for column in columns:
+        ordered = column[order]
+        new[1:] |= ordered[1:] != ordered[:-1]
+    which = np.empty(len(order), dtype=np.intp)
+    which[order] = np.cumsum(new) - 1
+    return order[new], which
+
+
 class Contexts:
     """Where hypotheses stand in their texts: the last characters, the word so far, the word before.
 
@@ -214,9 +227,8 @@ class English:
 
     def next(self, at: Contexts) -> tuple[Array, NDArray[np.intp]]:
         """Probability of each next byte: rows, shape (R, 256), and whose is which, (H,)."""
-        key = np.stack([at.last, at.word, at.before])
-        distinct, back = np.unique(key, axis=1, return_inverse=True)
-        last, word, before = distinct
+        first, back = distinct(at.last, at.word, at.before)
+        last, word, before = at.last[first], at.word[first], at.before[first]
         p = np.tile(self._single, (len(last), 1))
         for n, level in zip(ORDERS, self._levels, strict=True):
             level.mix(p, last % _BASE**n)
@@ -229,7 +241,7 @@ class English:
         p *= 1 - ANY_BYTE
         out = np.tile((p[:, OTHER:] + ANY_BYTE) / 256, 256)
         out[:, _FIRST : _LAST + 1] += p[:, :OTHER]
-        return out, back.reshape(-1)
+        return out, back
 
     def last(self, p: Array) -> Array:
         """The same for a message's last byte, given :meth:`next` of it."""

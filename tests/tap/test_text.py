@@ -31,12 +31,14 @@ from tap_service.inference.english import (
     AnyBytes,
     Contexts,
     English,
+    distinct,
     english,
     log2_probability,
 )
 from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
+from tap_service.inference.message_halves import first_of_each
 from tap_service.inference.message_reader import MessageReader, verdicts_of
 from tap_service.inference.message_search import Found, MessageSearch
 from tests.support.held_memory import kept
@@ -444,6 +446,19 @@ def test_probabilities_of_the_next_byte_sum_to_one() -> None:
         np.testing.assert_allclose(rows[which].sum(axis=1), 1.0)
         at = at.after(np.array([byte, 200]))
     assert AnyBytes().next(at)[0].sum() == pytest.approx(1.0)
+
+
+def test_rows_that_differ_are_those_of_a_set_in_order_with_their_first_places() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.integers(0, 3, (3, 60))
+    rows = list(zip(*columns.tolist(), strict=True))
+    first, which = distinct(*columns)
+    assert [rows[i] for i in first] == sorted(set(rows))
+    assert [rows.index(row) for row in sorted(set(rows))] == first.tolist()
+    assert [rows[i] for i in first[which]] == rows
+    texts = rng.integers(0, 256, (60, 2), dtype=np.uint8)[rng.integers(0, 60, 60)]
+    said = [text.tobytes() for text in texts]
+    assert [said.index(text) for text in sorted(set(said))] == first_of_each(texts).tolist()
 
 
 def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() -> None:
