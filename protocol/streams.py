@@ -6,7 +6,6 @@ transition j are draws j. Every kind takes the same number of draws whatever the
 """
 
 import secrets
-from functools import lru_cache
 from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:
@@ -31,16 +30,6 @@ def generator(seed: int, run: int, stream: int) -> "np.random.Generator":
     return np.random.Generator(np.random.PCG64(sequence))
 
 
-@lru_cache(maxsize=8)
-def _draws(
-    seed: int, run: int, stream: int, width: int, block: int
-) -> tuple[tuple[float, ...], ...]:
-    """A block of draws; processes that die and start again share it."""
-    source = generator(seed, run, stream)
-    source.bit_generator.advance(block * BLOCK * width)  # type: ignore[attr-defined]
-    return tuple(map(tuple, source.random((BLOCK, width)).tolist()))
-
-
 class Stream:
     """Uniform numbers in [0, 1), ``width`` a draw, by index; near-sequential access is cheap."""
 
@@ -48,13 +37,16 @@ class Stream:
         self._seed = (seed, run, stream)
         self._width = width
         self._block = -1
-        self._values: tuple[tuple[float, ...], ...] = ()
+        self._values: list[tuple[float, ...]] = []
 
     def at(self, index: int) -> tuple[float, ...]:
         """Draw number ``index``, shape (width,)."""
         block, place = divmod(index, BLOCK)
         if block != self._block:
-            self._values = _draws(*self._seed, self._width, block)
+            source = generator(*self._seed)
+            source.bit_generator.advance(block * BLOCK * self._width)  # type: ignore[attr-defined]
+            rows = source.random((BLOCK, self._width)).tolist()
+            self._values = [tuple(row) for row in rows]
             self._block = block
         return self._values[place]
 
