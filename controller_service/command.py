@@ -80,6 +80,7 @@ def run_controller(options: ControllerOptions) -> int:
         When an option's value is wrong.
     """
     from controller_service.service import ControllerConfig, ControllerService, run_controllers
+    from runtime.fleet_host import check_loops
     from runtime.network import check_delays
     from runtime.scenario_file import keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
@@ -88,8 +89,12 @@ def run_controller(options: ControllerOptions) -> int:
     bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
     message = message_of(options.message, options.message_file)
     fleet = fleet_of(options, message)
-    if fleet is not None and not options.check:
-        folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
+    if fleet is not None:
+        pace = pace_of(options.pace)
+        if options.check:
+            check_loops(fleet)
+            return DONE
+        folder = run_dir_of(options.run_dir)
         with buses_of(options, "controller") as (stopping, field, management):
             return run_controllers(
                 fleet, folder, _law_of, bounds, pace, field, management, stopping

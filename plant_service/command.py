@@ -68,6 +68,7 @@ def run_plant(options: PlantOptions) -> int:
         When an option's value is wrong.
     """
     from plant_service.service import PlantConfig, PlantService, run_plants
+    from runtime.fleet_host import check_loops
     from runtime.network import check_delays
     from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
@@ -76,10 +77,14 @@ def run_plant(options: PlantOptions) -> int:
     at_least("--seed", options.seed, 0)
     bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
     fleet = fleet_of(options)
-    if fleet is not None and not options.check:
-        folder, pace = run_dir_of(options.run_dir), pace_of(options.pace)
+    if fleet is not None:
+        pace = pace_of(options.pace)
         if options.steps is not None:
             raise UsageError("--steps: a fleet runs until it is stopped")
+        if options.check:
+            check_loops(fleet)
+            return DONE
+        folder = run_dir_of(options.run_dir)
         with buses_of(options, "plant") as (stopping, field, management):
             return run_plants(fleet, folder, pace, bounds, field, management, stopping)
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)

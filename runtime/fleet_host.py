@@ -13,13 +13,37 @@ from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.host import Host
+from runtime.network import check_delays
 from runtime.ports import Files
+from runtime.scenario_file import scenario_of
+from runtime.shipped import scenario_file_of
 
 Open = Callable[[FleetLoop, int], tuple[Peer, Files]]
 """Opens one end of a loop, the nth of its host, as its journal has it.
 
 It raises UsageError, Failure or OSError where that cannot be.
 """
+
+
+def check_loops(fleet: Fleet) -> None:
+    """Read the scenario of every loop, and the files that it names; start nothing.
+
+    Raises
+    ------
+    UsageError
+        With the lines of each scenario that is wrong, after the first loop that has it.
+    """
+    first: dict[str, str] = {}
+    for loop in fleet.loops.values():
+        first.setdefault(loop.scenario, loop.id)
+    problems: list[str] = []
+    for scenario, loop_id in first.items():
+        try:
+            check_delays(scenario_of(scenario), scenario_file_of(scenario).parent)
+        except UsageError as error:
+            problems += [f"{loop_id}: {line}" for line in error.lines]
+    if problems:
+        raise UsageError(problems)
 
 
 class _Opened(NamedTuple):

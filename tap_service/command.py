@@ -310,7 +310,8 @@ def run_with_knowledge(
         if fleet is not None:
             for loop in fleet.loops.values():
                 config_in_fleet(loop)
-                break
+                if not options.check:
+                    break
             if options.check:
                 return DONE
             with alone_in(run_dir_of(options.run_dir) / "tap"):

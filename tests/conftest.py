@@ -87,7 +87,10 @@ def pytest_collection_finish() -> None:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Sort where several processes share the files; the others, and a file's tests, keep order."""
+    """What is long is slow. Sort where several processes share the files; the others keep order."""
+    for item in items:
+        if item.get_closest_marker("long"):
+            item.add_marker("slow")
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     places = {TESTS / name: place for place, name in enumerate(LONGEST)}

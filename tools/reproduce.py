@@ -1,12 +1,14 @@
 """Runs the page for reviewers, a row at a time: ``python -m tools.reproduce --longest 2``.
 
 A row holds when its command ends with code 0, prints all that stands as code in the row's column
-"expected", and writes the same rows as the file that this column links to. What the commands write
+"expected", and writes the same rows as the file that this column links to. Where its tolerance is
+"FIELD at least N", the JSON object that it prints must have such a field. What the commands write
 goes to ``build/reproduced``, emptied first.
 """
 
 import argparse
 import csv
+import json
 import math
 import os
 import re
@@ -35,6 +37,7 @@ CLOSE: Final = 1e-9
 """Relative difference of two numbers that are the same on another processor."""
 
 _ROW: Final = re.compile(r"^\| ([^|]+) \| `([^`|]+)` \| ([^|]+) \| ([^|]+) \| ([^|]*)\|$", re.M)
+_LEAST: Final = re.compile(r"(\w+) at least ([\d.]+)")
 
 
 class Row(NamedTuple):
@@ -44,6 +47,7 @@ class Row(NamedTuple):
     command: str
     minutes: float
     expected: str
+    tolerance: str = ""
 
     @property
     def printed(self) -> list[str]:
@@ -56,6 +60,12 @@ class Row(NamedTuple):
         found = re.search(r"\]\(data/([^)]+)\)", self.expected)
         return found[1] if found else ""
 
+    @property
+    def least(self) -> tuple[str, float] | None:
+        """A field of the JSON object that the command prints, and the least that it may be."""
+        found = _LEAST.search(self.tolerance)
+        return (found[1], float(found[2])) if found else None
+
 
 def rows(text: str) -> list[Row]:
     """The rows of a page; "hours" are without a limit.
@@ -66,8 +76,8 @@ def rows(text: str) -> list[Row]:
         When a row's minutes are no number.
     """
     return [
-        Row(claim, command, math.inf if minutes == "hours" else float(minutes), expected)
-        for claim, command, minutes, expected, _ in _ROW.findall(text)
+        Row(claim, command, math.inf if minutes == "hours" else float(minutes), expected, tolerance)
+        for claim, command, minutes, expected, tolerance in _ROW.findall(text)
     ]
 
 
@@ -114,6 +124,12 @@ def differs(row: Row) -> str:
     lacking = [printed for printed in row.printed if printed not in words]
     if lacking:
         return f"did not print {', '.join(lacking)}"
+    if row.least is not None:
+        field, least = row.least
+        told = next((line for line in ended.stdout.splitlines() if line.startswith("{")), "{}")
+        value = json.loads(told).get(field)
+        if value is None or value < least:
+            return f"{field}: got {value}, expected at least {least:g}"
     if row.shipped:
         made = ROOT / WRITTEN / row.shipped
         if not made.is_file() or not same_rows(made, ROOT / "docs" / "data" / row.shipped):

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import Array, Indices, Narrow
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES
+from tap_service.inference.english import distinct
 from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_beam import NEGLIGIBLE, Beam
 from tap_service.inference.message_halves import Halves
@@ -68,9 +69,8 @@ class Graph:
 
     def merge(self, beam: Beam) -> None:
         """Take together what goes on alike."""
-        key = np.stack([beam.length, beam.at.last, beam.at.word, beam.at.before])
-        _, first, node = np.unique(key, axis=1, return_index=True, return_inverse=True)
-        node = node.reshape(-1)
+        text = beam.at
+        first, node = distinct(beam.length, text.last, text.word, text.before)
         order = np.argsort(node, kind="stable")
         at = np.searchsorted(node[order], np.arange(len(first)))
         top = np.maximum.reduceat(beam.score[order], at)
@@ -121,10 +121,11 @@ class Graph:
             at = (np.arange(part) + rng.random(part)) * (share[-1] / part)
             node[rows] = nodes[np.minimum(np.searchsorted(share, at), len(nodes) - 1)]
         places = len(self._layers)
-        text = np.zeros((count, places), dtype=np.uint8)
-        passed = np.zeros((count, places + 1), dtype=np.intp)
-        score = np.zeros((count, places + 1))
-        passed[:, places] = node
+        # a place at a time lies in one piece
+        text = np.zeros((places, count), dtype=np.uint8)
+        passed = np.zeros((places + 1, count), dtype=np.intp)
+        score = np.zeros((places + 1, count))
+        passed[places] = node
         for place in range(places - 1, -1, -1):
             layer = self._layers[place]
             wanted = node + rng.random(count)
@@ -132,12 +133,12 @@ class Graph:
                 [np.searchsorted(c, wanted[r]) for c, r in zip(layer.cumulated, parts, strict=True)]
             )
             arc = np.minimum(arc, len(layer.before) - 1)
-            text[:, place] = layer.byte[arc]
-            score[:, place + 1] = layer.gain[arc]
+            text[place] = layer.byte[arc]
+            score[place + 1] = layer.gain[arc]
             node = layer.before[arc]
-            passed[:, place] = node
-        score[:, 0] = self._first[node]
-        return Drawn(text, score.cumsum(axis=1), passed)
+            passed[place] = node
+        score[0] = self._first[node]
+        return Drawn(text.T, score.cumsum(axis=0).T, passed.T)
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,13 @@ Texts = NDArray[np.uint8]
 Words = NDArray[np.uint32]
 
 
+def first_of_each(texts: Texts) -> Indices:
+    """Where each of the texts, a row each, is first, in their order."""
+    key = np.ascontiguousarray(texts)
+    first: Indices = np.unique(key.view(f"V{key.shape[1]}").ravel(), return_index=True)[1]
+    return first
+
+
 @dataclass(frozen=True)
 class Halves:
     """Halves of messages, some of which may be followed by others.
@@ -50,10 +57,8 @@ class Halves:
 
     def distinct(self) -> tuple["Halves", Indices]:
         """Each once, the likeliest of each number first; and where they were."""
-        key = np.ascontiguousarray(
-            np.hstack([self.middle.astype(">i4").view(np.uint8).reshape(-1, 4), self.texts])
-        )
-        _, first = np.unique(key.view(f"V{key.shape[1]}").ravel(), return_index=True)
+        middle = self.middle.astype(">i4").view(np.uint8).reshape(-1, 4)
+        first = first_of_each(np.hstack([middle, self.texts]))
         first = first[np.lexsort((-self.scores[first], self.middle[first]))]
         return self.take(first), first
 

@@ -9,6 +9,7 @@ she claims for what she found.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -35,7 +36,7 @@ from tap_service.inference.message_graph import (
     check_symbols,
     judge,
 )
-from tap_service.inference.message_halves import join
+from tap_service.inference.message_halves import first_of_each, join
 
 BEAM: Final = 3000
 """Hypotheses kept from symbol to symbol."""
@@ -228,6 +229,7 @@ class MessageSearch:
                 out[1 + g :] = np.logaddexp(out[1 + g :], np.log(w) + level[:rows])
         return out + float(np.log(BEGINS))
 
+    @cached_property
     def _all_lengths(self) -> tuple[NDArray[np.intp], Indices, Array]:
         """Payloads' lengths, the symbols that follow the start symbol, and log probabilities."""
         lengths = np.arange(1, self._longest + 1)
@@ -239,7 +241,7 @@ class MessageSearch:
 
     def _of_any_length(self, start: Array) -> Array:
         """Log weight that a message of any length and bytes begins right before each node."""
-        _, total, prior = self._all_lengths()
+        _, total, prior = self._all_lengths
         best = np.full(start.shape, -np.inf)
         for n, p in zip(total, prior, strict=True):
             best = np.logaddexp(best, start + self._after(n, 0, len(start)) + p)
@@ -258,7 +260,7 @@ class MessageSearch:
 
         None where the transcript holds no length.
         """
-        lengths, total, prior = self._all_lengths()
+        lengths, total, prior = self._all_lengths
         best = self._of_any_length(start)
         near = np.flatnonzero((best > best.max() - FAR).any(axis=1))
         low, high = int(near[0]), int(near[-1])
@@ -472,7 +474,7 @@ class MessageSearch:
             total = self._digits * CHECK_BYTES
             symbols = check_symbols(self._lattice, mean, low, self._ahead, total)
         if symbols is None:
-            _, once = np.unique(drawn.texts, axis=0, return_index=True)
+            once = first_of_each(drawn.texts)
             plain = drawn.scores[once, -1]
             return drawn.texts[once], plain, drawn.nodes[once, -1], np.logaddexp.reduce(plain)
         first, second, ends = drawn.halves(drawn.middle())

@@ -25,7 +25,7 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
     assert done["keys"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("wrong", WRONG)
 def test_schedules_find_a_wrong_keyed_coin(
     wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
@@ -35,7 +35,7 @@ def test_schedules_find_a_wrong_keyed_coin(
     assert any(schedules.outcome_of(seed).wrong for seed in seeds)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_schedules_watch_steps_with_a_keyed_coin() -> None:
     seeds = [seed for seed in range(8000) if schedules.watched(seed)][:12]
     found = [schedules.outcome_of(seed) for seed in seeds]
@@ -43,14 +43,14 @@ def test_schedules_watch_steps_with_a_keyed_coin() -> None:
     assert sum(outcome.watched for outcome in found) > 100
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_guarded_schedules_break_nothing() -> None:
     found = [schedules.outcome_of(seed, guards=True) for seed in range(16)]
     assert not [outcome.wrong for outcome in found if outcome.wrong]
     assert sum(outcome.guarded for outcome in found) > 400
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("wrong", WRONG_GUARDS)
 def test_guarded_schedules_find_a_wrong_guard(
     wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
@@ -65,14 +65,14 @@ def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:
     assert json.loads(results.read_text())["broken"] == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert spoiled.main(["--count", "10", "--results", str(results)]) == 0
     assert json.loads(results.read_text())["counts"]["refused"] > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_spoiled_key_stores_are_told_and_give_nothing_twice(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert spoiled_stores.main(["--count", "5", "--results", str(results)]) == 0
@@ -86,7 +86,7 @@ def test_fuzzed_messages_stop_no_end(side: Side) -> None:
     assert fuzz.fuzz(side, 3000, seed=1) == 3000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     command = ["--scheme", "pipelined", "--from-hello", "--no-keys", "--results", str(results)]
@@ -97,7 +97,7 @@ def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Pa
     assert told["states"] > 500
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("kind", "kills"), [("kills", 8), ("tls", 8), ("keys", 2), ("watched", 8)])
 def test_a_run_whose_services_are_killed_delivers_once_and_passes(
     tmp_path: Path, kind: str, kills: int

@@ -26,7 +26,7 @@ from tests.support.broken import FIRST_COPY, broken
 Patch = pytest.MonkeyPatch
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("scheme", "acts"), [("switched", False), ("switched", True), ("pipelined", False)]
 )
@@ -36,7 +36,7 @@ def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
     assert len(found.seen) > 500
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("scheme", "acts"), [("switched", True), ("pipelined", False)])
 def test_a_keyed_coin_serves_each_digit_once_and_alarms_no_honest_step(
     scheme: str, acts: bool
@@ -48,7 +48,7 @@ def test_a_keyed_coin_serves_each_digit_once_and_alarms_no_honest_step(
     assert len(found.seen) > 300
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("wrong", WRONG_COINS)
 def test_a_wrong_keyed_coin_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
     wrong(monkeypatch)
@@ -58,7 +58,7 @@ def test_a_wrong_keyed_coin_is_found(wrong: Callable[[Patch], None], monkeypatch
     assert 0 < len(found.path) <= 4
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
     """Ends that are never packed come to the same states, and say the same."""
     space = Space("switched", timed=True, keys=True)
@@ -137,7 +137,7 @@ def as_it_is(_: Patch) -> None:
 
 
 @pytest.mark.wrong_on_purpose
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("rule", [as_it_is, end_on_a_late_hello, count_no_lives])
 def test_a_hello_of_a_former_life_ends_nothing(
     rule: Callable[[Patch], None], monkeypatch: Patch
@@ -190,7 +190,7 @@ WRONG: dict[Callable[[Patch], None], bool] = {
 
 
 @pytest.mark.wrong_on_purpose
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("mutant", "keys"), WRONG.items())
 def test_a_broken_rule_is_found_with_a_shortest_counterexample(
     mutant: Callable[[Patch], None], keys: bool, monkeypatch: Patch

@@ -12,7 +12,7 @@ from runtime.recording import TRACE_FORMAT, TRACE_VERSION, LineWriter, dumps
 from runtime.run_folder import BELIEFS, GUESSES
 from wyner.runs.run import Run
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 SHORT, LONG = 4_000, 14_000
 GROWN = 10 * 2**20

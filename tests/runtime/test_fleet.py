@@ -28,6 +28,7 @@ from runtime.options import add_fleet_arguments, add_message_arguments, message_
 from runtime.pace import Pace
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
+from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
 from wyner.cli.main import main
@@ -84,6 +85,35 @@ def test_options_that_do_not_go_together(
 ) -> None:
     assert main([*options, "--run-dir", str(tmp_path / "run")]) == 2
     assert said in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("service", ["controller", "plant"])
+def test_a_check_reads_the_scenario_of_every_loop_and_its_files_of_delays(
+    service: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It looked at the scenario of a single loop, which a fleet does not have."""
+    (tmp_path / "delays.txt").write_text("0.01\nlate\n")
+    delayed = tmp_path / "delayed.toml"
+    network = '[network]\nto_plant = { delay = "measured", file = "delays.txt" }\n'
+    delayed.write_text((SCENARIOS / "sustained.toml").read_text() + network)
+    rows = {"one": "sustained", "two": str(delayed), "three": "nowhere", "four": str(delayed)}
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(
+        "".join(f'[[loop]]\nid = "{name}"\nscenario = "{at}"\n' for name, at in rows.items())
+    )
+    asked = [service, "--fleet", str(fleet), "--check", "--run-dir", str(tmp_path / "run")]
+    assert main(asked) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert "two: network: " in lines[0]
+    assert "delay 2: got late, expected seconds" in lines[0]
+    assert "three: " in lines[1]
+    assert "nowhere" in lines[1]
+    (tmp_path / "delays.txt").write_text("0.01\n")
+    fleet.write_text(ONE)
+    assert main(asked) == 0
+    assert main([service, "--loops", "3", "--scenario", str(delayed), "--check"]) == 0
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("option", ["--message", "--message-file"])

@@ -36,7 +36,7 @@ from wyner.simulate.network import Simulation
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = b"Meet me where the river bends, at the second lamp after the bridge."
 LONG = os.environ.get("WYNER_STEPS") == "long"
-"""A campaign's size; make test tries a tenth of it."""
+"""A campaign's size; ``make test-long`` tries a tenth of it."""
 WINDOW = 1000
 
 Event = dict[str, Any]
@@ -251,7 +251,7 @@ def test_a_faulty_network_changes_nothing_that_the_engine_says(tmp_path: Path) -
     compare(case, simulate(case, tmp_path, Faults(loss=0.2, repeat=0.2, delay_s=0.3)))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(
@@ -281,7 +281,7 @@ def test_live_services_simulation_and_engine_are_one_system(case: Case, tmp_path
     shutil.rmtree(tmp_path)  # 200 MB of traces, which pytest would keep
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_plain_way_comes_to_the_same_verdicts() -> None:
     # OSQP and the linear programs are another road to the same sets: an independent oracle.
     scenario, law = system("sustained")

@@ -33,7 +33,7 @@ NETWORKS = {
 
 @pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
 @pytest.mark.parametrize("network", NETWORKS)
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
 def test_safety_always_and_delivery_once_all_is_well(
     network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
@@ -101,7 +101,7 @@ def test_at_alpha_one_nothing_is_ever_agreed(
     assert history.inbox == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(100, 135))
 def test_many_seeds(seed: int, sustained: Scenario, sustained_law: CandidateLaw) -> None:
     faults = Faults(

@@ -49,7 +49,7 @@ CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
 """Figures without an estimate: a single step, a search, and a closed form."""
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_states_runs_seed_and_intervals_and_is_the_same_bytes_twice(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -79,7 +79,7 @@ def test_a_figure_states_runs_seed_and_intervals_and_is_the_same_bytes_twice(
     assert ("95 %" in note) == (name != "sets")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
     command = [sys.executable, "-m", "studies.figures", "distance", "--output", "there"]
@@ -208,7 +208,7 @@ def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> 
     assert without_version(tmp_path / "now.csv") == without_version(DATA / f"{name}.csv")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price", "plants"])
 def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
     MEASUREMENTS[name](tmp_path / "now.csv")
@@ -302,7 +302,7 @@ def test_the_document_says_how_many_bins_are_off_the_closed_form() -> None:
     assert f"all but {off} of the {len(drawn)} bins" in plain_text()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_document_says_how_often_candidates_are_equal_and_the_gauge_is_above_1() -> None:
     sweep = load_sweep(ROOT / "wyner" / "sweeps" / "disturbances.toml")
     above, equal = {}, {}
@@ -341,7 +341,7 @@ def test_the_closed_form_at_its_limits() -> None:
     assert at(0.12, 8.0) == pytest.approx(0.5), "half of D is beyond the other's edge"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_taps_get_what_the_scheme_claims_to_hide(tmp_path: Path) -> None:
     measure_taps(tmp_path / "taps.csv", runs=3, steps=1200)
     lines = (tmp_path / "taps.csv").read_text(encoding="utf-8").splitlines()

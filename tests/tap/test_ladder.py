@@ -95,7 +95,7 @@ def test_raw_english_without_a_frame_check() -> None:
     assert exact >= 6  # at a true rate of 80 % a run of eight does worse once in twenty
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_learner_starts_from_nothing() -> None:
     exact = right = of = 0
     for seed in range(3):
@@ -110,7 +110,7 @@ def test_the_learner_starts_from_nothing() -> None:
     assert right >= 0.95 * of
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("error", [0.1, 0.3, 0.5])
 def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     exact = 0
@@ -121,7 +121,7 @@ def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     assert exact >= 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> None:
     view = View(loss=0.3, seed=3)
     run = simulate(400, 3)
@@ -144,7 +144,7 @@ def keeping(steps: int, patch: pytest.MonkeyPatch) -> None:
         patch.setattr(module, "KEPT", steps)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["list-decoder", "learning", "smoother", "oracle"])
 def test_a_run_longer_than_she_keeps_loses_no_message(
     name: str, monkeypatch: pytest.MonkeyPatch
@@ -160,7 +160,7 @@ def test_a_run_longer_than_she_keeps_loses_no_message(
     assert (scored.bits.share or 0) > 0.998
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["learning", "smoother"])
 def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     keeping(1024, monkeypatch)
@@ -170,7 +170,7 @@ def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.M
     assert play(run, name)[0].belief.whole == (text,)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     keeping(128, monkeypatch)
     run = simulate(200, 3, payloads=[b"let go"])

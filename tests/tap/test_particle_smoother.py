@@ -109,7 +109,7 @@ def test_the_policy_tells_no_secret_and_may_be_missing() -> None:
 # --- offers alone --------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_offers_alone_give_most_keys_away() -> None:
     """Over 20 runs of 1000 steps it is measured: docs/findings.md."""
     keys = [played(seed)[3].keys_reviewed for seed in SEEDS]
@@ -117,13 +117,13 @@ def test_offers_alone_give_most_keys_away() -> None:
     assert sum(k.right for k in keys) >= 0.84 * sum(k.of for k in keys)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_offers_alone_give_message_bits_away() -> None:
     bits = [played(seed)[3].bits for seed in SEEDS]
     assert sum(b.right for b in bits) >= 0.75 * sum(b.of for b in bits)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_what_she_claims_is_what_comes_true() -> None:
     claimed, came = [], []
     for seed in SEEDS:
@@ -139,7 +139,7 @@ def test_what_she_claims_is_what_comes_true() -> None:
     assert 0.4 < hit[p < 0.75].mean() < 0.9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_constrained_candidates_do_not_poison_what_follows() -> None:
     """Most offers are: the unclipped ones alone would leave her far behind."""
     right = of = 0
@@ -159,7 +159,7 @@ def test_constrained_candidates_do_not_poison_what_follows() -> None:
 LOSING = View(view="offers", loss=0.1, seed=3)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("alpha", "seed", "view", "steps"), [(3.0, 3, LOSING, 120), (8.0, 1, OFFERS, 160)]
 )
@@ -193,7 +193,7 @@ def test_without_the_law_she_guesses_evenly() -> None:
     assert {g.symbol for g in tap.review()} == {(0.5, 0.5)}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lost_offers_are_bridged() -> None:
     run, tap, said, _ = played(3, LOSING, 120, alpha=3.0)
     heard = {t.k for t in heard_by(run, LOSING) if t.candidates}
@@ -203,7 +203,7 @@ def test_lost_offers_are_bridged() -> None:
     assert len(tap.review()) > 110
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_plant_of_four_states_and_two_inputs_is_read_too() -> None:
     _, _, _, scored = played(0, steps=120, name="quadruple-tank")
     assert scored.keys_reviewed.of > 15
@@ -221,7 +221,7 @@ def test_every_plant_can_be_listened_to(name: str) -> None:
         assert np.isfinite(step.samples).all()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_noise_that_hides_the_law_is_no_reason_to_fail() -> None:
     run = simulate(LEAST + 2, 0)
     view = View(view="offers", quantise=0.5)
@@ -237,7 +237,7 @@ def test_too_few_offers_say_nothing() -> None:
     assert reader_for(run).infer([]) == []
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_sessions_are_read_apart() -> None:
     transitions = [t for seed in (4, 5) for t in heard_by(simulate(34, seed), OFFERS)]
     steps = reader_for(simulate(34, 4)).infer(transitions)
@@ -248,7 +248,7 @@ def test_sessions_are_read_apart() -> None:
 # --- both, in part -------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_lost_messages_are_inferred_by_the_law_that_she_was_told() -> None:
     _, tap, _, scored = played(0, View(loss=0.3, seed=0), 200)
     assert scored.keys_reviewed.right > 0.88 * scored.keys_reviewed.of
@@ -291,7 +291,7 @@ def test_a_law_that_the_transcript_contradicts_is_not_believed() -> None:
     assert not reader.trusts(heard)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_noise_is_borne() -> None:
     _, _, _, scored = played(0, View(noise=0.05, seed=0), 80)
     assert scored.keys_reviewed.right > 0.85 * scored.keys_reviewed.of

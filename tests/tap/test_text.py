@@ -31,12 +31,14 @@ from tap_service.inference.english import (
     AnyBytes,
     Contexts,
     English,
+    distinct,
     english,
     log2_probability,
 )
 from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
+from tap_service.inference.message_halves import first_of_each
 from tap_service.inference.message_reader import MessageReader, verdicts_of
 from tap_service.inference.message_search import Found, MessageSearch
 from tests.support.held_memory import kept
@@ -266,7 +268,7 @@ def test_two_messages_and_one_under_way() -> None:
     assert under_way.bits_left > 8 * unsent
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(("size", "short"), [(4, 2), (4, 9), (4, 15), (3, 2), (3, 9)])
 def test_a_message_of_which_the_check_alone_is_not_over_is_under_way(size: int, short: int) -> None:
     """She has its text, and waits for the check: she neither refutes it nor takes it for whole."""
@@ -411,7 +413,7 @@ def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_stat
     assert -np.log2(right).mean() < loss
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_through_noise_she_is_not_below_the_smoother() -> None:
     """The smoother's 135 keys of 160 are no floor that she only just reaches."""
     run = simulate(160, 5, name="packed", payloads=[b"Go on now."])
@@ -444,6 +446,19 @@ def test_probabilities_of_the_next_byte_sum_to_one() -> None:
         np.testing.assert_allclose(rows[which].sum(axis=1), 1.0)
         at = at.after(np.array([byte, 200]))
     assert AnyBytes().next(at)[0].sum() == pytest.approx(1.0)
+
+
+def test_rows_that_differ_are_those_of_a_set_in_order_with_their_first_places() -> None:
+    rng = np.random.default_rng(0)
+    columns = rng.integers(0, 3, (3, 60))
+    rows = list(zip(*columns.tolist(), strict=True))
+    first, which = distinct(*columns)
+    assert [rows[i] for i in first] == sorted(set(rows))
+    assert [rows.index(row) for row in sorted(set(rows))] == first.tolist()
+    assert [rows[i] for i in first[which]] == rows
+    texts = rng.integers(0, 256, (60, 2), dtype=np.uint8)[rng.integers(0, 60, 60)]
+    said = [text.tobytes() for text in texts]
+    assert [said.index(text) for text in sorted(set(said))] == first_of_each(texts).tolist()
 
 
 def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() -> None:
@@ -499,7 +514,7 @@ def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
 # --- what she states ------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.timeout(1500)
 def test_what_she_states_comes_true() -> None:
     """A third to a half of the symbols missed: 20 short messages by 10 seeds, or by one each."""
@@ -529,7 +544,7 @@ def test_what_she_states_comes_true() -> None:
 # --- whole runs ---------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant() -> None:
     """What a step costs her is `wyner bench text`'s."""
     payload = b"Nobody may enter the control room without a red badge"
@@ -547,7 +562,7 @@ def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant()
     assert scored.keys_reviewed.right > 0.9 * scored.keys_reviewed.of
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("live", [True, False])
 @pytest.mark.parametrize(
     ("plant", "steps", "payload"),
@@ -569,7 +584,7 @@ def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
     assert said.belief.bits_left < 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_message_that_another_follows_at_once_is_read() -> None:
     """Of 160 lengths the true one is likely for what comes after its text, and not before."""
     payloads = [s.encode() for s in SENTENCES[:2]]
@@ -580,7 +595,7 @@ def test_a_message_that_another_follows_at_once_is_read() -> None:
     assert said.belief.whole == tuple(payloads)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -604,7 +619,7 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
     assert whole == ()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
     """She keeps twice as many at most."""
     rng, key, table, steps = random.Random(1), 0, np.array([0.05, 0.5, 0.5, 0.5]), []

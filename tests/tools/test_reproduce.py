@@ -9,8 +9,8 @@ from tools.reproduce import PAGE, Row, differs, main, rows, same_rows
 TOLD = "python -c 'print(\"20 of\\n 20 messages\")'"
 
 
-def row(command: str, expected: str = "pass", minutes: float = 0.1) -> Row:
-    return Row("a claim", command, minutes, expected)
+def row(command: str, expected: str = "pass", minutes: float = 0.1, tolerance: str = "") -> Row:
+    return Row("a claim", command, minutes, expected, tolerance)
 
 
 def test_every_row_of_the_page_can_be_run() -> None:
@@ -34,6 +34,23 @@ def test_a_row_holds_when_all_is_as_expected(command: str, expected: str, why: s
     said = differs(row(command, expected))
     assert why in said
     assert bool(said) == bool(why)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "why"),
+    [("85.5", ""), ("49", "ratio: got 49, expected at least 50"), ("null", "ratio: got None")],
+)
+def test_a_benchmarks_figure_is_at_least_what_its_tolerance_says(ratio: str, why: str) -> None:
+    command = f"""python -c 'print("bench ...\\n{{\\"ratio\\": {ratio}}}")'"""
+    said = differs(row(command, tolerance="ratio at least 50, idle machine"))
+    assert why in said
+    assert bool(said) == bool(why)
+
+
+def test_every_benchmark_of_the_page_has_a_tolerance_that_is_compared() -> None:
+    benchmarks = [r for r in rows(PAGE.read_text(encoding="utf-8")) if "bench" in r.command]
+    assert len(benchmarks) == 5
+    assert all(r.least is not None and r.command.endswith("--json") for r in benchmarks)
 
 
 def test_a_row_that_does_not_end_is_given_up() -> None:

@@ -36,10 +36,14 @@ if TYPE_CHECKING:
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
 SEALED: Final = "The old mill, at nine."
-PACE: Final = "x4"
-"""Fast enough for a minute in all, slow enough to be read and for a machine with other work."""
+PACE: Final = 4.0
+"""Times the plant's clock: a minute in all, and slow enough to be read."""
 
-ATTACKED_PACE: Final = "x6"
+ATTACKED_PACE: Final = 6.0
+
+SLOWEST: Final = 4
+"""What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
+is made again at half the pace, and those after it begin so."""
 
 REPEAT_S: Final = 0.2
 
@@ -62,12 +66,14 @@ ABOUT: Final = {
 MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
 
-ONSETS: Final = (360, 1080)
-"""Step from which the sensor is spoofed: six seconds in, keys are there. Where other work on the
-machine kept them away, the run shows nothing, and another one is made that waits longer."""
+ONSET: Final = 360
+"""Step from which the sensor is spoofed: six seconds in, keys are there."""
 
 SPOOFED: Final = 100
 """Steps of the attack."""
+
+ENOUGH: Final = 20
+"""Of them, what a key must have watched: who does not have the key guesses half of them wrong."""
 
 ATTACKED_BY: Final = ("nearest-centre", "key-solver")
 """Who listens to the attacked runs: what the attack may use is what the key-solver holds, and those
@@ -115,6 +121,7 @@ class _Outcome:
     summaries: dict[str, Any] = field(default_factory=dict)
     good: bool = True
     interrupted: bool = False
+    slower: int = 1
 
 
 def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
@@ -129,9 +136,7 @@ def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
         ("unseen", _unseen),
     )
     for name, act in acts:
-        if stage is not None:
-            stage.card(TITLES[name], ABOUT[name], "", "Controller, plant and tap start.")
-        outcome, line, as_it_must = act(args, folder / name, told, stage)
+        outcome, line, as_it_must = _shown(act, args, folder / name, told, stage)
         if outcome.left:
             line = f"{TITLES[name]}: left before its end, so that nothing is shown by it."
         if name == "unseen" and not outcome.left:
@@ -139,13 +144,38 @@ def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
         told.lines.append(line)
         told.summaries[name] = outcome.summary
         failed = bool(outcome.summary["failed"])
-        told.good = told.good and as_it_must and not outcome.left and not failed
+        told.good = told.good and bool(as_it_must) and not outcome.left and not failed
         if outcome.failure is not None:
             raise outcome.failure
         told.interrupted = outcome.interrupted
         if outcome.left or outcome.interrupted:
             break
     return told
+
+
+def _shown(
+    act: "Callable[..., Act]",
+    args: argparse.Namespace,
+    folder: Path,
+    told: _Outcome,
+    stage: "Stage | None",
+) -> "Act":
+    """A run that showed something, or the slowest of those that did not."""
+    name = folder.name
+    begins = "Controller, plant and tap start."
+    while True:
+        if stage is not None:
+            stage.card(TITLES[name], ABOUT[name], "", begins)
+        elif not args.json:
+            print(f"{TITLES[name]}: {ABOUT[name]}. {begins}", file=sys.stderr, flush=True)
+        outcome, line, as_it_must = act(args, folder, told, stage)
+        ended = outcome.left or outcome.interrupted or outcome.failure is not None
+        if as_it_must is not None or ended or told.slower == SLOWEST:
+            return outcome, line, as_it_must
+        told.slower *= 2
+        shutil.rmtree(folder)
+        missed, steps = outcome.summary["missed"], outcome.summary["steps"]
+        begins = f"{missed} of {steps} steps were missed: once more, at half the pace."
 
 
 def _rows(line: str) -> list[str]:
@@ -155,15 +185,15 @@ def _rows(line: str) -> list[str]:
     return wrap(line, max(40, shutil.get_terminal_size().columns - 1), subsequent_indent="   ")
 
 
-def _options(args: argparse.Namespace, scenario: str, folder: Path, *, secret: bool) -> RunOptions:
+def _options(
+    args: argparse.Namespace, scenario: str, folder: Path, slower: int, *, secret: bool
+) -> RunOptions:
     """What one of the runs is asked to be."""
-    if not args.json:
-        print(f"{TITLES[folder.name]}: {ABOUT[folder.name]}", file=sys.stderr, flush=True)
     return RunOptions(
         scenario=scenario,
         run_dir=str(folder),
         message=SPOKEN,
-        pace=PACE,
+        pace=f"x{PACE / slower:g}",
         steps=MOST_STEPS,
         until_delivered=True,
         headless=args.headless,
@@ -172,26 +202,30 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path, *, secret: b
     )
 
 
-Act = tuple[Outcome, str, bool]
+Act = tuple[Outcome, str, bool | None]
+"""A run, its line, and whether it came out as it must: None where it shows nothing."""
 
 
-def _spoken(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
+def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
-    options = _options(args, "packed", folder, secret=False)
+    options = _options(args, "packed", folder, told.slower, secret=False)
     outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
     summary = outcome.summary
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
+    if not summary["delivered"]:
+        line = f"1. Spoken:  not delivered: {_missed(summary)}."
+        return outcome, line, None
     line = (
         f"1. Spoken:  {summary['bits_per_second']:.1f} bit/s by the paper's rule, counted; "
         f"the plant has it at step {summary['delivered_k']}, the tap at {first}."
         if had
         else "1. Spoken:  the tap has not got the message, and should have."
     )
-    return outcome, line, bool(summary["delivered"] and had)
+    return outcome, line, bool(had)
 
 
-def _sealed(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
+def _sealed(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """Keys from what the tap misses, and a message under a one-time pad of them."""
     payload = SEALED.encode()
     messages: list[SealedMessage] = []
@@ -200,77 +234,67 @@ def _sealed(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Sta
         messages.append(SealedMessage(management, payload))
         return messages[0]
 
-    options = _options(args, "keys", folder, secret=True)
+    options = _options(args, "keys", folder, told.slower, secret=True)
     outcome = run_session(options, begin, stays=False, title=TITLES["sealed"], stage=stage)
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
     sent = bool(messages and messages[0].delivered)
-    told = f"{len(payload)} bytes under {keys_needed(len(payload))} of {made} keys"
-    line = (
-        f"2. Sealed:  {told}. A tap that loses 30 % holds {held} bits."
-        if sent
-        else f"2. Sealed:  not delivered: {made} keys made, {outcome.summary['missed']} of "
-        f"{outcome.summary['steps']} steps missed."
-    )
-    return outcome, line, bool(sent and made and held == 0 and keys.get("same_at_both_ends"))
+    if not sent:
+        line = f"2. Sealed:  not delivered: {made} keys made, {_missed(outcome.summary)}."
+        return outcome, line, None
+    under = f"{len(payload)} bytes under {keys_needed(len(payload))} of {made} keys"
+    line = f"2. Sealed:  {under}. A tap that loses 30 % holds {held} bits."
+    return outcome, line, bool(made and held == 0 and keys.get("same_at_both_ends"))
 
 
-def _control(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
+def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     text = _changed("keys", DEAF, CLAIM)
 
-    def line_of(summary: dict[str, Any]) -> str:
-        keys = summary["keys"] or {}
-        made = keys.get("made", 0)
-        if made:
-            return f"3. Control: {made} keys beside a tap that hears all: that must not be."
-        return "3. Control: beside a tap that hears all no key is made, and none is promised."
-
     with _scenario("wired-tap", text) as scenario:
-        options = _options(args, scenario, folder, secret=True)
+        options = _options(args, scenario, folder, told.slower, secret=True)
         outcome = run_session(options, stays=False, title=TITLES["control"], stage=stage)
-    made = (outcome.summary["keys"] or {}).get("made", 0)
-    return outcome, line_of(outcome.summary), made == 0
+    summary = outcome.summary
+    made = (summary["keys"] or {}).get("made", 0)
+    if made:
+        line = f"3. Control: {made} keys beside a tap that hears all: that must not be."
+        return outcome, line, False
+    if not summary["delivered"]:
+        return outcome, f"3. Control: nothing is shown, for {_missed(summary)}.", None
+    line = "3. Control: beside a tap that hears all no key is made, and none is promised."
+    return outcome, line, True
 
 
-def _caught(args: argparse.Namespace, folder: Path, _told: _Outcome, stage: "Stage | None") -> Act:
+def _caught(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
     with _scenario("secret-key", _listened(_changed("watched"))) as scenario:
-
-        def attempt(onset: int) -> Outcome:
-            options = _attacked(args, scenario, folder, onset)
-            return run_session(options, stays=False, title=TITLES["caught"], stage=stage)
-
-        soon, late = ONSETS
-        outcome = attempt(soon)
-        whole = not (outcome.left or outcome.interrupted or outcome.failure)
-        if whole and not (outcome.summary["attack"] or {}).get("watched"):
-            shutil.rmtree(folder)
-            outcome = attempt(late)
+        options = _attacked(args, scenario, folder, told.slower)
+        outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
     found = outcome.summary["attack"] or {}
     delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
     steps = f"{delay} step{'' if delay == 1 else 's'}"
-    told = f"caught {steps} after its onset under a secret key" if caught else "NOT caught"
-    if not caught and not found.get("watched"):
-        summary = outcome.summary
-        told += f", for no key was there ({summary['missed']} of {summary['steps']} steps missed)"
-    line = f"4. Attacked: a spoofed sensor is {told}"
-    return outcome, line, bool(caught and not found.get("false_alarms"))
+    line = "4. Attacked: a spoofed sensor is "
+    if caught:
+        line += f"caught {steps} after its onset under a secret key"
+        return outcome, line, not found.get("false_alarms")
+    line += "NOT caught"
+    if found.get("watched", 0) >= ENOUGH:
+        return outcome, line, False
+    return outcome, f"{line}, for no key was there in time ({_missed(outcome.summary)})", None
 
 
 def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The same by one who hears all, so that she has the key and every digit of it."""
     before = tuple(told.lines)
-    onset = (told.summaries["caught"]["attack"] or {}).get("onset", ONSETS[0])
 
     def line_of(summary: dict[str, Any]) -> str:
         found = summary["attack"] or {}
         away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
         if found.get("alarm_k", -1) >= 0:
             return f"{before[-1]}, and beside a tap that reads the key as well: that must not be."
-        if not found.get("watched"):
-            missed = f"{summary['missed']} of {summary['steps']} steps missed"
-            return f"{before[-1]}; beside a tap that hears all no key was there in time ({missed})."
+        if found.get("watched", 0) < ENOUGH:
+            missed = f"no key was there in time ({_missed(summary)})"
+            return f"{before[-1]}; beside a tap that hears all {missed}."
         return (
             f"{before[-1]}, and never under one that the tap reads: the plant is then {away:.0f} "
             f"away while the screen shows {shown:.1f}."
@@ -278,24 +302,30 @@ def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
 
     with _scenario("false-claim", _listened(_changed("watched", DEAF))) as scenario:
         outcome = run_session(
-            _attacked(args, scenario, folder, onset),
+            _attacked(args, scenario, folder, told.slower),
             epilogue=lambda summary: [*before[:-1], line_of(summary)],
             title=TITLES["unseen"],
             stage=stage,
         )
     found = outcome.summary["attack"] or {}
-    unseen = found.get("alarm_k", 0) < 0 < found.get("watched", 0)
-    return outcome, line_of(outcome.summary), bool(unseen)
+    unseen = found.get("alarm_k", 0) < 0
+    shown = found.get("watched", 0) >= ENOUGH or not unseen
+    return outcome, line_of(outcome.summary), unseen if shown else None
 
 
-def _attacked(args: argparse.Namespace, scenario: str, folder: Path, onset: int) -> RunOptions:
+def _missed(summary: dict[str, Any]) -> str:
+    """How many steps the machine missed, as a line says it."""
+    return f"{summary['missed']} of {summary['steps']} steps missed"
+
+
+def _attacked(args: argparse.Namespace, scenario: str, folder: Path, slower: int) -> RunOptions:
     """What a run is asked to be whose sensor is spoofed."""
-    options = _options(args, scenario, folder, secret=True)
+    options = _options(args, scenario, folder, slower, secret=True)
     return replace(
         options,
-        attack=f"ghost@{onset}",
-        steps=onset + SPOOFED,
-        pace=ATTACKED_PACE,
+        attack=f"ghost@{ONSET}",
+        steps=ONSET + SPOOFED,
+        pace=f"x{ATTACKED_PACE / slower:g}",
         until_delivered=False,
     )
 
