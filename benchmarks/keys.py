@@ -1,12 +1,13 @@
 """What keys cost the loop: its speed with and without them, and offers while a block is distilled.
 
 Rounds alternate in one run, because machines are noisy: the scenario `keys` without its table
-``keys``, as it is, and with a keyed coin; in lock-step, for the speed; then the first two at a
-pace, for the offers. The tap hears everything here, so that each message's time is on record. An
-offer falls *into a distillation* when the controller's trace shows it between the transition that
-closed a block and the line that the block is stored; the plant distils at the same time. How much
-later such an offer comes is the mean over rounds of the difference of two medians, with an
-interval: a delay longer than the interval is wide would have been seen.
+``keys`` and as it is; in lock-step, for the speed, then at a pace, for the offers. What a keyed
+coin costs besides is less than rounds differ by, and is measured by turns. The tap hears everything
+here, so that each message's time is on record. An offer falls *into a distillation* when the
+controller's trace shows it between the transition that closed a block and the line that the block
+is stored; the plant distils at the same time. How much later such an offer comes is the mean over
+rounds of the difference of two medians, with an interval: a delay longer than the interval is wide
+would have been seen.
 """
 
 import json
@@ -15,11 +16,13 @@ import tempfile
 import tomllib
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from benchmarks.in_turn import in_turn
 from benchmarks.loop import PATIENCE_S, STEP_LIMIT_S, WARM_UP, running
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
@@ -30,8 +33,13 @@ from wyner.fit.toml import as_toml
 
 SCENARIO: Final = Path(__file__).resolve().parent.parent / "runtime" / "scenarios" / "keys.toml"
 CASES: Final = ("off", "on", "distilling")
-LOOPS: Final = ("off", "on", "coin")
-"""Without keys, with them, and with the coin keyed besides."""
+LOOPS: Final = ("off", "on")
+"""Without keys, and with them."""
+
+COIN: Final = "coin"
+"""The loop with keys whose coin is keyed besides."""
+
+TURN_S: Final = 1.0
 
 PACES: Final = ("fast", "x50")
 """Lock-step, where the cores are full, and 500 steps a second, where they are not."""
@@ -45,12 +53,12 @@ class KeyRound:
     offers_us: dict[str, list[float]]
 
 
-def _variant(folder: Path, loop: str) -> Path:
+def _variant(folder: Path, *, loop: str) -> Path:
     tables = tomllib.loads(SCENARIO.read_text(encoding="utf-8"))
     tables["tap"]["loss"] = 0.0
     if loop == "off":
         del tables["keys"]
-    if loop == "coin":
+    if loop == COIN:
         tables["defence"] = {"kind": "keyed-coin"}
     path = folder / "scenario.toml"
     path.write_text(as_toml(tables), encoding="utf-8")
@@ -89,7 +97,7 @@ def key_round(loop: str, *, steps: int, pace: str) -> KeyRound:
     """
     with tempfile.TemporaryDirectory(prefix="wyner-bench-") as name:
         folder = Path(name)
-        with running(_variant(folder, loop), folder, steps, pace) as services:
+        with running(_variant(folder, loop=loop), folder, steps, pace) as services:
             services["plant"].wait(PATIENCE_S + STEP_LIMIT_S * steps)
         seen: dict[str, dict[int, int]] = {Measurement.topic: {}, Offer.topic: {}}
         for line in (folder / CAPTURE).read_bytes().splitlines()[1:]:
@@ -167,16 +175,22 @@ def _figures(values: Sequence[float]) -> dict[str, float]:
 
 
 def measure(
-    *, rounds: int = 3, steps: int = 3000, progress: Callable[[str], None] | None = None
+    *,
+    rounds: int = 3,
+    steps: int = 3000,
+    blocks: int = 10,
+    progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Measure the loop without keys, with them, and with a keyed coin.
 
     Parameters
     ----------
     rounds : int
-        Of a run of each of `LOOPS` in lock-step, then one without keys and one with them at a pace.
+        Of a run of each of `LOOPS` in lock-step, then of each at a pace.
     steps : int
         Steps of each run.
+    blocks : int
+        Of turns with keys and with a keyed coin, see :func:`in_turn`.
     progress : callable, optional
         Told in a line how each round went.
 
@@ -184,8 +198,8 @@ def measure(
     -------
     dict
         ``steps_per_second`` (of `LOOPS`: medians over rounds in lock-step), ``ratio`` (with keys to
-        without), ``coin_ratio`` (with a keyed coin to keys alone), ``rounds`` (each round's
-        figures), ``offers_us`` (for each of `PACES` and `CASES`:
+        without), ``coin`` (with a keyed coin to keys alone: :func:`in_turn`), ``rounds`` (each
+        round's figures), ``offers_us`` (for each of `PACES` and `CASES`:
         how many, quantiles, ``longest``), ``delay_us`` (for each of `PACES` what :func:`delay`
         says), ``steps``.
 
@@ -198,21 +212,24 @@ def measure(
     runs: dict[str, list[dict[str, KeyRound]]] = {pace: [] for pace in PACES}
     for i in range(rounds):
         for pace in PACES:
-            loops = LOOPS if pace == "fast" else LOOPS[:2]
-            order = loops if i % 2 == 0 else loops[::-1]
+            order = LOOPS if i % 2 == 0 else LOOPS[::-1]
             runs[pace].append({loop: key_round(loop, steps=steps, pace=pace) for loop in order})
         told = runs["fast"][-1]
         say(
             f"round {i + 1} of {rounds}: {told['off'].steps_per_second:.0f} steps/s without keys, "
-            f"{told['on'].steps_per_second:.0f} with, {told['coin'].steps_per_second:.0f} with a "
-            "keyed coin"
+            f"{told['on'].steps_per_second:.0f} with"
         )
     speed = [{loop: round_[loop].steps_per_second for loop in LOOPS} for round_ in runs["fast"]]
     medians = {loop: statistics.median(one[loop] for one in speed) for loop in LOOPS}
     return {
         "steps_per_second": medians,
         "ratio": medians["on"] / medians["off"],
-        "coin_ratio": medians["coin"] / medians["on"],
+        "coin": in_turn(
+            {loop: partial(_variant, loop=loop) for loop in ("on", COIN)},
+            blocks=blocks,
+            seconds=TURN_S,
+            progress=progress,
+        ),
         "rounds": speed,
         "offers_us": {
             pace: {
@@ -230,7 +247,7 @@ def measure(
 
 def render(result: dict[str, Any]) -> str:
     """The result of :func:`measure` as a table for people."""
-    speed = result["steps_per_second"]
+    speed, coin = result["steps_per_second"], result["coin"]
     words = dict(zip(CASES, ("no keys", "keys", "keys, a block is distilled"), strict=True))
     columns = (*QUANTILES, "longest")
     lines = [
@@ -238,9 +255,10 @@ def render(result: dict[str, Any]) -> str:
         "tap attached",
         "",
         f"lock-step, steps a second: {speed['off']:.0f} without keys, {speed['on']:.0f} with them "
-        f"({result['ratio']:.2f}), {speed['coin']:.0f} with a keyed coin besides "
-        f"({result['coin_ratio']:.3f} of keys alone); round by round "
+        f"({result['ratio']:.2f}); round by round "
         + ", ".join("/".join(f"{r[loop]:.0f}" for loop in LOOPS) for r in result["rounds"]),
+        f"a keyed coin besides, by turns of {TURN_S:g} s: {coin['ratio']:.3f} of keys alone "
+        f"[{coin['low']:.3f}, {coin['high']:.3f}]",
         "",
         f"{'an offer after its measurement, us':<38}{'offers':>8}"
         + "".join(f"{name:>9}" for name in columns),

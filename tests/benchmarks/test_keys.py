@@ -17,7 +17,7 @@ def test_offers_between_a_blocks_end_and_its_storing_are_those_of_a_distillation
 @pytest.mark.slow
 @pytest.mark.integration
 def test_a_round_with_keys_is_measured() -> None:
-    once = key_round("coin", steps=400, pace="fast")
+    once = key_round("on", steps=400, pace="fast")
     assert once.steps_per_second > 0
     assert not once.offers_us["off"]
     assert len(once.offers_us["on"]) + len(once.offers_us["distilling"]) > 200
@@ -25,13 +25,14 @@ def test_a_round_with_keys_is_measured() -> None:
 
 def test_the_result_is_of_medians_and_of_all_rounds(monkeypatch: pytest.MonkeyPatch) -> None:
     speeds = iter([100.0, 50.0, 300.0])
-    factor = {"off": 1.0, "on": 0.5, "coin": 0.4}
+    factor = {"off": 1.0, "on": 0.5}
+    turns = {"ratio": 0.8, "low": 0.75, "high": 0.85}
     calls: list[tuple[str, str]] = []
 
     def fake(loop: str, *, steps: int, pace: str) -> KeyRound:
         calls.append((pace, loop))
         of_round = [c for c in calls if c[0] == "fast"]
-        if pace == "fast" and len(of_round) % 3 == 1:
+        if pace == "fast" and len(of_round) % 2 == 1:
             speed.append(next(speeds))
         offers: dict[str, list[float]] = {case: [] for case in CASES}
         offers["off" if loop == "off" else "on"] = [1.0, 2.0, 3.0]
@@ -39,19 +40,19 @@ def test_the_result_is_of_medians_and_of_all_rounds(monkeypatch: pytest.MonkeyPa
 
     speed: list[float] = []
     monkeypatch.setattr("benchmarks.keys.key_round", fake)
+    monkeypatch.setattr("benchmarks.keys.in_turn", lambda *_, **__: turns)
     result = measure(rounds=3)
-    assert result["steps_per_second"] == {"off": 100.0, "on": 50.0, "coin": 40.0}
+    assert result["steps_per_second"] == {"off": 100.0, "on": 50.0}
     assert result["ratio"] == 0.5
-    assert result["coin_ratio"] == 0.8
-    assert calls[:3] == [("fast", loop) for loop in ("off", "on", "coin")]
-    assert calls[5:8] == [("fast", loop) for loop in ("coin", "on", "off")]  # they take turns
-    assert ("x50", "coin") not in calls
+    assert result["coin"] == turns
+    assert calls[:2] == [("fast", loop) for loop in ("off", "on")]
+    assert calls[4:6] == [("fast", loop) for loop in ("on", "off")]  # they take turns
     assert result["offers_us"]["fast"]["on"] == {
         "offers": 9, "p50": 2.0, "p90": 3.0, "p99": 3.0, "longest": 3.0,
     }  # fmt: skip
     assert result["offers_us"]["x50"]["distilling"] == {"offers": 0}
     assert "keys, a block is distilled" in render(result)
-    assert "40 with a keyed coin besides (0.800 of keys alone)" in render(result)
+    assert "by turns of 1 s: 0.800 of keys alone [0.750, 0.850]" in render(result)
     assert "x50: an offer while a block is distilled, later by: not seen" in render(result)
 
 
