@@ -11,7 +11,7 @@ import signal
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -50,9 +50,10 @@ class Loop:
         self.send(signal.SIGSTOP)
 
     def send(self, which: signal.Signals) -> None:
-        """Send a signal to every process of the loop."""
+        """Send a signal to every process of the loop that is there."""
         for pid in self._pids:
-            os.kill(pid, which)
+            with suppress(ProcessLookupError):
+                os.kill(pid, which)
 
     def turn(self, seconds: float) -> None:
         """Let it run for so long."""
