@@ -253,7 +253,9 @@ class Guard:
             return Opened(body, number, slot, number)
         decoded, needs = self._decoded(k, body, more, key)
         if decoded is None:
-            return Opened(None, why="it does not open")
+            # what it also needs is of a batch that has served: it is late, as above
+            late = 0 <= needs < self.oldest
+            return Opened(None, why="" if late else "it does not open")
         return Opened(decoded, number, slot, number if needs < 0 else needs)
 
     def without(self, k: int, wire: bytes, promise: Promise) -> Opened:
@@ -290,7 +292,7 @@ class Guard:
                 needs, slot = map(int, fields["after"].split("/"))
                 old = self._key(needs, slot)
                 if old is None:
-                    return None, -1
+                    return None, needs
                 then = said["applied_k"] + 1
                 said["x_after"] = self._back(then, np.asarray(after, float), old, rest[n:])
             elif after and said["applied_k"] == k - 1:

@@ -294,3 +294,21 @@ def test_a_batch_that_has_served_is_late_and_no_forgery() -> None:
     assert hearer.opened(14, newer, Promise(10, 4)).lacking == 7
     assert hearer.without(14, newer, Promise(10, 4)).why
     assert hearer.without(14, newer, Promise()).plain == measurement(14, 13, "0.1,-2.3")
+
+
+def test_a_message_that_needs_a_batch_that_has_served_is_late_and_no_forgery() -> None:
+    """A repeat of measurement 41, which tells of step 40's state too, came after measurement 42."""
+    sender, hearer = ends(Coding(2, 4))
+    key = Random(6).randbytes(4 * 32)
+    sender.add((Batch(4, key, 41),))
+    hearer.add((Batch(4, key),))
+    plain = measurement(41, 39, "1e-17,123.456")
+    wire = sender.closed(41, plain, 40)
+    assert b'"guard":"4/0","after":"3/30"' in wire
+    opened = hearer.opened(41, wire, Promise())
+    assert (opened.plain, opened.number, opened.needs) == (plain, 4, 3)
+    hearer.drop_below(4)
+    late = hearer.opened(41, wire, Promise())
+    assert (late.plain, late.lacking, late.why) == (None, -1, "")
+    never = wire.replace(b'"after":"3/30"', b'"after":"9/30"')
+    assert hearer.opened(41, never, Promise()).why == "it does not open"
