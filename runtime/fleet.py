@@ -123,11 +123,17 @@ class Fleet:
         Them, by id, as they are now.
     path : Path, optional
         The file that ``read`` reads: it is read again when it has changed.
+
+    Attributes
+    ----------
+    loops : dict
+    path : Path or None
+        As given.
     """
 
     def __init__(self, read: Callable[[], dict[str, FleetLoop]], path: Path | None = None) -> None:
         self._read = read
-        self._path = path
+        self.path = path
         self._stamp = self._look()
         self.loops = read()
 
@@ -144,7 +150,7 @@ class Fleet:
 
     def _look(self) -> tuple[int, int]:
         try:
-            status = self._path.stat() if self._path is not None else None
+            status = self.path.stat() if self.path is not None else None
         except OSError:
             return (-1, -1)
         return (0, 0) if status is None else (status.st_mtime_ns, status.st_size)

@@ -31,7 +31,8 @@ def check_loops(fleet: Fleet) -> None:
     Raises
     ------
     UsageError
-        With the lines of each scenario that is wrong, after the first loop that has it.
+        With the lines of each scenario that is wrong; where loops stand in a file, after the first
+        one that has it.
     """
     first: dict[str, str] = {}
     for loop in fleet.loops.values():
@@ -41,7 +42,8 @@ def check_loops(fleet: Fleet) -> None:
         try:
             check_delays(scenario_of(scenario), scenario_file_of(scenario).parent)
         except UsageError as error:
-            problems += [f"{loop_id}: {line}" for line in error.lines]
+            where = "" if fleet.path is None else f"{loop_id}: "
+            problems += [f"{where}{line}" for line in error.lines]
     if problems:
         raise UsageError(problems)
 

@@ -113,6 +113,8 @@ def test_a_check_reads_the_scenario_of_every_loop_and_its_files_of_delays(
     fleet.write_text(ONE)
     assert main(asked) == 0
     assert main([service, "--loops", "3", "--scenario", str(delayed), "--check"]) == 0
+    assert main([service, "--loops", "3", "--scenario", "nowhere", "--check"]) == 2
+    assert "loop-" not in capsys.readouterr().err
     assert not (tmp_path / "run").exists()
 
 
