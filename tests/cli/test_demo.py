@@ -55,12 +55,13 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
 ) -> None:
     """A busy machine had the first keys after the onset, and the demo showed nothing."""
     asked: list[tuple[str, str]] = []
+    pace, slowest = demo.PACE, f"x{demo.ATTACKED_PACE / 8:g}"
 
     def session(options: RunOptions, *_: object, **__: object) -> Outcome:
         folder = Path(str(options.run_dir))
         folder.mkdir(parents=True)
         asked.append((folder.name, options.pace))
-        watched = 40 if options.pace == "x1.5" else 0
+        watched = 40 if options.pace == slowest else 0
         alarm = 361 if watched and folder.name == "caught" else -1
         found = {"onset": 360, "watched": watched, "alarm_k": alarm, "delay": 1}
         summary = {
@@ -74,12 +75,16 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     monkeypatch.setattr(demo, "run_session", session)
     monkeypatch.setattr(demo, "SLOWEST", 2)
     assert main(["demo", "--json", "--run-dir", str(tmp_path / "never")]) == 1
-    assert asked[:3] == [("spoken", "x4"), ("spoken", "x2"), ("sealed", "x2")]
+    assert asked[:3] == [
+        ("spoken", f"x{pace:g}"),
+        ("spoken", f"x{pace / 2:g}"),
+        ("sealed", f"x{pace / 2:g}"),
+    ]
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict[0] == "1. Spoken:  not delivered: 99 of 460 steps missed."
     assert "no key was there in time (99 of 460 steps missed)" in verdict[-1]
-    monkeypatch.setattr(demo, "SLOWEST", 4)
+    monkeypatch.setattr(demo, "SLOWEST", 8)
     asked.clear()
     main(["demo", "--json", "--run-dir", str(tmp_path / "demo")])
-    assert asked[-2:] == [("caught", "x1.5"), ("unseen", "x1.5")]
+    assert asked[-2:] == [("caught", slowest), ("unseen", slowest)]
     assert "caught 1 step after its onset" in json.loads(capsys.readouterr().out)["verdict"][-1]

@@ -36,12 +36,12 @@ if TYPE_CHECKING:
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
 SEALED: Final = "The old mill, at nine."
-PACE: Final = 4.0
+PACE: Final = 5.0
 """Times the plant's clock: a minute in all, and slow enough to be read."""
 
-ATTACKED_PACE: Final = 6.0
+ATTACKED_PACE: Final = 7.0
 
-SLOWEST: Final = 4
+SLOWEST: Final = 8
 """What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
 is made again at half the pace, and those after it begin so."""
 
@@ -67,7 +67,7 @@ MOST_STEPS: Final = 2000
 """A run that did not come to its point by then ends all the same."""
 
 ONSET: Final = 360
-"""Step from which the sensor is spoofed: six seconds in, keys are there."""
+"""Step from which the sensor is spoofed: five seconds in, keys are there."""
 
 SPOOFED: Final = 100
 """Steps of the attack."""
