@@ -55,6 +55,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
 ) -> None:
     """A busy machine had the first keys after the onset, and the demo showed nothing."""
     asked: list[tuple[str, str]] = []
+    missed = 99
     pace, slowest = demo.PACE, f"x{demo.ATTACKED_PACE / 8:g}"
 
     def session(options: RunOptions, *_: object, **__: object) -> Outcome:
@@ -67,7 +68,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
         summary = {
             "attack": found, "taps": {}, "keys": {}, "failed": [],
             "delivered": folder.name != "spoken",
-            "missed": 99, "steps": 460, "bits_per_second": 20.0, "delivered_k": 273,
+            "missed": missed, "steps": 460, "bits_per_second": 20.0, "delivered_k": 273,
         }  # fmt: skip
         scenario = scenario_of("packed")
         return Outcome(scenario, summary, failure=None, interrupted=False, left=False)
@@ -83,6 +84,13 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict[0] == "1. Spoken:  not delivered: 99 of 460 steps missed."
     assert "no key was there in time (99 of 460 steps missed)" in verdict[-1]
+    missed = 0
+    asked.clear()
+    assert main(["demo", "--json", "--run-dir", str(tmp_path / "idle")]) == 1
+    names = [name for name, _ in asked]
+    assert names == ["spoken", "sealed", "control", "caught", "unseen"]  # it was not the machine
+    capsys.readouterr()
+    missed = 99
     monkeypatch.setattr(demo, "SLOWEST", 8)
     asked.clear()
     main(["demo", "--json", "--run-dir", str(tmp_path / "demo")])

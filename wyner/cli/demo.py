@@ -172,10 +172,11 @@ def _shown(
         ended = outcome.left or outcome.interrupted or outcome.failure is not None
         if as_it_must is not None or ended or told.slower == SLOWEST:
             return outcome, line, as_it_must
+        if not outcome.summary["missed"]:  # it was not the machine
+            return outcome, line, as_it_must
         told.slower *= 2
         shutil.rmtree(folder)
-        missed, steps = outcome.summary["missed"], outcome.summary["steps"]
-        begins = f"{missed} of {steps} steps were missed: once more, at half the pace."
+        begins = f"{_missed(outcome.summary)}: once more, at half the pace."
 
 
 def _rows(line: str) -> list[str]:
