@@ -13,7 +13,7 @@ ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap t
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
 	@echo "make test          the tests but for the long ones, with ruff and mypy"
-	@echo "make test-long     what is measured over many runs, and the campaigns' short forms"
+	@echo "make test-long     the long ones: many runs, benchmarks, the campaigns' short forms"
 	@echo "make test-fast     the tests without the slow ones"
 	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, attacker, wyner, studies, house"
 	@echo "make test-pythons  a part of the tests on every other Python at hand"

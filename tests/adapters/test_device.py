@@ -273,7 +273,7 @@ def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
     assert back.record.k == 2
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("seed", range(6))
 def test_exactly_once_with_plants_that_die(seed: int, law: CandidateLaw) -> None:
     """The contract of the link, for a plant that starts anew with each of its processes."""
@@ -312,7 +312,7 @@ class Line(PythonLine):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
     """Three real processes; the plant's code kills its service, and the check knows such a step."""

@@ -152,7 +152,7 @@ def test_the_legend_of_a_design_names_what_is_in_sight_and_covers_none_of_it(
     assert below > APART
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_design_is_drawn(tmp_path: Path) -> None:
     for name, kind in (("sustained", "png"), ("quadruple-tank", "pdf")):
         path = tmp_path / f"{name}.{kind}"

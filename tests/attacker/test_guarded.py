@@ -328,6 +328,7 @@ class Live:
             stopping.set()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("messages", "attack"),
     [("mac", "covert@1"), ("coding", "covert@1"), (f"{OWN}:Flip", f"{SPOILT}:Deaf@1")],

@@ -47,6 +47,7 @@ def test_an_attacked_run_passes_the_check_and_says_how_far_the_plant_is(
     assert found["away"] == 0 if at == "actuator" else found["away"] > 0.3
 
 
+@pytest.mark.long
 def test_one_that_fails_costs_the_loop_nothing(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -58,6 +59,7 @@ def test_one_that_fails_costs_the_loop_nothing(
     assert summary["attack"]["away_most"] == 0
 
 
+@pytest.mark.long
 def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path) -> None:
     run = tmp_path / "run"
     command = [sys.executable, "-m", "wyner", "up", "--scenario", "packed", "--pace", "x10"]

@@ -15,7 +15,7 @@ from controller_service.sets.design import Design, synthesise
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 QUICK: dict[str, Any] = {"horizons": (3, 6, 12), "seconds": 20.0, "repeats": 2, "rounds": 2}
 
@@ -36,7 +36,7 @@ def sets() -> dict[str, Any]:
     return bench_sets.measure(**QUICK)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_our_sets_are_timed_and_right(sets: dict[str, Any]) -> None:
     assert sorted(sets["ours"]) == [3, 6, 12]
     for entry in sets["ours"].values():
@@ -49,7 +49,7 @@ def test_our_sets_are_timed_and_right(sets: dict[str, Any]) -> None:
     assert sets["max_relative_error"] == max(map(abs, largest)) > 0
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_package_is_measured_beside_us(sets: dict[str, Any]) -> None:
     assert "missing" not in sets
     assert set(sets["routes"]) == {"corners", "corners, unreduced", "projection"}
@@ -64,7 +64,7 @@ def test_the_package_is_measured_beside_us(sets: dict[str, Any]) -> None:
     assert sets["routes"]["corners, unreduced"]["wrong_from"] == 3
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_ratio_is_to_the_fastest_right_route(sets: dict[str, Any]) -> None:
     right = [name for name, r in sets["routes"].items() if r["wrong_from"] is None]
     fastest = min(right, key=lambda name: sets["routes"][name]["at"][6]["seconds"])

@@ -9,7 +9,7 @@ from benchmarks import engine as bench_engine
 from benchmarks.__main__ import main
 from benchmarks.engine import PARTS, measure, render
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 QUICK: dict[str, Any] = {"rounds": 2, "runs": 40, "steps": 20, "scalar_steps": 40, "plain_steps": 3}
 

@@ -16,7 +16,7 @@ def shipped(folder: Path) -> Path:
     return Path(shutil.copy(SCENARIOS / "sustained.toml", folder / "scenario.toml"))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_the_ratio_of_two_loops_that_are_one_is_about_one(
     monkeypatch: pytest.MonkeyPatch,
@@ -31,7 +31,7 @@ def test_the_ratio_of_two_loops_that_are_one_is_about_one(
     assert min(told["steps_per_second"].values()) > 50
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_loop_that_makes_no_step_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "WARM_UP_S", 1.0)

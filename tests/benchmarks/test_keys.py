@@ -14,7 +14,7 @@ def test_offers_between_a_blocks_end_and_its_storing_are_those_of_a_distillation
     assert in_distillation(lines, lambda b: 3 + 10 * b) == {104, 105, 106}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_round_with_keys_is_measured() -> None:
     once = key_round("on", steps=400, pace="fast")
@@ -56,7 +56,7 @@ def test_the_result_is_of_medians_and_of_all_rounds(monkeypatch: pytest.MonkeyPa
     assert "x50: an offer while a block is distilled, later by: not seen" in render(result)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("added", [0.0, 30.0])
 def test_a_delay_of_thirty_microseconds_is_seen_and_none_is_not(added: float) -> None:
     draw = random.Random(5)

@@ -27,7 +27,7 @@ def result(said: list[str]) -> dict[str, Any]:
     return measure(rounds=ROUNDS, steps=STEPS, progress=said.append)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_the_ratio_is_that_of_the_two_medians(result: dict[str, Any]) -> None:
     for key in ("steps_per_second", "bare_round_trips_per_second"):
@@ -41,7 +41,7 @@ def test_the_ratio_is_that_of_the_two_medians(result: dict[str, Any]) -> None:
         assert one["ratio"] == one["steps_per_second"] / one["bare_round_trips_per_second"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_the_parts_add_up_to_the_step(result: dict[str, Any]) -> None:
     parts = result["parts"]
@@ -58,7 +58,7 @@ def test_the_parts_add_up_to_the_step(result: dict[str, Any]) -> None:
     assert parts["transport: bare round trip"] == bare
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_the_result_is_an_object_for_machines(result: dict[str, Any], said: list[str]) -> None:
     assert json.loads(json.dumps(result)) == result
@@ -67,7 +67,7 @@ def test_the_result_is_an_object_for_machines(result: dict[str, Any], said: list
     assert len(said) == ROUNDS
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_the_table_says_what_was_measured_and_whether_the_target_was_reached(
     result: dict[str, Any],
@@ -79,7 +79,7 @@ def test_the_table_says_what_was_measured_and_whether_the_target_was_reached(
         assert verdict in render({**result, "ratio": ratio})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_bare_round_trips_carry_any_payload() -> None:
     for way in ("channel", "queue"):

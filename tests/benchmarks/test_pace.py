@@ -82,7 +82,7 @@ def test_what_goes_on_is_said_beside_the_result(
     assert said.out == ('{"highest_hz": 20}\n' if machine else "highest: 20 Hz\n")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_small_fleet_is_measured() -> None:
     result = fleet.measure(loops=2, seconds=5.0)
@@ -95,7 +95,7 @@ def test_a_small_fleet_is_measured() -> None:
     assert "lost at the taps" in fleet.render(result)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_pace_is_measured() -> None:
     result = pace.measure(steps=50, rates=(100,), shown={50: 20})
@@ -106,7 +106,7 @@ def test_a_pace_is_measured() -> None:
     assert "Hz" in pace.render(result)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_rate_that_missed_a_step_is_not_run_to_its_end() -> None:
     row = pace.run_at(5000, 60_000, until_missed=True)
@@ -114,7 +114,7 @@ def test_a_rate_that_missed_a_step_is_not_run_to_its_end() -> None:
     assert 0 < row["steps"] < 60_000
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_small_overload_is_measured() -> None:
     result = overload.measure(loops=10, seconds=1.0, pace="x40", recover_s=0.5, calm_s=1.0)

@@ -30,6 +30,7 @@ def test_a_bound_that_does_not_hold_fails(
     assert capsys.readouterr().out.rstrip().endswith(f": {word}")
 
 
+@pytest.mark.long
 def test_a_short_run_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(text, "SEEDS", (4,))
     monkeypatch.setattr(text, "LOSSES", (0.0,))

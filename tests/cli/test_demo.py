@@ -13,7 +13,7 @@ from wyner.cli.up import Outcome
 from wyner.deployment.one_machine import RunOptions
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 @pytest.mark.timeout(900)  # beside sixteen other programs its runs are made again, at a lower pace
 def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

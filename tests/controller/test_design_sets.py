@@ -123,7 +123,7 @@ def test_every_corner_of_a_set_is_steered_into_the_set_before(name: str) -> None
             assert program.fun is not None and program.fun <= 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_rational_certificate_for_all_sets(paper: Scenario, design: Design) -> None:
     """Each corner of each T_i, exactly, is steered into T_(i-1) ~ D_c by some u in U."""
     A = [[Fraction(v) for v in row] for row in design.A.tolist()]

@@ -109,7 +109,7 @@ def test_an_adversary_finds_no_violation(name: str) -> None:
     adversary(shipped(name), 40_000)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_no_violation_in_a_million_adversarial_steps(name: str) -> None:
     adversary(shipped(name), 1_000_000, runs=1000, seed=2)

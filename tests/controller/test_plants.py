@@ -133,6 +133,7 @@ CASES: list[tuple[int, int, int, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["stable", "unstable"])
 @pytest.mark.parametrize(
     ("n", "m", "horizon", "tables"),

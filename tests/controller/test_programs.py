@@ -35,7 +35,7 @@ def law(tank: Scenario, design: Design) -> CandidateLaw:
     return make_law(tank, design)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_tanks_answers_hold_and_one_state_equals_many(
     law: CandidateLaw, design: Design
 ) -> None:

@@ -221,7 +221,7 @@ def wyner(*arguments: str) -> list[str]:
     return [sys.executable, "-m", "wyner.cli.main", *arguments]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
     """All three buses under mutual TLS, as docs/deployment.md sets up several machines."""

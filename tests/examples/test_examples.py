@@ -89,7 +89,7 @@ def test_a_notebook(path: Path) -> None:
     assert all(not cell.get("outputs") for cell in cells)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
     text = (ROOT / "examples" / "alpha.toml").read_text(encoding="utf-8")
     assert "\nruns = 20\n" in text

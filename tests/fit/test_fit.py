@@ -86,7 +86,7 @@ def test_the_certificate_is_what_was_counted(cart: Fit) -> None:
     assert c.law_fingerprint == cart.scenario.law_fingerprint()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_certificate_holds_on_sessions_that_nobody_fitted(cart: Fit, folder: Path) -> None:
     """300 sessions of seed 77: fewer leave D_c than the certificate allows."""
     widths = cart.scenario.defender.disturbance.half_widths
@@ -200,7 +200,7 @@ TANK: dict[str, Any] = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_an_fmu_of_a_tank_is_identified_from_its_own_data_and_every_step_agrees(
     tmp_path: Path,
 ) -> None:

@@ -73,6 +73,7 @@ def test_noise_is_told_from_disturbance() -> None:
         sensor_deviation(errors, np.zeros((2, 2)), steps)
 
 
+@pytest.mark.long
 def test_the_model_is_not_pulled_towards_zero_by_noise(cart: Fit) -> None:
     assert cart.model is not None
     assert cart.model.A[0] == pytest.approx([1.0, 0.095], abs=0.02)

@@ -14,7 +14,7 @@ import pytest
 
 from tests.support.patience import PATIENCE_S
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.long
 
 ROOT = Path(__file__).resolve().parents[2]
 BUILT = shutil.ignore_patterns("build", "*.egg-info", "__pycache__", ".*", "tests")

@@ -252,7 +252,7 @@ def closed_within(line: ssl.SSLSocket, seconds: float) -> bool:
 REQUEST = b"GET /api/v1/keys/bob/status HTTP/1.1\r\nHost: x\r\n\r\n"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -> None:
     """Tens of thousands of requests in one connection: the server reads no more than it answers."""
     process = Path(f"/proc/{sites.processes['controller'].pid}/status")
@@ -275,7 +275,7 @@ def test_one_who_asks_and_never_reads_is_held_back_and_let_go_of(sites: Sites) -
     assert seconds_for_a_status(sites) < soon_s(alone_s)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_byte_at_a_time_is_served_in_time_and_let_go_of_after_it(sites: Sites) -> None:
     alone_s = seconds_for_a_status(sites)
     with connected(sites, "alice") as slow, connected(sites, "alice") as slower:
@@ -314,7 +314,7 @@ def test_two_masters_at_once_never_get_one_key_twice(sites: Sites) -> None:
     assert len(set(got)) == len(got) == 20
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_at_any_time_it_gives_no_key_twice_and_loses_few(sites: Sites) -> None:
     sites.add_block(80)
     got: dict[str, str] = {}
@@ -341,7 +341,7 @@ def test_killed_at_any_time_it_gives_no_key_twice_and_loses_few(sites: Sites) ->
         assert (code, told["keys"][0]["key"]) == (200, key)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_without_the_services_no_key_is_given_and_none_is_lost(tmp_path: Path) -> None:
     one = Sites(tmp_path, keys=8)
     one.end_services()
@@ -381,7 +381,7 @@ def test_a_server_whose_store_is_put_back_under_it_ends_with_a_line(tmp_path: Pa
     assert told.count("\n") == 1
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_where_its_health_line_cannot_be_written_it_gives_keys_all_the_same(
     tmp_path: Path,
 ) -> None:

@@ -139,7 +139,7 @@ def test_while_the_partner_is_away_no_key_is_fetched_and_a_failure_is_made_good(
     assert ends.ids("alice") == ends.ids("bob")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_silent_connections_by_the_hundred_hold_nobody_up(ends: Ends) -> None:
     ends.start("bob")
     began = time.monotonic()
@@ -309,7 +309,7 @@ class Tunnel:
             subprocess.run(["ip", "netns", "del", name], capture_output=True, check=False)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.skipif(
     os.geteuid() != 0 or any(shutil.which(name) is None for name in WIREGUARD),
     reason="needs root, wireguard-tools, wireguard-go, ip and ping",

@@ -131,6 +131,7 @@ DRAWS = 1500
 """Of which 92.0, 94.6 and 95.7 % were covered with another seed; the standard error is 0.7 %."""
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("runs", [5, 10, 40])
 def test_a_share_over_runs_covers_where_the_steps_of_a_run_depend(runs: int) -> None:
     """Each run has a share of its own: intervals over its steps would be far too narrow."""
@@ -216,6 +217,7 @@ def test_whoever_is_always_right_is_found_out_within_eight_keys() -> None:
     assert not better_than(0.5, 0, 0, 0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("p", [0.02, 0.5, 0.9])
 def test_a_confidence_sequence_holds_at_all_looks_together(p: float) -> None:
     runs, trials = 2000, 300

@@ -92,7 +92,7 @@ while time.monotonic() < over:
 """
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_wait_of_microseconds_ends_on_a_busy_machine() -> None:
     """Where a ``queue.SimpleQueue`` in its place waits for ever within seconds."""
     spin = [sys.executable, "-c", "while True: pass"]

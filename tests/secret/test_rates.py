@@ -22,7 +22,7 @@ def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario
     return scenario.model_copy(update={"keys": keys})
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("eps_E", "unheard_bits", "first_s", "rate", "blocks"),
     [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5), (0.3, 128, 6.0, 500.0, 5)],
@@ -77,7 +77,7 @@ class Listening(Simulation):
         super().send(to, message)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_copies_do_not_tell_the_automatons_state(
     sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:

@@ -75,6 +75,7 @@ def test_a_fabricator_passes_one_step_in_m(size: int) -> None:
     assert found.false_alarms == 0
 
 
+@pytest.mark.long
 def test_the_tank_has_sixteen_candidates_in_two_inputs() -> None:
     loop = of(changed("packed-quadruple-tank"))
     found = run(loop, making(loop[0], "ghost"), KeyedCoin(4, 16), runs=3000, steps=2, onset=4)
@@ -120,6 +121,7 @@ def test_predictions_of_the_alphabet_never_overlap(size: int) -> None:
         assert gauge([v / 2 for v in step]) > INSIDE
 
 
+@pytest.mark.long
 def test_an_honest_loop_never_alarms_at_the_corners_of_d_c() -> None:
     for kind in ("corners", "constant"):
         disturbance = {"kind": kind, "half_widths": [0.12, 0.12]}

@@ -105,6 +105,7 @@ def test_the_oracle_makes_the_defenders_test() -> None:
     assert nearest.right > 0.9 * nearest.agreements
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("share", [0.2, 0.5])
 def test_who_learns_the_shape_of_w_is_not_below_who_measures_along_one_coordinate(
     share: float,

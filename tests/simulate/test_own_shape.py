@@ -58,6 +58,7 @@ def rights(
     return share, list(tap.belief().whole)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("widths", "spacing", "nearest"),
     [((0.96, 0.96), 2.0, 1.0), ((0.24, 0.96), 2.0, 0.80), ((0.13, 0.96), 1.9999, 0.66)],

@@ -94,7 +94,7 @@ def test_at_odd_alphas_one_symbol_less() -> None:
     assert agreed.tolist() == [pytest.approx(0.5, abs=0.02), 1.0]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_two_hundred_candidates() -> None:
     scenario = Scenario.model_validate(
         {
@@ -239,7 +239,7 @@ def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bit
     assert scored.bits.right >= bits * scored.bits.of
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_offers_alone_show_v_and_so_most_keys() -> None:
     """No state is heard, and one key in four would be chance."""
     run = study_run(120, 0, name="packed")

@@ -113,6 +113,7 @@ def test_the_share_computed_lies_in_the_interval_of_each_point_on_record() -> No
         assert low <= float(row["expected_missed"]) <= high, row
 
 
+@pytest.mark.long
 def test_a_point_of_the_network_measured_now_is_the_one_on_record(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -46,7 +46,7 @@ def found() -> dict[float, TwoStepCode]:
     return dict(zip(alphas, best_codes(alphas), strict=True))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_five_keys_in_two_steps_beat_two_in_one(found: dict[float, TwoStepCode]) -> None:
     assert [code.keys for code in found.values()] == [4, 5, 5]
     assert [single_step_keys(a) ** 2 for a in found] == [4, 4, 4]

@@ -286,7 +286,7 @@ def test_the_same_rows_from_processes(tmp_path: Path, capsys: pytest.CaptureFixt
     assert "18 rows in" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_the_same_rows_from_two_dask_workers(tmp_path: Path) -> None:
     pytest.importorskip("distributed")
     path = small(tmp_path)
@@ -594,7 +594,7 @@ def started(tmp_path: Path, output: Path, *options: str) -> subprocess.Popen[byt
     raise AssertionError(f"no rows came: {error.decode()}")
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     "options",
     [

@@ -16,6 +16,7 @@ from tests.system.test_integration import kill_and_see_it_back, status, wyner
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
 
+@pytest.mark.long
 def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> None:
     """Of the tested steps more than 90 % agree, none wrongly, and the box holds the true state."""
     run_dir = tmp_path / "run"

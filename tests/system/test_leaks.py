@@ -174,7 +174,7 @@ def secrets_of(run: Path) -> dict[str, set[bytes]]:
 TEXT = f"{SECRET}-{os.getpid()}-nobody-may-see-this"
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     run, file = tmp_path / "run", tmp_path / "message"
     file.write_text(TEXT)
@@ -221,7 +221,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     assert modes == {0}
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_runs_secrets_are_in_its_traces_and_journals_alone(tmp_path: Path) -> None:
     run = tmp_path / "run"
     message = f"{SECRET}-{os.getpid()}-nobody-may-see-this"

@@ -11,7 +11,7 @@ import pytest
 from tests.campaigns.medium import Case, Result, run
 from tests.support.medium import NoNamespaces
 
-pytestmark = [pytest.mark.slow, pytest.mark.integration]
+pytestmark = [pytest.mark.long, pytest.mark.integration]
 
 
 def result(case: Case, folder: Path, seed: int = 1) -> Result:

@@ -118,7 +118,7 @@ def test_who_misses_as_much_as_is_claimed_holds_nothing(seed: int) -> None:
     assert (read.known_bits, read.text) == (0, "·" * len(text))
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("loss", [0.0, 0.6])
 def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     loss: float, monkeypatch: pytest.MonkeyPatch

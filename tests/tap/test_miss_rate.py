@@ -39,7 +39,7 @@ def boundary_of(chance: float, trials: int, alpha: float) -> np.ndarray:
     return np.array(boundary)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("claim", [0.05, 0.3, 0.5])
 def test_an_honest_run_is_refuted_no_more_often_than_stated_though_looked_at_always(
     claim: float,
@@ -58,7 +58,7 @@ def test_an_honest_run_is_refuted_no_more_often_than_stated_though_looked_at_alw
     assert crossed(np.array(fewest), 1 - claim, seed=1) > 4 * LEVEL
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_independent_misses_are_called_bursts_no_more_often_than_stated() -> None:
     """12 looks a run at all distances together, 1,500 runs."""
     draw, runs = random.Random(5), 1500

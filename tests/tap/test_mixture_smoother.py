@@ -77,7 +77,7 @@ def lost(run: Run, steps: list[InferredStep], among: tuple[float, float]) -> flo
     return float(-np.log2(said[np.arange(len(keys)), np.array(keys) + 1]).mean())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("plant", "noise", "missed"),
     [("packed-quadruple-tank", 0.05, 0.0), ("packed-quadruple-tank", 0.02, 0.2),
@@ -96,7 +96,7 @@ def test_what_went_before_and_came_after_says_more_than_each_step_alone(
     assert bits[0] < bits[1] - 0.5
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_on_a_plant_of_four_states_she_is_not_below_the_smoother() -> None:
     right = np.zeros(2)
     for seed in (21, 22, 23):

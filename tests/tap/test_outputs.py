@@ -98,7 +98,7 @@ def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Tr
             assert found.right > 0.97 * found.agreements
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["smoother", "fitted-box"])
 def test_who_fits_how_far_sensors_scatter_reads_it_too(
     runs: Runs, link: Transfer, name: str
@@ -109,7 +109,7 @@ def test_who_fits_how_far_sensors_scatter_reads_it_too(
         assert found.right > 0.97 * found.agreements
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
@@ -149,7 +149,7 @@ def test_deviations_are_found_from_readings_alone(
     assert found.sensors == pytest.approx([0.00012], rel=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:

@@ -226,7 +226,7 @@ def test_a_wrong_choice_is_told_before_anything_starts(
     assert not (tmp_path / "tap").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     import tracemalloc
 

@@ -252,6 +252,7 @@ def test_random_bytes_of_which_the_check_says_all_are_read(seed: int) -> None:
     assert message.bits_left < 1
 
 
+@pytest.mark.long
 def test_two_messages_and_one_under_way() -> None:
     first, second = b"The first one was short", b"and the second came later"
     steps = stretch(first, 4, "pipelined", 3, missed=0.1, agree=1.0, second=second)
@@ -374,6 +375,7 @@ def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
     assert not MessageSearch(lattice).silent(begin)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("seed", [1003, 1012])
 def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_not_hold(
     seed: int,
@@ -389,6 +391,7 @@ def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_
     assert min(said) > 0.005  # never sure of another one
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("noise", "off", "loss"), [(0.002, 0.01, 0.04), (0.05, 0.1, 0.35)])
 def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_state_was(
     noise: float, off: float, loss: float
@@ -478,6 +481,7 @@ def test_a_sentence_begins_as_sentences_do_and_goes_on_as_words_follow_others() 
     assert bits(b"He went to the hospital") < bits(b"He went to of hospital") - 4
 
 
+@pytest.mark.long
 def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not_hold_there() -> (
     None
 ):
@@ -639,6 +643,7 @@ def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
     assert left < 10e6
 
 
+@pytest.mark.long
 def test_what_she_keeps_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nine sessions of 100 steps, where she keeps 128 and 150 message symbols."""
     monkeypatch.setattr(text, "KEPT", 128)

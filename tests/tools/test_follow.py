@@ -69,7 +69,7 @@ def test_what_lasts_is_a_loop_and_its_steps_are_counted_one_by_one(tmp_path: Pat
     assert "in all  2 frames, 1 of them carry, 1 types:\n  m.T" in text
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.integration
 def test_a_byte_is_followed_through_three_real_processes(
     capsys: pytest.CaptureFixture[str],

@@ -72,7 +72,7 @@ def test_a_mutant_is_judged_by_the_quickest_that_its_budget_is_enough_for() -> N
     assert judges == ["b", "c", "a"]
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_who_works_is_waited_for_and_who_stands_still_is_not(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -75,6 +75,7 @@ def test_rows_are_compared_without_the_version_of_the_code(
     assert same_rows(tmp_path / "made.csv", tmp_path / "shipped.csv") == same
 
 
+@pytest.mark.long
 def test_the_short_rows_hold(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["--only", "examples/whole_messages.py"]) == 0
     assert capsys.readouterr().out.endswith(

@@ -114,6 +114,7 @@ def test_honest_runs_pass(ended: Path, killed: Path) -> None:
         assert {f.check.name: f.counter for f in findings if f.result != "PASS"} == {}
 
 
+@pytest.mark.long
 def test_every_change_of_meaning_fails_the_check_that_names_it(
     killed: Path, tmp_path: Path
 ) -> None:
