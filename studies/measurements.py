@@ -20,6 +20,7 @@ from runtime.shipped import SCENARIOS
 from studies import (
     corners,
     keys,
+    missed_steps,
     network,
     noise,
     other_sets,
@@ -320,6 +321,9 @@ MEASUREMENTS: Final[dict[str, Callable[[Path], None]]] = {
     "block-codes": measure_rows(signalling.BLOCK_COLUMNS, signalling.block_rows),
     "noise-bound": measure_rows(noise.COLUMNS, noise.bound_rows, noise.SOURCES),
     "secrecy-shape": measure_rows(shape.COLUMNS, shape.shape_rows, shape.SOURCES),
+    "missed-steps": measure_rows(
+        missed_steps.COLUMNS, missed_steps.missed_rows, missed_steps.SOURCES
+    ),
     "other-sets": measure_rows(other_sets.COLUMNS, other_sets.other_set_rows, other_sets.SOURCES),
     "readings": measure_rows(readings.COLUMNS, readings.reading_rows, readings.SOURCES),
     "corners": measure_rows(corners.COLUMNS, corners.corner_rows, corners.SOURCES),

@@ -12,11 +12,10 @@ from typing import Any, Final
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
-from protocol.statistics import Interval
 from studies import DATA
 from studies.outputs import Counts, heard
-from studies.pages import between_marks, markdown_table
-from studies.readings import told
+from studies.pages import between_marks
+from studies.readings import by_condition, told
 from studies.signalling import changed
 from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs, transfer
@@ -78,28 +77,9 @@ def made_of(condition: str, run: int) -> list[Counts]:
     return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), View())
 
 
-def table(rows: Sequence[dict[str, str]]) -> str:
-    """The table of docs/findings.md: eavesdroppers down, conditions across."""
-    cells = {(row["condition"], row["tap"]): row for row in rows}
-    lines = [("tap", *CONDITIONS)]
-    for tap in TAPS:
-        lines.append((f"`{tap}`", *(_cell(cells[condition, tap]) for condition in CONDITIONS)))
-    return markdown_table(lines)
-
-
-def _cell(row: dict[str, str]) -> str:
-    keys, read = (
-        Interval(*(100 * float(row[name]) for name in (what, f"{what}_low", f"{what}_high")))
-        for what in ("keys", "read")
-    )
-    count = round(float(row["read"]) * int(row["delivered"]))
-    share = f"{count} of {row['delivered']} [{read.low:.0f}, {read.high:.0f}]"
-    return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {share}"
-
-
 def written(text: str, rows: Sequence[dict[str, str]]) -> str:
     """The page with the table between its marks."""
-    return between_marks(text, "other-sets", table(rows))
+    return between_marks(text, "other-sets", by_condition(rows, TAPS, CONDITIONS))
 
 
 def recorded() -> list[dict[str, str]]:

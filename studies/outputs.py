@@ -140,9 +140,19 @@ def heard(
     taps: Sequence[str], scenario: Scenario, runs: Runs, link: Transfer, view: View
 ) -> list[Counts]:
     """What each eavesdropper makes of the first run, heard through ``view``."""
+    return counted(taps, scenario, link, view, heard_by(list(transcript(runs, link, 0)), view))
+
+
+def counted(
+    taps: Sequence[str],
+    scenario: Scenario,
+    link: Transfer,
+    view: View,
+    transitions: Sequence[Transition],
+) -> list[Counts]:
+    """What each eavesdropper makes of ``transitions``, which were heard through ``view``."""
     truth = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
     messages = whole_messages(link.message_symbol[:, 0].tolist(), scenario.secrecy.candidates)
-    transitions = heard_by(list(transcript(runs, link, 0)), view)
     out = []
     for kind in map(named, taps):
         tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))

@@ -4,7 +4,7 @@
 """
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final
 
@@ -111,6 +111,28 @@ def told(counts: Sequence[Counts]) -> tuple[float, ...]:
     keys = share_over_runs((one.later, one.keys) for one in counts)
     read = share_over_runs((one.read, one.delivered) for one in counts)
     return (sum(c.keys for c in counts), *keys, sum(c.delivered for c in counts), *read)
+
+
+def by_condition(
+    rows: Sequence[dict[str, str]], taps: Sequence[str], conditions: Iterable[str]
+) -> str:
+    """A table of keys in % and messages read: eavesdroppers down, conditions across."""
+    cells = {(row["condition"], row["tap"]): row for row in rows}
+    names = tuple(conditions)
+    lines = [("tap", *names)]
+    for tap in taps:
+        lines.append((f"`{tap}`", *(_both(cells[name, tap]) for name in names)))
+    return markdown_table(lines)
+
+
+def _both(row: dict[str, str]) -> str:
+    keys, read = (
+        Interval(*(100 * float(row[name]) for name in (what, f"{what}_low", f"{what}_high")))
+        for what in ("keys", "read")
+    )
+    count = round(float(row["read"]) * int(row["delivered"]))
+    share = f"{count} of {row['delivered']} [{read.low:.0f}, {read.high:.0f}]"
+    return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {share}"
 
 
 def table(rows: Sequence[dict[str, str]]) -> str:

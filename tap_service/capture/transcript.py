@@ -191,9 +191,6 @@ class Transcript:
             whole = offer is not None and x is not None and after is not None
             if not whole and not force and not self._given_up(k):
                 return
-            if force and offer is None and after is None:
-                self._forget(k)
-                continue
             self.holes += not whole
             finished.append(
                 Transition(

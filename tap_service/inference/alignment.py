@@ -23,6 +23,7 @@ def align(
     verdicts: Array,
     ciphers: Integers,
     entry: Array,
+    made: Array,
     stream: Array,
     waits: Integers,
 ) -> tuple[Array, Array] | None:
@@ -37,6 +38,8 @@ def align(
         -1 where one was missed.
     entry : array, shape (E,)
         Probability of the scheme's state before the first step.
+    made : array, shape (K,)
+        Probability that the plant took each step's offer; else the scheme stands still.
     stream : array, shape (P, M)
         Probability of each symbol of the messages, one after the other.
     waits : integer array
@@ -82,7 +85,8 @@ def align(
         for e in range(E):
             if not F[k, e].any():
                 continue
-            g = moved(F[k, e], e, k)
+            g = made[k] * moved(F[k, e], e, k)
+            F[k + 1, e] += (1 - made[k]) * F[k, e]
             for v in range(M + 1):
                 F[k + 1, after[e, v]] += verdicts[k, e, v] * g
         F[k + 1] /= max(F[k + 1].max(), TINY)
@@ -92,25 +96,27 @@ def align(
         mixed = np.einsum("ev,evp->ep", verdicts[k], back[after])
         before = np.zeros_like(back)
         for e in range(E):
-            g = moved(F[k, e], e, k)
-            gain = verdicts[k, e] * (back[after[e]] @ g)
+            still = (1 - made[k]) * float(F[k, e] @ back[e])  # no offer was taken
+            out[k, 0] += still
+            symbols[k, 0] += still
+            gain = made[k] * verdicts[k, e] * (back[after[e]] @ moved(F[k, e], e, k))
             out[k] += gain
+            c = int(ciphers[k])
             if pads[e] < 0:
                 symbols[k, 0] += gain.sum()
                 before[e] = mixed[e]
-                continue
-            c = int(ciphers[k])
-            if c >= 0:
+            elif c >= 0:
                 m = (c - int(pads[e])) % M
                 symbols[k, 1 + m] += gain.sum()
                 before[e, :-1] = carried[m] * mixed[e, 1:]
                 before[e] += idles * M * mixed[e] * (m == IDLE)
             else:
                 step = F[k, e, :-1] * begins * mixed[e, 1:]
-                symbols[k, 1:] += step @ stream
-                symbols[k, 1 + IDLE] += float((F[k, e] * idles * mixed[e]).sum())
+                symbols[k, 1:] += made[k] * (step @ stream)
+                symbols[k, 1 + IDLE] += made[k] * float((F[k, e] * idles * mixed[e]).sum())
                 before[e, :-1] = whole * mixed[e, 1:]
                 before[e] += idles * mixed[e]
+            before[e] = made[k] * before[e] + (1 - made[k]) * back[e]
         back = before / max(before.max(), TINY)
         out[k] /= max(out[k].sum(), TINY)
         symbols[k] /= max(symbols[k].sum(), TINY)

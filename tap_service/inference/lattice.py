@@ -41,6 +41,8 @@ class Lattice:
         The ciphertext symbols, -1 where one was missed.
     entry : array, shape (states,)
         Probability of the scheme's state before the first step.
+    made : array, shape (K,)
+        Probability that the plant took the step's offer; else the scheme stands still.
 
     Attributes
     ----------
@@ -58,7 +60,9 @@ class Lattice:
         Symbols carried a step.
     """
 
-    def __init__(self, table: StateTable, verdicts: Array, ciphers: Integers, entry: Array) -> None:
+    def __init__(
+        self, table: StateTable, verdicts: Array, ciphers: Integers, entry: Array, made: Array
+    ) -> None:
         self.steps, self.size = len(verdicts), verdicts.shape[2] - 1
         self.entry = entry
         self.states = E = len(entry)
@@ -87,8 +91,9 @@ class Lattice:
             for f in range(E):
                 if not now[:count, :, f].any():
                     continue
+                after[:count, :, f] += now[:count, :, f] * (1 - made[g:, None])
                 for v in range(M + 1):
-                    p = now[:count, :, f] * verdicts[g:, f, v, None]
+                    p = now[:count, :, f] * (made[g:] * verdicts[g:, f, v])[:, None]
                     to = following[f, v]
                     if carries[f]:
                         part[:, :count, :, to] += p[None] * emit[:, g:, f, None]

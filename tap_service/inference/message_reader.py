@@ -3,7 +3,8 @@
 Steps as they were inferred become verdicts, verdicts and ciphertext symbols a lattice, and the
 lattice is searched for one frame after another. What she claims for a message is its share of all
 that she considers: the others on the list, those that the search let go, messages of any bytes
-whatever, one that is still under way, and none at all.
+whatever, one that is still under way, and none at all. A step of which she did not hear whether it
+was made may be none.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from protocol.arrays import Array, Integers
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import START, encode_frame
 from protocol.schemes.table import StateTable
-from tap_service.capture.transcript import transitions_in_a_row
+from tap_service.capture.transcript import Transition, transitions_in_a_row
 from tap_service.inference.alignment import align
 from tap_service.inference.english import AnyBytes, English
 from tap_service.inference.gap_smoother import InferredStep
@@ -159,6 +160,25 @@ def verdicts_of(
     return alone, after
 
 
+def made_of(transitions: Sequence[Transition]) -> Array:
+    """Probability that each step was made: that the plant took its offer, shape (K,).
+
+    It is certain where a measurement said so. Elsewhere it is Bayes' rule: by how often the plant
+    is known to have missed steps, and by whether she heard an offer. Of a missed step there may
+    have been an offer that was lost or late, or none; either is taken for as likely.
+    """
+    told = [t for t in transitions if t.applied]
+    gaps = sum(t.k > before.k + 1 and not t.gap for before, t in pairwise(transitions))
+    unheard = (sum(t.cipher is None for t in told) + 1) / (len(told) + 2)
+    out = np.ones(len(transitions))
+    for i, t in enumerate(transitions):
+        if gaps and not t.applied:
+            heard = t.cipher is not None
+            made = (len(told) + 1) * ((1 - unheard) if heard else unheard)
+            out[i] = made / (made + gaps * ((1 - unheard) if heard else 1 + unheard) / 2)
+    return out
+
+
 def _shares(
     samples: Array | None, among: tuple[float, float], size: int, *, certain: bool
 ) -> Array | None:
@@ -291,14 +311,20 @@ class MessageReader:
         for run in transitions_in_a_row([s.transition for s in steps]):
             last = after.get(run[0].session, -1)
             part = [by_step[id(t)] for t in run if t.k > last]
+            made = made_of(run)[len(run) - len(part) :]
             if len(part) < 2 or all(s.transition.cipher is None for s in part):
                 continue
             fresh = part[0].transition.start and last < 0
-            out += self._stretch(part, among, fresh=fresh)
+            out += self._stretch(part, made, among, fresh=fresh)
         return out
 
     def _stretch(
-        self, steps: Sequence[InferredStep], among: tuple[float, float], *, fresh: bool
+        self,
+        steps: Sequence[InferredStep],
+        made: Array,
+        among: tuple[float, float],
+        *,
+        fresh: bool,
     ) -> list[Message]:
         """The messages of transitions in a row, the scheme in its initial state if ``fresh``."""
         alone, after = verdicts_of(steps, among, self._size, certain=self._certain)
@@ -312,7 +338,7 @@ class MessageReader:
         entry[0] = 1.0
         if not fresh:
             entry[:] = 1 / self._states
-        lattice = Lattice(self._table, verdicts, ciphers, entry)
+        lattice = Lattice(self._table, verdicts, ciphers, entry, made)
         search = MessageSearch(lattice, self._beam)
         begin = np.full((lattice.steps + 1, self._states), -np.inf)
         with np.errstate(divide="ignore"):
@@ -331,7 +357,7 @@ class MessageReader:
                 break
         self._room = len(steps)
         stream, waits = self._stream(out)
-        aligned = align(self._table, verdicts, ciphers, entry, stream, waits)
+        aligned = align(self._table, verdicts, ciphers, entry, made, stream, waits)
         if aligned is not None:
             self.stretches.append(Stretch(session, ks, *aligned))
         return out

@@ -3,11 +3,16 @@
 import csv
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from studies import DATA, corners, network, other_sets, outputs, readings, waiting
+from controller_service.laws.registry import cached_design, make_law
+from protocol.messages import Measurement, Offer
+from studies import DATA, corners, missed_steps, network, other_sets, outputs, readings, waiting
 from studies.__main__ import main
+from tap_service.capture.transcript import Transcript
 from tools.reproduce import same
+from wyner.simulate.engine import simulate_runs, transfer
 
 
 def recorded(name: str) -> list[dict[str, str]]:
@@ -63,6 +68,40 @@ def test_whom_d_e_tells_no_test_measured_now(monkeypatch: pytest.MonkeyPatch) ->
     shape, noise = other_sets.CONDITIONS
     assert by[shape, "nearest-centre"] < 1.0
     assert by[noise, "nearest-centre"] == by[noise, "fitted-box"] == 1.0
+
+
+def test_the_page_has_the_listeners_to_a_plant_that_misses_steps_as_they_are_on_record() -> None:
+    page = missed_steps.PAGE.read_text(encoding="utf-8")
+    assert page == missed_steps.written(page, missed_steps.recorded())
+
+
+def test_a_plant_that_misses_steps_measured_now() -> None:
+    """One run: the engine's steps without an offer, some of which she takes for possible."""
+    condition, _ = missed_steps.CONDITIONS
+    scenario = missed_steps.scenario_of(condition)
+    runs = simulate_runs(
+        scenario, make_law(scenario, cached_design(scenario)), seed=1, runs=range(1), steps=60,
+        record=True,
+    )  # fmt: skip
+    assert runs.missed is not None
+    link = transfer(runs, payloads=[b"Hi"])
+    said = list(missed_steps.messages_of(runs, link))
+    offered = {m.k for m in said if isinstance(m, Offer)}
+    assert {k for k in range(60) if k not in offered} == set(np.flatnonzero(runs.missed[:, 0]))
+    assert 0 < runs.missed.sum() < 10
+    heard = Transcript()
+    transitions = [t for m in said for t in heard.hear(m)] + heard.flush()
+    assert [t.k for t in transitions] == sorted(offered)  # who hears all is told of each
+
+    heard = Transcript()
+    told = {k + 1 for k in range(60) if k not in offered}
+    unlucky = [
+        m for m in said if not (isinstance(m, Measurement) and m.k in told)
+    ]  # not those that tell of one
+    transitions = [t for m in unlucky for t in heard.hear(m)] + heard.flush()
+    taken = {t.k for t in transitions} - offered
+    assert len(taken) == runs.missed.sum()
+    assert not any(t.applied for t in transitions if t.k in taken)
 
 
 def test_a_row_of_noisy_readings_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -44,7 +44,7 @@ def test_a_message_whose_check_was_not_sent_yet_is_searched_for(steps: int) -> N
     entry = np.eye(states)[0]
     spread = np.repeat(verdicts[:, None], states, axis=1)
     table = StateTable(make_scheme("pipelined", size))
-    lattice = Lattice(table, spread, np.array(ciphers), entry)
+    lattice = Lattice(table, spread, np.array(ciphers), entry, np.ones(len(ciphers)))
     begin = np.full((steps + 1, states), -np.inf)
     begin[0, 0] = 0.0
     found = MessageSearch(lattice, 32).find(begin, AnyBytes())

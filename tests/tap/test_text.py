@@ -6,6 +6,7 @@ import lzma
 import os
 import random
 import tracemalloc
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_halves import first_of_each
-from tap_service.inference.message_reader import MessageReader, verdicts_of
+from tap_service.inference.message_reader import Message, MessageReader, made_of, verdicts_of
 from tap_service.inference.message_search import Found, MessageSearch
 from tests.support.held_memory import kept
 from wyner.runs.score.score import score
@@ -69,16 +70,26 @@ def in_states(verdicts: Array, states: int) -> Array:
     return np.repeat(verdicts[:, None], states, axis=1)
 
 
+UNMADE = -2
+"""Beside the verdicts: the plant took no offer."""
+
+MADE = {"all": np.ones(6), "some": np.array([1.0, 0.7, 0.9, 1.0, 0.2, 0.6])}
+"""Probability that each step was made."""
+
+
 def weights_of(
-    table: StateTable, verdicts: Array, ciphers: Integers, carried: int
+    table: StateTable, verdicts: Array, ciphers: Integers, carried: int, made: Array
 ) -> dict[tuple[int, ...], float]:
     """Of all streams of ``carried`` symbols by every sequence of verdicts, over random symbols."""
     size = verdicts.shape[1] - 1
     out: dict[tuple[int, ...], float] = {}
-    for path in itertools.product(range(-1, size), repeat=len(verdicts)):
+    for path in itertools.product(range(UNMADE, size), repeat=len(verdicts)):
         p, state, symbols = 1.0, 0, []
         for k, verdict in enumerate(path):
-            p *= verdicts[k, verdict + 1]
+            if verdict == UNMADE:
+                p *= 1 - made[k]
+                continue
+            p *= made[k] * verdicts[k, verdict + 1]
             pad = int(table.pad[state])
             if pad != NO_SYMBOL:
                 known = range(size) if ciphers[k] < 0 else [(int(ciphers[k]) - pad) % size]
@@ -91,14 +102,17 @@ def weights_of(
     return out
 
 
+@pytest.mark.parametrize("made", MADE)
 @pytest.mark.parametrize(("name", "size"), [("switched", 2), ("pipelined", 2), ("switched", 3)])
-def test_the_lattice_weighs_streams_as_all_sequences_of_verdicts_do(name: str, size: int) -> None:
+def test_the_lattice_weighs_streams_as_all_sequences_of_verdicts_do(
+    name: str, size: int, made: str
+) -> None:
     table, states = closed(name, size)
     verdicts, ciphers = drawn(5, size, seed=size)
     entry = np.eye(states)[0]
-    lattice = Lattice(table, in_states(verdicts, states), ciphers, entry)
+    lattice = Lattice(table, in_states(verdicts, states), ciphers, entry, MADE[made][:5])
     for carried in (0, 1, 2):
-        for stream, weight in weights_of(table, verdicts, ciphers, carried).items():
+        for stream, weight in weights_of(table, verdicts, ciphers, carried, MADE[made][:5]).items():
             nodes = np.zeros((lattice.steps + 1, states))
             nodes[0] = entry
             for symbol in stream:
@@ -110,37 +124,43 @@ def test_the_lattice_weighs_streams_as_all_sequences_of_verdicts_do(name: str, s
             assert (nodes * lattice.left).sum() == pytest.approx(weight)
 
 
-def test_ahead_and_outside_count_everything_that_may_follow() -> None:
+@pytest.mark.parametrize("made", MADE)
+def test_ahead_and_outside_count_everything_that_may_follow(made: str) -> None:
     table, states = closed("switched", 2)
     verdicts, ciphers = drawn(6, 2, seed=5)
-    lattice = Lattice(table, in_states(verdicts, states), ciphers, np.eye(states)[0])
+    lattice = Lattice(table, in_states(verdicts, states), ciphers, np.eye(states)[0], MADE[made])
     ahead = lattice.ahead(np.zeros((lattice.steps + 1, states)), 3)
     assert np.exp(ahead[3][0, 0]) == pytest.approx(1.0)  # any symbols, then anything: no news
     idle = np.exp(lattice.idle_until(np.log(np.eye(1, 7 * states)[0].reshape(7, states) + 1e-300)))
     total = sum(
         weight * (1 - BEGINS) ** len(stream)
         for n in range(7)
-        for stream, weight in weights_of(table, verdicts, ciphers, n).items()
+        for stream, weight in weights_of(table, verdicts, ciphers, n, MADE[made]).items()
         if not any(stream)
     )
     assert (idle * lattice.left).sum() == pytest.approx(total)
 
 
+@pytest.mark.parametrize("made", MADE)
 @pytest.mark.parametrize("name", ["switched", "pipelined"])
-def test_alignment_is_bayes_rule(name: str) -> None:
+def test_alignment_is_bayes_rule(name: str, made: str) -> None:
     """A message of two symbols, silence before and after: against every sequence of verdicts."""
     table, states = closed(name, 2)
     verdicts, ciphers = drawn(6, 2, seed=3)
     stream = np.array([[0.0, 1.0], [0.3, 0.7]])
+    entry, may = np.eye(states)[0], MADE[made]
     aligned = align(
-        table, in_states(verdicts, states), ciphers, np.eye(states)[0], stream, np.array([0, 2])
+        table, in_states(verdicts, states), ciphers, entry, may, stream, np.array([0, 2])
     )
     assert aligned is not None
     truth = np.zeros((6, 3))
-    for path in itertools.product(range(-1, 2), repeat=6):
-        state, f = 0, {0: 1.0}
-        p = float(np.prod([verdicts[k, v + 1] for k, v in enumerate(path)]))
+    for path in itertools.product(range(UNMADE, 2), repeat=6):
+        state, f, p = 0, {0: 1.0}, 1.0
         for k, verdict in enumerate(path):
+            if verdict == UNMADE:
+                p *= 1 - may[k]
+                continue
+            p *= may[k] * verdicts[k, verdict + 1]
             pad = int(table.pad[state])
             state = int(table.following(np.array([state]), np.array([verdict]))[0])
             if pad == NO_SYMBOL:
@@ -157,7 +177,7 @@ def test_alignment_is_bayes_rule(name: str) -> None:
                         g[place + 1] = g.get(place + 1, 0.0) + more
             f = g
         for k, verdict in enumerate(path):
-            truth[k, verdict + 1] += p * sum(f.values())
+            truth[k, max(verdict, -1) + 1] += p * sum(f.values())
     truth /= truth.sum(axis=1, keepdims=True)
     np.testing.assert_allclose(aligned[0], truth, atol=1e-9)
 
@@ -213,6 +233,65 @@ def test_a_message_in_any_alphabet_is_read_through_missed_symbols(
     assert (message.payload, message.whole) == (payload, True)
     assert message.probability > 0.9
     assert message.bits_left < 1
+
+
+def with_missed_steps(steps: Sequence[InferredStep], seed: int) -> list[InferredStep]:
+    """One step in twenty is missed by the plant; of three in ten she does not hear if it was."""
+    rng, out, k = random.Random(seed), list[InferredStep](), 0
+    for step in steps:
+        while rng.random() < 0.05:
+            if rng.random() < 0.3:
+                hole = Transition("s", k, None, None, None, None, applied=False)
+                out.append(InferredStep(hole, None))
+            k += 1
+        told = rng.random() >= 0.3
+        t = dataclasses.replace(step.transition, k=k, applied=told, x_next=(0.0,) if told else None)
+        out.append(InferredStep(t, step.samples))
+        k += 1
+    return out
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_steps_that_the_plant_missed_and_she_did_not_hear_so_hide_no_message(seed: int) -> None:
+    payload = b"Send the spare keys by noon"
+    steps = with_missed_steps(stretch(payload, 4, "pipelined", seed, missed=0.1, agree=1.0), seed)
+    assert sum(s.samples is None for s in steps) >= 2
+
+    def read(steps: Sequence[InferredStep]) -> Message:
+        scheme = make_scheme("pipelined", 4)
+        reader = MessageReader(scheme, english(), certain=True, beam=400)
+        return reader.read(steps, (0.0, 1.0), {})[0]
+
+    message = read(steps)
+    assert (message.payload, message.whole) == (payload, True)
+    assert message.probability > 0.9
+    all_made = [
+        dataclasses.replace(s, transition=dataclasses.replace(s.transition, applied=True))
+        for s in steps
+    ]
+    assert read(all_made).payload != payload
+
+
+def test_a_step_may_have_been_missed_where_no_measurement_speaks_of_it() -> None:
+    def step(k: int, cipher: int | None = 1, *, applied: bool = True) -> Transition:
+        return Transition("s", k, (0.0,), None, cipher, (0.0,), applied=applied)
+
+    told = [step(k, None if k % 4 == 0 else 1) for k in range(98)]  # 25 offers of 98 unheard
+    unsure = [step(98, applied=False), step(99, None, applied=False)]
+    assert made_of([*told, *unsure]).tolist() == [1.0] * 100  # none was missed yet
+    missed = [step(k + (k > 49)) for k in range(98)]
+    for k in range(0, 98, 4):
+        missed[k] = dataclasses.replace(missed[k], cipher=None)
+    heard, unheard = made_of([*missed, step(99, applied=False), step(100, None, applied=False)])[
+        -2:
+    ]
+    # one missed step beside 98 that were made; she missed 26 of 100 offers, one of each guessed
+    assert heard == pytest.approx(99 / (99 + 1 / 2))
+    assert unheard == pytest.approx(99 * 0.26 / (99 * 0.26 + (1 + 0.26) / 2))
+    assert (
+        made_of([step(0), dataclasses.replace(step(9), gap=True), step(10, applied=False)])[-1]
+        == 1.0
+    )
 
 
 def left_of(payload: bytes, missed: float, seed: int) -> tuple[list[int], Array]:
@@ -369,7 +448,7 @@ def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
     pads = table.pad[:states]
     verdicts = np.where((pads >= 0)[:, None], after[:, pads], after[:, 0][:, None])
     ciphers = [-1 if s.transition.cipher is None else s.transition.cipher for s in steps]
-    lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0])
+    lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0], np.ones(len(ciphers)))
     begin = np.full((lattice.steps + 1, states), -np.inf)
     begin[0, 0] = 0.0
     assert not MessageSearch(lattice).silent(begin)

@@ -1,0 +1,147 @@
+"""What eavesdroppers make of a message where the plant misses steps, and they miss messages.
+
+The network loses measurements, so that in some steps the plant has no offer. Where she misses the
+measurement after such a step too, nothing tells her that no symbol was carried in it.
+``python -m studies.missed_steps`` puts the table of the data on the page.
+"""
+
+import csv
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from typing import Any, Final, NamedTuple
+
+from controller_service.laws.registry import cached_design, make_law
+from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.scenario import Scenario, parse_scenario
+from studies import DATA
+from studies.outputs import SESSION, Counts, counted
+from studies.pages import between_marks
+from studies.readings import by_condition, told
+from studies.secrecy.sentences import SENTENCES
+from studies.signalling import changed
+from tap_service.capture.channel import View, WiretapChannel
+from tap_service.capture.transcript import Transcript, Transition
+from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
+from wyner.simulate.engine.taps import transcript
+from wyner.sweeps.grid import ROOT, TAP_SOURCES
+from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
+
+SOURCES: Final = (
+    "studies/missed_steps.py", "studies/outputs.py", "studies/readings.py",
+    "studies/secrecy/sentences.py", *LOOP_SOURCES, *TAP_SOURCES,
+)  # fmt: skip
+"""Where the numbers of this module come from."""
+
+RUNS, SEED = 10, 5
+LOST: Final = 0.03
+"""Share of measurements that the network loses, each sent once."""
+TAPS: Final = ("nearest-centre", "list-decoder", "smoother", "text")
+
+
+class Condition(NamedTuple):
+    """A scenario, the characters of its message, steps, and the share of messages she misses."""
+
+    scenario: str
+    characters: int
+    steps: int
+    missed: float
+
+
+CONDITIONS: Final = {
+    "`packed`, she misses 30 %": Condition("packed", 100, 330, 0.3),
+    "`sustained`, she misses 10 %": Condition("sustained", 4, 500, 0.1),
+}
+
+PAGE: Final = ROOT / "docs" / "findings.md"
+
+COLUMNS: Final = (
+    "condition", "tap", "runs", "steps", "seed", "lost", "plant_missed", "not_told", "keys_of",
+    "keys", "keys_low", "keys_high", "delivered", "read", "read_low", "read_high",
+)  # fmt: skip
+
+
+def scenario_of(condition: str) -> Scenario:
+    """The scenario with its network; `packed` with four candidates."""
+    name = CONDITIONS[condition].scenario
+    secrecy = {"candidates": 4} if name == "packed" else {}
+    data = changed(name, secrecy=secrecy).model_dump(mode="json", exclude_none=True)
+    data["link"] |= {"fallback": "zero", "repeats_per_period": 1}
+    data["network"] = {"to_controller": {"loss": LOST}}
+    return parse_scenario(data, name)
+
+
+def messages_of(runs: Runs, link: Transfer) -> Iterator[FieldMessage]:
+    """All that the two ends of the first run say: in a missed step the plant alone speaks."""
+    made = {t.k: t for t in transcript(runs, link, 0)}
+    assert runs.x is not None
+    x = [tuple(row) for row in runs.x[:, :, 0].tolist()]
+    applied, after = -1, x[0]
+    for k, now in enumerate(x):
+        yield Measurement(session=SESSION, k=k, x=now, applied_k=applied, x_after=after)
+        if (t := made.get(k)) is not None:
+            assert t.candidates is not None
+            assert t.cipher is not None
+            assert t.x_next is not None
+            yield Offer(session=SESSION, k=k, candidates=t.candidates, cipher=t.cipher)
+            applied, after = k, t.x_next
+
+
+class Heard(NamedTuple):
+    """Of one run: steps that the plant missed, those she takes for possible, and the counts."""
+
+    missed: int
+    not_told: int
+    counts: list[Counts]
+
+
+def made_of(condition: str, run: int) -> Heard:
+    """What each eavesdropper makes of a run."""
+    of, scenario = CONDITIONS[condition], scenario_of(condition)
+    law = make_law(scenario, cached_design(scenario))
+    runs = simulate_runs(
+        scenario, law, seed=SEED, runs=range(run, run + 1), steps=of.steps, record=True
+    )
+    link = transfer(runs, payloads=[SENTENCES[run].encode()[: of.characters]])
+    view = View(loss=of.missed, seed=run)
+    channel, heard = WiretapChannel(view), Transcript()
+    transitions: list[Transition] = []
+    for message in messages_of(runs, link):
+        for _, seen in channel.hear(0, message):
+            transitions += heard.hear(seen)
+    transitions += heard.flush()
+    assert runs.missed is not None
+    missed = runs.missed[:, 0]
+    not_told = sum(bool(missed[t.k]) for t in transitions)
+    counts = counted(TAPS, scenario, link, view, transitions)
+    return Heard(int(missed.sum()), not_told, counts)
+
+
+def missed_rows() -> Iterator[tuple[Any, ...]]:
+    """One row a condition and eavesdropper."""
+    with ProcessPoolExecutor() as pool:
+        found = {
+            condition: [pool.submit(made_of, condition, run) for run in range(RUNS)]
+            for condition in CONDITIONS
+        }
+        for condition, waiting in found.items():
+            runs = [one.result() for one in waiting]
+            totals = sum(run.missed for run in runs), sum(run.not_told for run in runs)
+            by_tap = zip(*(run.counts for run in runs), strict=True)
+            for tap, counts in zip(TAPS, by_tap, strict=True):
+                steps = CONDITIONS[condition].steps
+                yield (condition, tap, RUNS, steps, SEED, LOST, *totals, *told(counts))
+
+
+def written(text: str, rows: Sequence[dict[str, str]]) -> str:
+    """The page with the table between its marks."""
+    return between_marks(text, "missed-steps", by_condition(rows, TAPS, CONDITIONS))
+
+
+def recorded() -> list[dict[str, str]]:
+    """The rows of the data file."""
+    with (DATA / "missed-steps.csv").open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+if __name__ == "__main__":
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")
