@@ -178,6 +178,10 @@ class Classes(Registry[type[T]]):
         if not (isinstance(found, type) and issubclass(found, self.base)):
             base = f"{self.base.__module__}.{self.base.__name__}"
             raise UnknownError(f"got {name!r}, expected a class {class_name} that extends {base}")
+        missing = sorted(getattr(found, "__abstractmethods__", ()))
+        if missing:
+            lacks = ", ".join(missing)
+            raise UnknownError(f"got {name!r}, expected the methods that it lacks: {lacks}")
         own = getattr(found, "name", None)
         if not (isinstance(own, str) and re.fullmatch(r"[\w.-]{1,64}", own)):
             raise UnknownError(
@@ -240,7 +244,8 @@ def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
     try:
         return _run_file(path) if where.endswith(".py") else (import_module(where), "")
     except FileNotFoundError:
-        raise UnknownError(f"{path}: no such file") from None
+        where = "" if path.is_absolute() else f" in {Path.cwd()}"
+        raise UnknownError(f"{path}: no such file{where}") from None
     except ModuleNotFoundError as error:
         raise UnknownError(f"{where}: {error}") from None
     except Exception as error:  # the code is the user's: what it raises is told in one line
