@@ -178,16 +178,16 @@ class Classes(Registry[type[T]]):
         if not (isinstance(found, type) and issubclass(found, self.base)):
             base = f"{self.base.__module__}.{self.base.__name__}"
             raise UnknownError(f"got {name!r}, expected a class {class_name} that extends {base}")
-        missing = sorted(getattr(found, "__abstractmethods__", ()))
-        if missing:
-            lacks = ", ".join(missing)
-            raise UnknownError(f"got {name!r}, expected the methods that it lacks: {lacks}")
         own = getattr(found, "name", None)
         if not (isinstance(own, str) and re.fullmatch(r"[\w.-]{1,64}", own)):
             raise UnknownError(
                 f"{name!r}: expected a class attribute name of 1 to 64 letters, digits, dots, "
                 f"dashes or underscores, got {own!r}"
             )
+        missing = sorted(getattr(found, "__abstractmethods__", ()))
+        if missing:
+            lacks = ", ".join(missing)
+            raise UnknownError(f"got {name!r}, expected the methods that it lacks: {lacks}")
         return cast("type[T]", found)
 
 

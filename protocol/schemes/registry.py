@@ -12,12 +12,14 @@ class Schemes(Classes[Scheme[Any]]):
 
     def _checked(self, name: str, found: object, class_name: str) -> type[Scheme[Any]]:
         scheme = super()._checked(name, found, class_name)
-        version, initial = getattr(scheme, "version", None), getattr(scheme, "initial", None)
+        version: object = getattr(scheme, "version", None)
+        initial: Any = getattr(scheme, "initial", None)
         if not isinstance(version, int):
             raise UnknownError(
                 f"{name!r}: expected a class attribute version, a whole number, got {version!r}"
             )
-        if not (hasattr(initial, "_fields") and all(isinstance(v, int) for v in tuple(initial))):
+        named = isinstance(initial, tuple) and hasattr(initial, "_fields")
+        if not (named and all(isinstance(v, int) for v in initial)):
             raise UnknownError(
                 f"{name!r}: expected a class attribute initial, a NamedTuple of whole numbers, "
                 f"got {initial!r}"

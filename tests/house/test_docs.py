@@ -79,7 +79,7 @@ def test_the_tables_name_every_message() -> None:
 
 
 def test_a_missing_marker_is_noticed() -> None:
-    with pytest.raises(ValueError, match=r"markers.*add <!-- generated: pipelined --> and <!-- end"):
+    with pytest.raises(ValueError, match=r"markers.*add <!-- generated: pipelined -->"):
         refreshed("<!-- generated: switched -->\n<!-- end -->")
 
 
