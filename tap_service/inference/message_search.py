@@ -247,8 +247,11 @@ class MessageSearch:
     def _of_any_length(self, start: Array) -> Array:
         """Log weight that a message of any length and bytes begins right before each node."""
         _, total, prior = self._all_lengths
+        # those that the transcript cannot hold to their end are alike
+        rows, alike = np.unique(np.minimum(total, len(self._ahead) - 1), return_inverse=True)
+        weights = np.log(np.bincount(alike.reshape(-1), np.exp(prior)))
         best = np.full(start.shape, -np.inf)
-        for n, p in zip(total, prior, strict=True):
+        for n, p in zip(rows, weights, strict=True):
             best = np.logaddexp(best, start + self._after(n, 0, len(start)) + p)
         return best
 
