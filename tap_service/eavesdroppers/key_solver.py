@@ -1,10 +1,14 @@
 """`key-solver`: goes for the keys. She solves each block's linear system for whatever it gives.
 
 She knows the claim, and so where blocks begin, how many rows they have and the matrix; which copies
-counted she reads off the messages, and takes each for counted of which she did not hear. A block of
-R rows of which she missed e counted copies gives her R - e combinations of rows: none, where the
-claim holds. With what she has she opens sealed messages, word by word. Where keys are made of words
-she counts what she holds in the same way, and opens with blocks alone that she heard all of.
+counted she reads off the messages, and takes each for counted of which she did not hear. A step
+that the plant missed, and she did not hear so, she takes for a transition: her blocks are then off
+by one, and `wyner score`, which reads the plant's trace, counts exactly.
+
+A block of R rows of which she missed e counted copies gives her R - e combinations of rows: none,
+where the claim holds. With what she has she opens sealed messages, word by word. Where keys are
+made of words she counts what she holds in the same way, and opens with blocks alone that she heard
+all of.
 """
 
 from collections import deque

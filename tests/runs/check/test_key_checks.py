@@ -61,11 +61,19 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     assert live["newest"]  # how many there are by then is a matter of how fast the machine is
     for hers in live["newest"]:
         block = exact[hers["session"], hers["number"]]
+        # a step that the plant missed, and she did not hear so, she takes for a transition: from
+        # there on her blocks hold one that the true ones do not, with its two copies
+        shifted = 2 * sum(
+            before.steps - before.transitions
+            for before in audit.blocks
+            if before.session == block.session and before.number <= block.number
+        )
         # what she takes for counted where she missed the word on it
         too_many = hers["counted"] - block.counted
-        assert 0 <= too_many <= 4
+        assert -shifted <= too_many <= 4 + shifted
         assert (hers["bits"], block.held_bits) == (0, 0)
-        assert hers["rows"] - hers["missed"] >= block.rows - block.missed - too_many
+        fewer = max(too_many, 0) + shifted
+        assert hers["rows"] - hers["missed"] >= block.rows - block.missed - fewer
     assert live["bits"] == 0
     assert [(t["known_bits"], t["text"]) for t in live["sealed"]] == [(0, "·" * len(TEXT))]
     assert main(["score", str(run)]) == 0
