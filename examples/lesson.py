@@ -10,7 +10,7 @@ recorded = run(system, steps=400, seed=1, message=b"Hi")
 
 x, offers, cipher = recorded.x[0], recorded.candidates[0], recorded.cipher[0]
 A, B = np.array(system.scenario.A), np.array(system.scenario.B)
-D_e = 8 * np.array([0.12, 0.12])  # what the paper lets Eve know of the disturbance
+D_e = np.array([0.96, 0.96])  # half-widths of the box that Eve knows to hold d
 key = recorded.key[0]
 
 # --- exercise 1 ---
@@ -61,7 +61,7 @@ for alpha in (1.5, 3.0, 8.0):
     system = design(vary(design("sustained").scenario, {"secrecy.alpha": alpha}))
     runs = run(system, steps=400, runs=10, seed=2)
     (eve,) = eavesdrop(runs, ["nearest-centre"])
-    hidden = 2 * np.log2(runs.steps + 1)
+    hidden = np.log2(2 * runs.steps + 1)  # thresholds that make a difference
     print(
         f"alpha {alpha}: {runs.rate.value:.2f} bit/s, "
         f"{eve.agreements / 10:.0f} bits a run by the paper's rule, "

@@ -184,6 +184,10 @@ class Classes(Registry[type[T]]):
                 f"{name!r}: expected a class attribute name of 1 to 64 letters, digits, dots, "
                 f"dashes or underscores, got {own!r}"
             )
+        missing = sorted(getattr(found, "__abstractmethods__", ()))
+        if missing:
+            lacks = ", ".join(missing)
+            raise UnknownError(f"got {name!r}, expected the methods that it lacks: {lacks}")
         return cast("type[T]", found)
 
 
@@ -240,7 +244,8 @@ def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
     try:
         return _run_file(path) if where.endswith(".py") else (import_module(where), "")
     except FileNotFoundError:
-        raise UnknownError(f"{path}: no such file") from None
+        where = "" if path.is_absolute() else f" in {Path.cwd()}"
+        raise UnknownError(f"{path}: no such file{where}") from None
     except ModuleNotFoundError as error:
         raise UnknownError(f"{where}: {error}") from None
     except Exception as error:  # the code is the user's: what it raises is told in one line

@@ -282,7 +282,11 @@ def refreshed(text: str, parts: dict[str, Callable[[], str]] = PARTS) -> str:
     """
     names = [match["name"] for match in _MARKED.finditer(text)]
     if sorted(names) != sorted(parts):
-        raise ValueError(f"markers: got {sorted(names)}, expected {sorted(parts)}")
+        lines = "".join(
+            f"; add <!-- generated: {name} --> and <!-- end --> where it shall stand"
+            for name in sorted(set(parts) - set(names))
+        )
+        raise ValueError(f"markers: got {sorted(names)}, expected {sorted(parts)}{lines}")
     return _MARKED.sub(lambda m: m["begin"] + parts[m["name"]]() + m["end"], text)
 
 
@@ -291,7 +295,12 @@ def main(argv: Sequence[str]) -> int:
     if list(argv) == ["--write"]:
         for document, parts in DOCUMENTS.items():
             text = document.read_text(encoding="utf-8")
-            write_atomically(document, refreshed(text, parts).encode(), PUBLIC_FILE)
+            try:
+                written = refreshed(text, parts)
+            except ValueError as error:
+                print(f"{document.name}: {error}", file=sys.stderr)
+                return USAGE
+            write_atomically(document, written.encode(), PUBLIC_FILE)
         return DONE
     if argv:
         print("usage: python -m tools.diagrams [--write]", file=sys.stderr)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, cast
 
 from controller_service.laws.tables import PackedControl, PaperControl
-from protocol.registry import OwnClass, Registry, UnknownError
+from protocol.registry import OwnClass, Registry, UnknownError, names_a_file
 from protocol.scenario import LAWS, Control, Scenario
 
 if TYPE_CHECKING:
@@ -105,9 +105,15 @@ def make_law(scenario: Scenario, design: "Design") -> "CandidateLaw":
     Raises
     ------
     ProgramError
-        When its programs have no unique answers.
+        When its programs have no unique answers, or a user's law answers what is no candidates.
     """
-    return law_named(scenario.control.law)(scenario, design)
+    name = scenario.control.law
+    law = law_named(name)(scenario, design)
+    if names_a_file(name):
+        from controller_service.laws.own import refuse_odd_answers
+
+        refuse_odd_answers(name, law, scenario)
+    return law
 
 
 def synthesise(scenario: Scenario, progress: "Progress | None" = None) -> "Design":

@@ -3,12 +3,13 @@
 What was missed is inferred as exactly as the law allows (:mod:`tap_service.inference.front`), and
 nothing is decided step by step: each step keeps its probabilities, and a search over whole messages
 weighs them together with English, the frame's length, the silence after it and its check
-(:mod:`tap_service.inference.message_search`). She says how sure she is, and how many bits are left.
-She has to hear what came after before she can infer what was lost, so she reads all that she keeps
-anew each time she has heard twice as much as before and when a message should be over; where that
-cannot be told, when she has heard a quarter more, and half more where it is over. Where outputs
-alone are read she infers nothing of what was missed, and weighs how many of a session's first steps
-the ends lost.
+(:mod:`tap_service.inference.message_search`), under each likely threshold, which is one for all
+steps (:mod:`tap_service.inference.thresholds`). She says how sure she is, and how many bits are
+left. She has to hear what came after before she can infer what was lost, so she reads all that she
+keeps anew each time she has heard twice as much as before and when a message should be over; where
+that cannot be told, when she has heard a quarter more, and half more where it is over. Where
+outputs alone are read she infers nothing of what was missed, and weighs how many of a session's
+first steps the ends lost.
 """
 
 from collections.abc import Sequence
@@ -21,9 +22,10 @@ from tap_service.inference.english import AnyBytes, English, english
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.front import Inference, Inferred
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
-from tap_service.inference.message_reader import SURE, Message, MessageReader, verdicts_of
+from tap_service.inference.message_reader import SURE, Message, MessageReader
 from tap_service.inference.message_search import BEAM
 from tap_service.inference.output_model import OutputModel
+from tap_service.inference.verdicts import verdicts_of
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go."""

@@ -9,6 +9,7 @@ the scheme's state, and so on the verdict before where the state holds its key, 
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from protocol.arrays import Array, Integers, Narrow
 from protocol.schemes.framing import IDLE, START
@@ -156,20 +157,23 @@ class Lattice:
 
         Shape (symbols + 1, K + 1, E), in single precision: with 4096 steps it is a third of a GB.
         """
-        out = np.empty((symbols + 1, self.steps + 1, self.states), dtype=np.float32)
+        K, G = self.steps, self.wait
+        out = np.empty((symbols + 1, K + 1, self.states), dtype=np.float32)
         out[0] = last = outside
+        kernel = self.uniform.swapaxes(2, 3).reshape(K, self.states, -1)
+        # a long silence is worth more than a float holds: each node has a level of its own
+        own, values = np.full(K + 1 + G, -np.inf), np.zeros((K + 1 + G, self.states))
+        own_after = sliding_window_view(own, G)[1:]
+        values_after = sliding_window_view(values, G, axis=0)[1 : K + 1]
         for r in range(1, symbols + 1):
-            # a long silence is worth more than a float holds: each node has a level of its own
-            own = last.max(axis=1)
-            values = np.exp(last - own[:, None])
-            level = np.zeros(self.steps + 1)
-            for g in range(self.wait):
-                level[: self.steps - g] = np.maximum(level[: self.steps - g], own[1 + g :])
+            own[: K + 1] = last.max(axis=1)
+            values[: K + 1] = np.exp(last - own[: K + 1, None])
+            level = np.maximum(own_after.max(axis=1), 0.0)
+            share = np.exp(own_after[:K] - level[:K, None])
             now = self.left * np.exp(-level)[:, None]
-            for g in range(self.wait):
-                rows = self.steps - g
-                part = np.einsum("kef,kf->ke", self.uniform[:rows, :, g], values[1 + g :])
-                now[:rows] += part * np.exp(own[1 + g :] - level[:rows])[:, None]
+            now[:K] += np.einsum(
+                "kem,km->ke", kernel, (values_after * share[:, None]).reshape(K, -1)
+            )
             out[r] = last = _log(now) + level[:, None]
         return out
 

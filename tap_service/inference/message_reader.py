@@ -1,7 +1,8 @@
 """All messages of a transcript, one after the other, each with its probability and what it leaves.
 
-Steps as they were inferred become verdicts, verdicts and ciphertext symbols a lattice, and the
-lattice is searched for one frame after another. What she claims for a message is its share of all
+Steps as they were inferred become verdicts under each likely threshold
+(:mod:`tap_service.inference.thresholds`), verdicts and ciphertext symbols a lattice, and the
+lattices are searched for one frame after another. What she claims for a message is its share of all
 that she considers: the others on the list, those that the search let go, messages of any bytes
 whatever, one that is still under way, and none at all. A step of which she did not hear whether it
 was made may be none.
@@ -9,7 +10,6 @@ was made may be none.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -18,17 +18,15 @@ from protocol.arrays import Array, Integers
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import START, encode_frame
 from protocol.schemes.table import StateTable
-from tap_service.capture.transcript import Transition, transitions_in_a_row
+from tap_service.capture.transcript import transitions_in_a_row
 from tap_service.inference.alignment import align
 from tap_service.inference.english import AnyBytes, English
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import Lattice
-from tap_service.inference.message_search import (
-    BEAM,
-    REFUTED,
-    Found,
-    MessageSearch,
-)
+from tap_service.inference.message_search import BEAM, REFUTED, Found
+from tap_service.inference.message_sets import SharedSearch
+from tap_service.inference.thresholds import Interval, Run, likely_thresholds
+from tap_service.inference.verdicts import made_of, verdicts_of
 
 NOT_TEXT: Final = 0.02
 """Probability that a message is of any bytes at all."""
@@ -42,17 +40,11 @@ MISSED: Final = 0.05
 WIDER: Final = (4,)
 """Times as many hypotheses are then followed."""
 
-LIKE_ALONE: Final = 10.0
-"""Trajectories that are added, where a step is looked at after another, as it is alone."""
-
-DOUBT: Final = 1e-4
-"""Probability that a step's verdict is another where nothing seems to speak for it."""
-
-PSEUDO: Final = 0.25
-"""Trajectories that are added to those drawn, spread over all verdicts."""
-
 MOST_MESSAGES: Final = 64
 """Messages looked for in one stretch."""
+
+SLIGHT: Final = 0.01
+"""Probability of thresholds up to which steps are not aligned by them."""
 
 TINY: Final = 1e-300
 
@@ -115,89 +107,6 @@ class Stretch:
     symbols: Array
 
 
-def verdicts_of(
-    steps: Sequence[InferredStep], among: tuple[float, float], size: int, *, certain: bool
-) -> tuple[Array, Array]:
-    """Probability of each step's verdict (none, symbol 0, 1, ...), alone and after the last one.
-
-    Parameters
-    ----------
-    steps : sequence of InferredStep
-    among : tuple of float
-        t_c from and to, in units of D_e, evenly.
-    size : int
-        M.
-    certain : bool
-        Whether every step agrees.
-
-    Returns
-    -------
-    alone : array, shape (K, 1 + M)
-    after : array, shape (K, M, 1 + M)
-        Where the step before agreed on each symbol: trajectories are drawn over several steps, so
-        that what one step was says something of the next.
-    """
-    shares = [_shares(step.samples, among, size, certain=certain) for step in steps]
-    alone = np.zeros((len(steps), 1 + size))
-    for i, share in enumerate(shares):
-        if share is None:
-            continue
-        alone[i] = share.sum(axis=0)
-        more = DOUBT if len(share) == 1 else PSEUDO
-        alone[i, 1 if certain else 0 :] += more / (size + 1)
-        alone[i] /= alone[i].sum()
-    blind = np.array([share is None for share in shares], dtype=bool)
-    seen = alone[~blind]
-    agreed = 1.0 if certain else (float(seen[:, 1:].sum(axis=1).mean()) if len(seen) else 0.2)
-    alone[blind, 0] = 1.0 - agreed
-    alone[blind, 1:] = agreed / size
-    after = np.repeat(alone[:, None], size, axis=1)
-    for i, (before, share) in enumerate(pairwise(shares), 1):
-        if before is None or share is None or len(before) != len(share) or len(share) == 1:
-            continue
-        together = before[:, 1:].T @ share + LIKE_ALONE * alone[i]
-        after[i] = together / together.sum(axis=1, keepdims=True)
-    return alone, after
-
-
-def made_of(transitions: Sequence[Transition]) -> Array:
-    """Probability that each step was made: that the plant took its offer, shape (K,).
-
-    It is certain where a measurement said so. Elsewhere it is Bayes' rule: by how often the plant
-    is known to have missed steps, and by whether she heard an offer. Of a missed step there may
-    have been an offer that was lost or late, or none; either is taken for as likely.
-    """
-    told = [t for t in transitions if t.applied]
-    gaps = sum(t.k > before.k + 1 and not t.gap for before, t in pairwise(transitions))
-    unheard = (sum(t.cipher is None for t in told) + 1) / (len(told) + 2)
-    out = np.ones(len(transitions))
-    for i, t in enumerate(transitions):
-        if gaps and not t.applied:
-            heard = t.cipher is not None
-            made = (len(told) + 1) * ((1 - unheard) if heard else unheard)
-            out[i] = made / (made + gaps * ((1 - unheard) if heard else 1 + unheard) / 2)
-    return out
-
-
-def _shares(
-    samples: Array | None, among: tuple[float, float], size: int, *, certain: bool
-) -> Array | None:
-    """Of each trajectory the probability of each verdict, shape (S, 1 + M)."""
-    if samples is None:
-        return None
-    low, high = among
-    choice = samples.argmin(axis=1)
-    share = np.ones(len(choice))
-    if not certain:
-        ordered = np.sort(samples, axis=1)
-        over = np.minimum(high, ordered[:, 1]) - np.maximum(low, ordered[:, 0])
-        share = np.clip(over / max(high - low, 1e-12), 0.0, 1.0) * (ordered[:, -1] <= 1.0)
-    out = np.zeros((len(choice), 1 + size))
-    out[np.arange(len(choice)), 1 + choice] = share
-    out[:, 0] = 1.0 - share
-    return out
-
-
 @dataclass(frozen=True)
 class _Judged:
     """What a search's findings come to.
@@ -205,7 +114,7 @@ class _Judged:
     Parameters
     ----------
     message : Message
-    ends : array, shape (K + 1, E)
+    ends : array, shape (intervals, K + 1, E)
         Log weight that it ends at each node.
     searching : bool
         Whether a wider search may find more.
@@ -254,7 +163,7 @@ class _Shares:
         lost, opened, top = [], [], []
         priors = np.log([1 - NOT_TEXT, NOT_TEXT]).tolist()
         for f, prior in zip(founds, priors, strict=False):
-            lost.append(f.plain + prior + float(np.log(max(1 - f.kept, TINY))))
+            lost.append(f.lost + prior)
             opened.append(f.open + prior)
             top.append(float(f.weights.max(initial=-np.inf)) + prior)
             for payload, weight in zip(f.payloads, (f.weights + prior).tolist(), strict=True):
@@ -302,64 +211,81 @@ class MessageReader:
         """What was read last."""
 
     def read(
-        self, steps: Sequence[InferredStep], among: tuple[float, float], after: dict[str, int]
+        self, steps: Sequence[InferredStep], among: Interval, after: dict[str, int]
     ) -> list[Message]:
         """The messages of ``steps``; of each session those that begin ``after`` a step."""
         self.stretches = []
         by_step = {id(s.transition): s for s in steps}
+        runs = [
+            Run([by_step[id(t)] for t in run], self._entry(fresh=run[0].start), made_of(run))
+            for run in transitions_in_a_row([s.transition for s in steps])
+            if any(t.cipher is not None for t in run)
+        ]
+        intervals: list[Interval] = []
         out: list[Message] = []
-        for run in transitions_in_a_row([s.transition for s in steps]):
-            last = after.get(run[0].session, -1)
-            part = [by_step[id(t)] for t in run if t.k > last]
-            made = made_of(run)[len(run) - len(part) :]
+        for run in runs:
+            first = run.steps[0].transition
+            last = after.get(first.session, -1)
+            part = [s for s in run.steps if s.transition.k > last]
             if len(part) < 2 or all(s.transition.cipher is None for s in part):
                 continue
-            fresh = part[0].transition.start and last < 0
-            out += self._stretch(part, made, among, fresh=fresh)
+            intervals = intervals or self._intervals(runs, among)
+            entry = self._entry(fresh=first.start and last < 0)
+            out += self._stretch(Run(part, entry, run.made[-len(part) :]), intervals)
         return out
 
-    def _stretch(
-        self,
-        steps: Sequence[InferredStep],
-        made: Array,
-        among: tuple[float, float],
-        *,
-        fresh: bool,
-    ) -> list[Message]:
-        """The messages of transitions in a row, the scheme in its initial state if ``fresh``."""
-        alone, after = verdicts_of(steps, among, self._size, certain=self._certain)
-        # a state that holds a key holds that of the step before
-        pads = self._table.pad[: self._states]
-        verdicts = np.where((pads >= 0)[:, None], after[:, pads], alone[:, None])
+    def _intervals(self, runs: Sequence[Run], among: Interval) -> list[Interval]:
+        """Those of thresholds that remain."""
+        return [among] if self._certain else likely_thresholds(self._table, runs, among)
+
+    def _entry(self, *, fresh: bool) -> Array:
+        """Probability of each of the scheme's states, the initial one if ``fresh``."""
+        return np.eye(self._states)[0] if fresh else np.full(self._states, 1 / self._states)
+
+    def _stretch(self, run: Run, intervals: Sequence[Interval]) -> list[Message]:
+        """The messages of transitions in a row."""
+        steps, entry, made = run.steps, run.entry, run.made
         ciphers = np.array(
             [-1 if s.transition.cipher is None else s.transition.cipher for s in steps]
         )
-        entry = np.zeros(self._states)
-        entry[0] = 1.0
-        if not fresh:
-            entry[:] = 1 / self._states
-        lattice = Lattice(self._table, verdicts, ciphers, entry, made)
-        search = MessageSearch(lattice, self._beam)
-        begin = np.full((lattice.steps + 1, self._states), -np.inf)
-        with np.errstate(divide="ignore"):
-            begin[0] = np.log(entry)
+        verdicts = [self._verdicts(steps, among) for among in intervals]
+        lattices = [Lattice(self._table, one, ciphers, entry, made) for one in verdicts]
+        search = SharedSearch(lattices, self._beam)
+        widths = np.array([high - low for low, high in intervals])
+        begin = search.begin(entry, widths / widths.sum())
         out: list[Message] = []
         ks, session = [s.transition.k for s in steps], steps[0].transition.session
         for _ in range(MOST_MESSAGES):
             if search.silent(begin):
                 break
-            read = self._next(search, lattice, begin, session, ks)
+            read = self._next(search, begin, session, ks)
             if read is None:
                 break
-            message, begin = read
+            message, ends = read
             out.append(message)
             if not message.whole:
                 break
+            begin = ends
         self._room = len(steps)
         stream, waits = self._stream(out)
-        aligned = align(self._table, verdicts, ciphers, entry, made, stream, waits)
-        if aligned is not None:
-            self.stretches.append(Stretch(session, ks, *aligned))
+        aligned = [
+            (share, found)
+            for share, one in zip(search.shares(begin), verdicts, strict=True)
+            if share > SLIGHT
+            and (found := align(self._table, one, ciphers, entry, made, stream, waits)) is not None
+        ]
+        if aligned:
+            whole = sum(share for share, _ in aligned)
+            both = (sum(p * found[i] for p, found in aligned) / whole for i in range(2))
+            self.stretches.append(Stretch(session, ks, *both))
+        return out
+
+    def _verdicts(self, steps: Sequence[InferredStep], among: Interval) -> Array:
+        """Probability of each step's verdict in each of the scheme's states."""
+        alone, after = verdicts_of(steps, among, self._size, certain=self._certain)
+        # a state that holds a key holds that of the step before
+        pads = self._table.pad[: self._states]
+        out: Array = np.where((pads >= 0)[:, None], after[:, pads], alone[:, None])
         return out
 
     def _stream(self, messages: Sequence[Message]) -> tuple[Array, Integers]:
@@ -382,18 +308,18 @@ class MessageReader:
         return np.concatenate(parts), np.array(waits)
 
     def _next(
-        self, search: MessageSearch, lattice: Lattice, begin: Array, session: str, ks: Sequence[int]
+        self, search: SharedSearch, begin: Array, session: str, ks: Sequence[int]
     ) -> tuple[Message, Array] | None:
         """The message that comes next and where it ends, or None where there is likely none.
 
         Searched more widely where it may have been let go, and among all bytes where it is no text.
         """
-        found = search.find(begin, self._language)
+        found = search.find(begin, self._language, self._beam)
         if found is None:
             return None
 
         def judged(*founds: Found) -> _Judged | None:
-            return self._judge(search, lattice, begin, founds, session, ks)
+            return self._judge(search, begin, founds, session, ks)
 
         read = judged(found)
         for wider in WIDER:
@@ -401,7 +327,7 @@ class MessageReader:
                 break
             if read.message.probability >= SURE:
                 break
-            again = search.find(begin, self._language, wider * self._beam)
+            again = search.find_wider(begin, self._language, wider * self._beam)
             assert again is not None
             better = judged(again)
             if better is not None and better.message.probability >= read.message.probability:
@@ -414,8 +340,7 @@ class MessageReader:
 
     def _judge(
         self,
-        search: MessageSearch,
-        lattice: Lattice,
+        search: SharedSearch,
         begin: Array,
         founds: Sequence[Found],
         session: str,
@@ -428,7 +353,7 @@ class MessageReader:
         founds : sequence of Found
             By her language, and among all bytes where these were searched.
         """
-        shares = _Shares.of(founds, lattice.none_after(begin))
+        shares = _Shares.of(founds, search.none_after(begin))
         if shares.none > 0.5:
             return None
         texts = int(isinstance(self._language, English))  # the other one is among all bytes
@@ -460,8 +385,8 @@ class MessageReader:
         else:
             payload, ends = likeliest.under_way, likeliest.ends
             whole, due = False, likeliest.missing
-        at, last = ends.max(axis=1), ks[-1]
-        place = int(at.argmax()) if np.isfinite(at).any() else lattice.steps
+        at, last = ends.max(axis=(0, 2)), ks[-1]
+        place = int(at.argmax()) if np.isfinite(at).any() else len(ks)
         k = ks[place - 1] if place else ks[0] - 1
         message = Message(
             session,

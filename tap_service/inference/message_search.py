@@ -57,9 +57,6 @@ KEPT: Final = 200
 FEWEST: Final = 200
 """Messages drawn of a length at least."""
 
-CLEARLY: Final = float(np.log(20))
-"""Log ratio by which silence must be likelier than a message for none to be searched."""
-
 LEAST_CHECKED: Final = 1e-4
 """Share of texts whose check the transcript holds that is told from none: rounding."""
 
@@ -69,6 +66,9 @@ NEARLY: Final = float(np.log(4))
 REFUTED: Final = 1e-3
 """Share let go on the way up to which a message that is none of those kept refutes what she takes
 the steps for."""
+
+
+TINY: Final = 1e-300
 
 
 @dataclass(frozen=True)
@@ -121,6 +121,11 @@ class Found:
     longest: float
     unchecked: bytes
     unchecked_ends: Array
+
+    @property
+    def lost(self) -> float:
+        """Log weight of what was let go."""
+        return self.plain + float(np.log(max(1 - self.kept, TINY)))
 
 
 @dataclass(frozen=True)
@@ -242,18 +247,17 @@ class MessageSearch:
     def _of_any_length(self, start: Array) -> Array:
         """Log weight that a message of any length and bytes begins right before each node."""
         _, total, prior = self._all_lengths
+        # those that the transcript cannot hold to their end are alike
+        rows, alike = np.unique(np.minimum(total, len(self._ahead) - 1), return_inverse=True)
+        weights = np.log(np.bincount(alike.reshape(-1), np.exp(prior)))
         best = np.full(start.shape, -np.inf)
-        for n, p in zip(total, prior, strict=True):
+        for n, p in zip(rows, weights, strict=True):
             best = np.logaddexp(best, start + self._after(n, 0, len(start)) + p)
         return best
 
-    def silent(self, begin: Array) -> bool:
-        """Whether silence alone after ``begin`` is clearly likelier than a message.
-
-        A message of any bytes and length, which costs no search.
-        """
-        message = float(np.logaddexp.reduce(self._of_any_length(self.starts(begin)).ravel()))
-        return self._lattice.none_after(begin) > message + CLEARLY
+    def message(self, begin: Array) -> float:
+        """Log weight that a message of any length and bytes follows, which costs no search."""
+        return float(np.logaddexp.reduce(self._of_any_length(self.starts(begin)).ravel()))
 
     def _lengths(self, start: Array) -> tuple[NDArray[np.intp], Array, Array, int] | None:
         """Likely lengths: they, their alphas and levels, and the first step of the window.
@@ -515,8 +519,8 @@ class MessageSearch:
             surprise = float(-(p * np.log2(np.maximum(p, 1e-300))).sum())
             # what is not on the list is at best as likely as the least likely that is
             surprise -= rest * float(np.log2(max(p.min(), 1e-300)))
-            _, _, _, alpha, at = found[0]
-            ends = self._nodes(alpha, at)
+            weight, _, _, alpha, at = found[0]
+            ends = self._weighing(self._nodes(alpha, at), weight)
         listed = ended.listed if self._single else ended.total
         followed = np.isfinite(ended.total)
         return Found(
@@ -533,8 +537,16 @@ class MessageSearch:
             opened.unsent,
             longest,
             ended.unchecked[1],
-            self._after_any(*ended.unchecked[2:], self._digits * CHECK_BYTES),
+            self._weighing(
+                self._after_any(*ended.unchecked[2:], self._digits * CHECK_BYTES),
+                ended.unchecked[0],
+            ),
         )
+
+    def _weighing(self, nodes: Array, weight: float) -> Array:
+        """Log weights of nodes, such that with all that follows them they come to ``weight``."""
+        whole = float(np.logaddexp.reduce((nodes + self._outside).ravel()))
+        return nodes + (weight - whole) if np.isfinite(whole) else nodes
 
     def _nodes(self, alpha: Array, low: int) -> Array:
         """Log weights of all nodes by those of a window from step ``low`` on."""

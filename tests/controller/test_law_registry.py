@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from controller_service.laws.base import ProgramLaw
+from controller_service.laws.online import ProgramError
 from controller_service.laws.planar import Planar
 from controller_service.laws.registry import cached_design, law_named, make_law, registered
 from controller_service.sets.design import Design, Progress, synthesise
@@ -127,3 +128,35 @@ def test_both_services_run_under_it_and_the_run_is_checked(
 def test_a_law_that_nobody_registered() -> None:
     with pytest.raises(UnknownError, match="got 'ends', expected a law: paper, sustained"):
         law_named("ends")
+
+
+@pytest.mark.parametrize(
+    ("answers", "many", "expected"),
+    [
+        ("(0.0, 0.0)", "zeros", r"one state: got shape \(2,\), expected \(2, 1\)"),
+        ("((0.0,), (0.0,))", "zeros[0]", r"many states: got shape \(2, 1\) for one"),
+        ("((0.0,), (0.0,))", "zeros + 0.1", r"got \[\[0.0\], \[0.0\]\] for one state and \[\[0.1"),
+        (
+            "((1e9,), (0.0,))",
+            "zeros",
+            r"got \[\[1000000000.0\].*, expected each in control.inputs",
+        ),
+        ("1 / 0", "zeros", "ZeroDivisionError: division by zero"),
+    ],
+)
+def test_a_law_of_ones_own_that_answers_no_candidates_is_one_line(
+    tmp_path: Path, answers: str, many: str, expected: str
+) -> None:
+    path = tmp_path / "odd.py"
+    path.write_text(
+        "import numpy as np\nfrom controller_service.laws.base import ProgramLaw\n\n\n"
+        "class Odd(ProgramLaw):\n"
+        f"    def answers(self, x, i):\n        return {answers}\n\n"
+        "    def answers_many(self, X, indices):\n"
+        f"        zeros = np.zeros((len(X), 2, 1))\n        return {many}\n"
+    )
+    scenario = parse_scenario(table(law=f"{path}:Odd"), "odd.toml")
+    design = cached_design(scenario)
+    with pytest.raises(ProgramError, match=rf"^control\.law: \S+odd.py:Odd: .*{expected}") as told:
+        make_law(scenario, design)
+    assert "\n" not in str(told.value)

@@ -13,11 +13,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from attacker_service.attacks import ATTACKS
 from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
 from protocol.registry import module_at
-from protocol.scenario import ScenarioError
+from protocol.scenario import PLANTS, ScenarioError
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES
 from protocol.topics import DEFAULT_LOOP, key_of
@@ -28,7 +29,7 @@ from runtime.shipped import SCENARIOS
 from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import named
+from tap_service.eavesdroppers import LADDER, named
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 
@@ -57,6 +58,19 @@ def program(title: str, folder: Path, name: str) -> Path:
     """The program that the guide names, beside the run."""
     assert f"examples/own/{name}" in guide(title)
     return Path(shutil.copy(EXAMPLES / "own" / name, folder))
+
+
+@pytest.mark.parametrize(
+    ("title", "shipped"),
+    [
+        ("A plant of your own", PLANTS),
+        ("Eavesdroppers", LADDER),
+        ("Attacks", ATTACKS.shipped),
+    ],
+)
+def test_the_tables_have_a_row_for_each_that_is_shipped(title: str, shipped: list[str]) -> None:
+    rows = re.findall(r"^\| `([\w-]+)` \|", guide(title), re.MULTILINE)
+    assert sorted(rows) == sorted(shipped), f"docs/guides.md, {title}: a row for each"
 
 
 @pytest.mark.slow

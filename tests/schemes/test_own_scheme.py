@@ -171,7 +171,7 @@ def test_two_ends_whose_files_differ_do_not_share_a_fingerprint(
     ("name", "expected"),
     [
         ("hording", "expected switched"),
-        ("no/such/file.py:Name", "no/such/file.py: no such file"),
+        ("no/such/file.py:Name", f"no/such/file.py: no such file in {Path.cwd()}"),
         (f"{__file__}:Nobody", "expected a class Nobody that extends protocol.schemes.base.Scheme"),
         (f"{__file__}:Held", "expected a class Held that extends protocol.schemes.base.Scheme"),
     ],
@@ -185,6 +185,35 @@ def test_a_name_that_is_none_is_one_line(name: str, expected: str) -> None:
     (line,) = error.value.problems
     assert line.startswith("own.toml: secrecy.scheme: got ")
     assert expected in line
+
+
+@pytest.mark.parametrize(
+    ("changed", "expected"),
+    [
+        ("advance = Scheme.advance", "expected the methods that it lacks: advance"),
+        ("def advance(self, state, verdict): return state", "expected a state and a Carry"),
+        ("def advance(self, state, verdict): return state.t, 0", "advance: AttributeError: 'S'"),
+        ("version = '1'", "expected a class attribute version, a whole number, got '1'"),
+        ("initial = {'s': 1}", "expected a class attribute initial, a NamedTuple of whole"),
+    ],
+)
+def test_a_scheme_that_nobody_could_follow_is_one_line(
+    tmp_path: Path, changed: str, expected: str
+) -> None:
+    path = tmp_path / "odd.py"
+    path.write_text(
+        "from typing import NamedTuple\n\nfrom protocol.schemes.base import COVER, Scheme\n\n\n"
+        "class S(NamedTuple):\n    s: int\n\n\n"
+        "class Odd(Scheme):\n    name, version, initial = 'odd', 1, S(1)\n"
+        "    def advance(self, state, verdict): return state, COVER\n"
+        "    def pad(self, state): return -1\n"
+        "    def tests(self, state): return True\n"
+        f"    {changed}\n"
+    )
+    with pytest.raises(UnknownError) as told:
+        SCHEMES[f"{path}:Odd"]
+    assert expected in str(told.value)
+    assert "\n" not in str(told.value)
 
 
 def test_a_taken_name_and_what_is_no_scheme_are_refused() -> None:

@@ -18,6 +18,7 @@ from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
+from runtime.sandbox import SandboxError
 from runtime.scenario_file import load_scenario
 from wyner.simulate.engine import (
     Draws,
@@ -413,3 +414,36 @@ def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
     blind = simulate_runs(scenario, law, seed=12, runs=range(1), steps=9)
     with pytest.raises(ValueError, match="record=True"):
         listen(blind, transfer(blind), names, 0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        (
+            "    def observe(self, t): return Guess(t.k, (0.5,), 0.5)",
+            "step 0: ValueError: expected 2",
+        ),
+        ("    def observe(self, t): return t.nothing", "step 0: AttributeError: 'Transition'"),
+        ("    def belief(self): return 'Hi'", "belief: TypeError: expected a Belief, got 'Hi'"),
+        ("    def belief(self): return Belief(whole='Hi')", "belief: TypeError"),
+        ("    def __init__(self): pass", "knowledge: TypeError: Mine.__init__"),
+    ],
+)
+def test_an_answer_that_is_none_is_one_line_that_names_her(
+    tmp_path: Path, answer: str, expected: str
+) -> None:
+    scenario, law = system("sustained")
+    runs = simulate_runs(scenario, law, seed=12, runs=range(1), steps=9, record=True)
+    path = tmp_path / "mine.py"
+    path.write_text(
+        "from wyner import Belief, Eavesdropper, Guess\n\n\nclass Mine(Eavesdropper):\n"
+        "    name = 'mine'\n"
+        "    def observe(self, t): return Guess(t.k, (0.5, 0.5), 0.5)\n"
+        f"    def belief(self): return Belief()\n{answer}\n"
+    )
+    name = f"{path}:Mine"
+    with pytest.raises(SandboxError) as told:
+        listen(runs, transfer(runs), [name], 0)
+    assert str(told.value).startswith(f"eavesdropper {name}: {expected}")
+    assert "\n" not in str(told.value)

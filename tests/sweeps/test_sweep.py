@@ -371,6 +371,7 @@ def imported(statement: str) -> set[Path]:
                 "runtime/processor_time.py",
                 "protocol/text.py",
                 "tap_service/sandboxed.py",
+                "tap_service/status.py",
             },
         ),
     ],

@@ -253,6 +253,7 @@ def test_the_documented_eavesdropper_runs() -> None:
         ("{file}:Absent", "expected a class Absent"),
         ("{file}:Nameless", "expected a class attribute name .* got None"),
         ("{file}:Quoted", "expected a class attribute name .* got 'my \"tap\"'"),
+        ("{file}:Silent", "expected the methods that it lacks: belief, observe$"),
         ("{broken}:Tap", "cannot be loaded: ZeroDivisionError"),
     ],
 )
@@ -261,6 +262,7 @@ def test_a_wrong_name_is_one_line(tmp_path: Path, name: str, expected: str) -> N
     file.write_text(
         "from tap_service.eavesdroppers import Eavesdropper\nclass Nameless(Eavesdropper): pass\n"
         "class Quoted(Eavesdropper): name = 'my \"tap\"'\n"
+        "class Silent(Eavesdropper): name = 'silent'\n"
     )
     broken.write_text("1 / 0\n")
     with pytest.raises(KnowledgeError, match=expected) as error:
@@ -395,6 +397,7 @@ def test_a_file_with_a_dataclass_and_late_annotations_is_loaded(tmp_path: Path) 
         "from tap_service.eavesdroppers import Eavesdropper\n"
         "@dataclass\nclass Note:\n    k: int\n"
         "class Late(Eavesdropper):\n    name = 'late'\n"
+        "    def observe(self, t): ...\n    def belief(self): ...\n"
     )
     assert named(f"{file}:Late").name == "late"
 

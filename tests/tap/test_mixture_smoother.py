@@ -14,8 +14,8 @@ from tap_service.eavesdroppers.smoother import Smoother
 from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import GapSmoother, InferredStep
-from tap_service.inference.message_reader import verdicts_of
 from tap_service.inference.mixture_smoother import SIZES, MixtureSmoother
+from tap_service.inference.verdicts import verdicts_of
 from wyner.runs.score.score import score
 
 A, B, NOISE = np.array([[0.8]]), np.array([[1.0]]), 0.3

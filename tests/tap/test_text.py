@@ -40,8 +40,10 @@ from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_halves import first_of_each
-from tap_service.inference.message_reader import Message, MessageReader, made_of, verdicts_of
+from tap_service.inference.message_reader import Message, MessageReader
 from tap_service.inference.message_search import Found, MessageSearch
+from tap_service.inference.message_sets import SharedSearch
+from tap_service.inference.verdicts import made_of, verdicts_of
 from tests.support.held_memory import kept
 from wyner.runs.score.score import score
 
@@ -451,7 +453,7 @@ def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
     lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0], np.ones(len(ciphers)))
     begin = np.full((lattice.steps + 1, states), -np.inf)
     begin[0, 0] = 0.0
-    assert not MessageSearch(lattice).silent(begin)
+    assert not SharedSearch([lattice], 32).silent(begin[None])
 
 
 @pytest.mark.long

@@ -2,6 +2,7 @@
 
 from binascii import b2a_base64
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from random import Random
 
@@ -12,6 +13,7 @@ from runtime.sandbox import SandboxError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import ORACLE, Eavesdropper
 from tap_service.sandboxed import guarded
+from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
 
@@ -83,6 +85,18 @@ def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
     return (message for message in both if draw.random() >= loss)
 
 
+@contextmanager
+def _told_of(name: str, where: str, *unsound: type[Exception]) -> Iterator[None]:
+    """A guest's failure, or an answer that is none, as one line that names her."""
+    try:
+        yield
+    except SandboxError as error:
+        raise SandboxError(f"eavesdropper {name}: {where}: {error}", error.kind) from None
+    except unsound as error:
+        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise SandboxError(f"eavesdropper {name}: {where}: {what}") from None
+
+
 def listen(
     runs: Runs, link: Transfer, names: Sequence[str | type[Eavesdropper]], place: int
 ) -> list[TapResult]:
@@ -103,38 +117,43 @@ def listen(
 
     Raises
     ------
-    GuestError
-        When one from a file does not answer as she should; the text names her.
+    SandboxError
+        When one does not answer as she should; the text names her.
     """
     scenario = runs.scenario
     classes = [guarded(name) if isinstance(name, str) else name for name in names]
-    taps = [
-        c(scenario.oracle_knowledge() if c.name == ORACLE else scenario.knowledge())
-        for c in classes
-    ]
-    attackers = [tap for tap in taps if tap.hears_messages]
+    shown = [name if isinstance(name, str) else name.name for name in names]
+    taps = []
+    for name, kind in zip(shown, classes, strict=True):
+        with _told_of(name, "knowledge"):
+            told = scenario.oracle_knowledge() if kind.name == ORACLE else scenario.knowledge()
+            taps.append(kind(told))
+    attackers = [(name, tap) for name, tap in zip(shown, taps, strict=True) if tap.hears_messages]
     draw = Random(f"copies {runs.seed} {runs.runs[place]}")
     keys = link.agreed[:, place].tolist()
     right = [0] * len(taps)
     for transition in transcript(runs, link, place):
         key = keys[transition.k]
         for message in copies(transition, draw, scenario.tap.loss) if attackers else ():
-            for tap in attackers:
-                tap.hear(message)
+            for name, tap in attackers:
+                with _told_of(name, "a message"):
+                    tap.hear(message)
         for i, tap in enumerate(taps):
-            try:
+            where = f"step {transition.k}"
+            with _told_of(shown[i], where):
                 guess = tap.observe(transition)
-            except SandboxError as error:
-                raise SandboxError(
-                    f"eavesdropper {names[i]}: step {transition.k}: {error}"
-                ) from None
+            with _told_of(shown[i], where, TypeError, ValueError):
+                guess = sound_guess(guess, scenario.secrecy.candidates)
             right[i] += tap.guesses and key != NO_SYMBOL and guess.best == key
     symbols = link.message_symbol[:, place].tolist()
     messages = whole_messages(symbols, scenario.secrecy.candidates)
     agreements = sum(key != NO_SYMBOL for key in keys)
     out = []
-    for tap, hits in zip(taps, right, strict=True):
-        belief = tap.belief()
+    for name, tap, hits in zip(shown, taps, right, strict=True):
+        with _told_of(name, "belief"):
+            belief = tap.belief()
+        with _told_of(name, "belief", TypeError, ValueError):
+            belief = sound_belief(belief)
         read = sum(m in belief.whole for m in messages)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
         out.append(TapResult(agreements if tap.guesses else 0, hits, len(messages), read, *held))
