@@ -191,6 +191,9 @@ class Transcript:
             whole = offer is not None and x is not None and after is not None
             if not whole and not force and not self._given_up(k):
                 return
+            if force and offer is None and not self._speaks[Measurement]:
+                self._forget(k)  # by offers alone it is no step either
+                continue
             self.holes += not whole
             finished.append(
                 Transition(

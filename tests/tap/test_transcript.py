@@ -106,6 +106,11 @@ def test_a_lost_message_costs_holes_in_its_own_steps_only() -> None:
     assert heard[20].x is None
 
 
+def test_what_was_not_heard_of_one_of_the_last_steps_is_a_hole_too() -> None:
+    unheard = [m for m in lock_step(10) if m != offer(7) and m != measurement(8, 7)]
+    assert [(t.k, t.whole) for t in hear(unheard)] == [(k, k not in (7, 8)) for k in range(10)]
+
+
 def test_one_direction_alone_is_given_out_after_a_short_wait() -> None:
     offers = [m for m in lock_step(100) if isinstance(m, Offer)]
     transcript = Transcript()
