@@ -54,6 +54,7 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
         *_files("link", "meeting appearances tallies"),
         *_files("runtime", "sealing perform"),
         *_files("simulate", "outputs missed"),
+        *_files("adapters", "device"),
         *_files("secret", "keyed_link"),
         *_files("link", "session_machine"),
         *_files("simulate", "network"),

@@ -19,7 +19,7 @@ from protocol.link.events import (
 from protocol.link.key_events import BlockStored, key_events, key_notices
 from protocol.link.keying import Keying
 from protocol.link.peer import Notice
-from protocol.link.session import CountedTransition
+from protocol.link.session import CountedTransition, Truth
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.tasks import Broken, Done
@@ -80,6 +80,16 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
         ),
         (AttackBegan(ATTACK), {"event": "attack", **ATTACK}),
         (Missed(**STEP), {"event": "missed", **STEP}),
+        (
+            Missed(**STEP, truth=Truth((7.0,), (8.0,), "it was killed")),
+            {
+                "event": "missed",
+                **STEP,
+                "true_x_next": (7.0,),
+                "true_u": (8.0,),
+                "attack_failed": "it was killed",
+            },
+        ),
         (
             Interrupted(**STEP),
             {"event": "interrupted", **STEP, "candidates": (), "coin": -1},

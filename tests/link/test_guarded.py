@@ -13,9 +13,16 @@ from protocol.defence.base import Defence
 from protocol.defence.coding import Coding
 from protocol.defence.mac import Mac
 from protocol.link.events import Forged
-from protocol.link.guarded import LACKING_S, UNOPENED, Guarded
+from protocol.link.guarded import LACKING_S, UNOPENED, Guarded, GuardStatus
 from protocol.link.peer import Actions, Notice
-from protocol.messages import ControllerHello, Measurement, Message, Offer
+from protocol.messages import (
+    ControllerHello,
+    ControllerStatus,
+    Measurement,
+    Message,
+    Offer,
+    PlantStatus,
+)
 from protocol.secret.blocks import BlockResult
 from protocol.secret.tasks import Batch, Broken, CoinKeys, GuardKeys, GuardTask
 from tests.support.hearing import Hearing
@@ -29,6 +36,13 @@ FIRST = 10
 
 def batch(number: int, first: int = -1, of: int = 0) -> Batch:
     return Batch(number, Random(2 * number + of).randbytes(4 * 32), first)
+
+
+@pytest.mark.parametrize("status", [PlantStatus, ControllerStatus])
+def test_what_is_told_of_it_is_in_the_statuses_of_both_ends(status: type[Message]) -> None:
+    told = GuardStatus(3, 4, 5, 6, 7).fields()
+    assert list(told.values()) == [3, 4, 5, 6, 7]
+    assert set(told) <= set(status.model_fields)
 
 
 class Ends(NamedTuple):

@@ -7,10 +7,10 @@ import pytest
 
 from controller_service.core import INITIAL_ID, ControllerCore
 from plant_service.status import PlantTelemetry
-from protocol.link.events import Milestone, SessionBegan, Timing
+from protocol.link.events import Milestone, Missed, SessionBegan, Timing
 from protocol.link.peer import Actions, Save
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import Rules
+from protocol.link.session import Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
     ControllerHello,
@@ -237,6 +237,24 @@ def test_a_plant_that_stops_tells_how_punctual_it_was(news: PlantTelemetry) -> N
     (told,) = [message for message in stopped.publish if isinstance(message, PlantStatus)]
     assert (told.phase, told.k) == ("stopped", 5)
     assert PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0).events == ()
+
+
+def test_a_missed_step_is_told_with_what_it_really_came_to() -> None:
+    line = ScriptedLine()
+    line.truth = Truth((7.0,), (8.0,))
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, plant=line))
+    receiver.line.x_next = line.x_next = line.fallback = (0.0,)
+    receiver.missed((0.0,), (0.0,))
+    (missed,) = [event for event in receiver.events if isinstance(event, Missed)]
+    assert missed.truth == line.truth
+
+
+def test_a_plant_whose_keys_are_gone_begins_a_new_session_and_says_why() -> None:
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT))
+    (line,) = receiver.core.end_session("the keys are gone").notices
+    assert line.level == "error"
+    assert line.text.startswith("the keys are gone; new session ")
+    assert receiver.record.session != S
 
 
 def test_a_plant_that_cannot_be_closed_says_why() -> None:
