@@ -14,13 +14,12 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
 from studies import DATA
-from studies.outputs import SESSION, Counts, counted
+from studies.outputs import SESSION, Counts, counted, put_together
 from studies.pages import between_marks
 from studies.readings import by_condition, told
 from studies.secrecy.sentences import SENTENCES
 from studies.signalling import changed
-from tap_service.capture.channel import View, WiretapChannel
-from tap_service.capture.transcript import Transcript, Transition
+from tap_service.capture.channel import View
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.taps import transcript
 from wyner.sweeps.grid import ROOT, TAP_SOURCES
@@ -103,12 +102,7 @@ def made_of(condition: str, run: int) -> Heard:
     )
     link = transfer(runs, payloads=[SENTENCES[run].encode()[: of.characters]])
     view = View(loss=of.missed, seed=run)
-    channel, heard = WiretapChannel(view), Transcript()
-    transitions: list[Transition] = []
-    for message in messages_of(runs, link):
-        for _, seen in channel.hear(0, message):
-            transitions += heard.hear(seen)
-    transitions += heard.flush()
+    transitions = put_together(messages_of(runs, link), view)
     assert runs.missed is not None
     missed = runs.missed[:, 0]
     not_told = sum(bool(missed[t.k]) for t in transitions)

@@ -6,7 +6,7 @@ are, over a network that loses, through noise of her own, and where she misses m
 """
 
 import csv
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final, NamedTuple
 
@@ -72,9 +72,14 @@ def heard_by(transitions: Sequence[Transition], view: View) -> list[Transition]:
     """The transitions that a tap with this view puts together of copies 0."""
     if view.clear:
         return list(transitions)
+    return put_together(_messages(transitions), view)
+
+
+def put_together(messages: Iterable[FieldMessage], view: View) -> list[Transition]:
+    """The transitions that a tap with this view puts together of messages."""
     channel, made = WiretapChannel(view), Transcript()
     out: list[Transition] = []
-    for message in _messages(transitions):
+    for message in messages:
         for _, seen in channel.hear(0, message):
             out += made.hear(seen)
     return out + made.flush()

@@ -27,6 +27,9 @@ BEGINS: Final = 0.03
 ENDS: Final = 0.004
 """Probability that a symbol within a message that is not looked at is its last."""
 
+SHORT_SHARE: Final = 0.9
+"""Probability of a message shorter than 256 bytes."""
+
 TINY: Final = 1e-300
 
 

@@ -27,7 +27,7 @@ from protocol.schemes.framing import (
     frame_length,
 )
 from tap_service.inference.english import AnyBytes, English
-from tap_service.inference.lattice import BEGINS, Lattice
+from tap_service.inference.lattice import BEGINS, SHORT_SHARE, Lattice
 from tap_service.inference.message_beam import FAR, NEGLIGIBLE, Beam, Growth, Plan, finite
 from tap_service.inference.message_graph import (
     DRAWN,
@@ -47,9 +47,6 @@ spans both fits better than the true one until the text is looked at."""
 
 LONGEST: Final = 1024
 """Bytes of a payload at most."""
-
-SHORT_SHARE: Final = 0.9
-"""Probability of a message shorter than 256 bytes."""
 
 KEPT: Final = 200
 """Messages that are given back."""

@@ -18,7 +18,7 @@ from protocol.arrays import Array
 from protocol.schemes.framing import IDLE, LENGTH_BYTES, START, digits_of
 from protocol.schemes.table import StateTable
 from tap_service.inference.gap_smoother import InferredStep
-from tap_service.inference.lattice import BEGINS, ENDS
+from tap_service.inference.lattice import BEGINS, ENDS, SHORT_SHARE
 from tap_service.inference.verdicts import DOUBT, PSEUDO
 
 SAME: Final = 1.1
@@ -41,9 +41,6 @@ MOST: Final = 8
 
 ROOM: Final = 6000
 """Steps of the longest run times intervals that are given back, where that is more than one."""
-
-SHORT_SHARE: Final = 0.9
-"""Probability of a message whose length is of one byte."""
 
 Interval = tuple[float, float]
 """Thresholds from and to."""

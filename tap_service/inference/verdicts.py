@@ -70,16 +70,17 @@ def made_of(transitions: Sequence[Transition]) -> Array:
 
     It is certain where a measurement said so. Elsewhere it is Bayes' rule: by how often the plant
     is known to have missed steps, and by whether she heard an offer. Of a missed step there may
-    have been an offer that was lost or late, or none; either is taken for as likely.
+    have been an offer that was lost or late, or none; either is taken for as likely. By offers
+    alone nothing tells of a missed step, and each counts as made.
     """
     told = [t for t in transitions if t.applied]
     gaps = sum(t.k > before.k + 1 and not t.gap for before, t in pairwise(transitions))
     unheard = (sum(t.cipher is None for t in told) + 1) / (len(told) + 2)
     out = np.ones(len(transitions))
     for i, t in enumerate(transitions):
-        if gaps and not t.applied:
+        if told and gaps and not t.applied:
             heard = t.cipher is not None
-            made = (len(told) + 1) * ((1 - unheard) if heard else unheard)
+            made = len(told) * ((1 - unheard) if heard else unheard)
             out[i] = made / (made + gaps * ((1 - unheard) if heard else 1 + unheard) / 2)
     return out
 

@@ -284,16 +284,15 @@ def test_a_step_may_have_been_missed_where_no_measurement_speaks_of_it() -> None
     missed = [step(k + (k > 49)) for k in range(98)]
     for k in range(0, 98, 4):
         missed[k] = dataclasses.replace(missed[k], cipher=None)
-    heard, unheard = made_of([*missed, step(99, applied=False), step(100, None, applied=False)])[
-        -2:
-    ]
+    late = [step(99, applied=False), step(100, None, applied=False)]
+    heard, unheard = made_of([*missed, *late])[-2:]
     # one missed step beside 98 that were made; she missed 26 of 100 offers, one of each guessed
-    assert heard == pytest.approx(99 / (99 + 1 / 2))
-    assert unheard == pytest.approx(99 * 0.26 / (99 * 0.26 + (1 + 0.26) / 2))
-    assert (
-        made_of([step(0), dataclasses.replace(step(9), gap=True), step(10, applied=False)])[-1]
-        == 1.0
-    )
+    assert heard == pytest.approx(98 / (98 + 1 / 2))
+    assert unheard == pytest.approx(98 * 0.26 / (98 * 0.26 + (1 + 0.26) / 2))
+    away = dataclasses.replace(step(9), gap=True)  # it was she who was not there
+    assert made_of([step(0), away, step(10, applied=False)])[-1] == 1.0
+    by_offers_alone = [step(k, applied=False) for k in (0, 1, 3)]
+    assert made_of(by_offers_alone).tolist() == [1.0] * 3
 
 
 def left_of(payload: bytes, missed: float, seed: int) -> tuple[list[int], Array]:
