@@ -46,7 +46,11 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "link": (
         *_files(
             "link",
-            "refusals statuses guarded keying events fallback pacing timers channel output_rule",
+            "refusals controller_tells plant_tells statuses guarded keying events fallback pacing",
+        ),
+        *_files(
+            "link",
+            "timers channel output_rule",
         ),
         *_files("link", "transcripts plant_session controller_session session_tables"),
         *_files("link", "predictions last_keys"),
