@@ -191,18 +191,18 @@ def test_all_else_is_the_ends() -> None:
     peer = Networked(end, Offer, channel(delay_s=2.0))
     done = Broken("disk full")
     for actions in (
-        peer.start(0.0),
+        peer.start(1.0),
         peer.finish_step(),
         peer.key_task_done(done, 3.0),
         peer.appear(2),
-        peer.stop(0.0),
+        peer.stop(9.0),
         peer.wake(7.5),
     ):
         assert actions == Actions(publish=(HELLO,))
     assert peer.code is None
     assert (peer.hears, peer.says) == (end.hears, end.says)
     assert end.done == [(done, 3.0)]
-    assert end.woken == [7.5]
+    assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [7.5], [9.0], 2)
 
 
 def test_messages_that_arrive_together_are_heard_in_the_order_in_which_they_were_sent() -> None:

@@ -32,7 +32,7 @@ from protocol.messages import (
 from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Contribution
+from protocol.secret.nonces import Contribution, fresh_nonce
 from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
@@ -46,6 +46,7 @@ SCHEDULE = Schedule(Assumption(0.1), 2, 4)
 KEYS = replace(RULES, schedule=SCHEDULE)
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
 A, B, P, Q = (letter * 16 for letter in "abcd")
+NONCE = fresh_nonce()
 CANDIDATES = ((1.5,), (-1.5,))
 FAR = 100.0
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
@@ -115,6 +116,7 @@ class Told:
         first = actions
         while True:
             self.all.append(actions)
+            assert all(notice.text for notice in actions.notices)
             if isinstance(actions.write, Save):
                 self.journal.write(actions.write)
             if not actions.finish_step:
@@ -592,9 +594,7 @@ def test_a_store_that_had_no_keys_is_asked_again_over_the_next_confirmed_block()
     assert asked(8) == 1
 
 
-@pytest.mark.parametrize(
-    ("rules", "applied_key"), [(RULES, "k0"), (RULES, ""), (COIN, None)], ids=str
-)
+@pytest.mark.parametrize(("rules", "applied_key"), [(RULES, "k0"), (RULES, ""), (COIN, None)])
 def test_a_measurement_that_says_another_thing_of_the_coin_than_the_rules_is_malformed(
     rules: Rules, applied_key: str | None
 ) -> None:
@@ -740,6 +740,14 @@ def test_a_command_is_answered_with_how_many_wait() -> None:
     assert end.core.status().queue == 1
 
 
+def test_messages_that_were_delivered_wait_no_more() -> None:
+    end = Told(record=AT_WORK._replace(message=2), payloads=(b"a", b"b", b"c")).at_work()
+    for name, waiting in (("m3", 2), ("m3", 2), ("m4", 3)):
+        (reply,) = end.hears(SendCommand(id=name, payload=b"d"), 1.0).publish
+        assert isinstance(reply, SendReply)
+        assert reply.queued == waiting
+
+
 # --- key blocks -----------------------------------------------------------------------------------
 
 
@@ -786,6 +794,58 @@ def test_a_word_that_is_not_the_plants_of_the_session_is_not_answered(
     assert Told().at_work().hears(word(), 1.0) == NOTHING_TO_DO, "no keys are made"
 
 
+def test_an_answer_that_announces_a_confirmed_block_lets_its_rows_go() -> None:
+    end = keys_at_work()
+    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).write is None
+    answer = end.hears(word(), 2.0)
+    assert answer.write == Save(end.core.record, obsolete_rows=(range(1, 3),))
+
+
+def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
+    end = keys_at_work()
+    assert (end.core.record.block, end.core.record.tag) == (-1, "")
+    answer = end.hears(measurement(), 1.0)
+    (offer,) = answer.publish
+    assert isinstance(offer, Offer)
+    assert (offer.block, offer.tag) == (0, "a" * 32)
+    record = end.core.record
+    assert (record.block, record.tag, record.offer) == (0, "a" * 32, offer)
+    assert record.nonce == ""
+    counted = end.all[1].write
+    assert isinstance(counted, Save)
+    assert counted.contribution is not None
+    assert counted.contribution.j == 4
+    assert counted.later
+
+
+def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
+    judged: list[tuple[str, BlockResult]] = [
+        ("b", BlockResult(S, 0, "confirmed")),
+        ("c", BlockResult(S, 0, "unequal")),
+    ]
+    for tag, result in judged:
+        end = keys_at_work()
+        end.hears(measurement(block=0, tag=tag * 32, nonce=NONCE), 1.0)
+        _, counted, *ended = end.all
+        assert counted.keys == (result,)
+        assert len(ended) == (tag == "c")
+        assert end.core.record.session == (None if ended else S)
+        if not ended:
+            assert end.core.record.nonce == NONCE
+            assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0).write == Save(
+                end.core.record, obsolete_rows=(range(1, 3),)
+            )
+
+
+def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
+    end = keys_at_work()
+    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0))
+    end.hears(measurement(), 2.0)
+    counted = end.all[-1].write
+    assert isinstance(counted, Save)
+    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+
+
 def test_a_block_that_differs_ends_the_session_once_the_keeper_knows() -> None:
     end = keys_at_work()
     first = end.hears(word("c" * 32), 1.0)
@@ -830,7 +890,10 @@ def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
     for count, level in ((3, "error"), (1, "info")):
         actions = end.core.appear(count)
         assert actions.events == (Appearances(S, k, count),)
-        assert [(n.level, n.subject) for n in actions.notices] == [(level, "appearances")]
+        (notice,) = actions.notices
+        assert (notice.level, notice.subject) == (level, "appearances")
+        assert f"{count} time" in notice.text
+        assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
         status = end.core.status()
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
 

@@ -623,3 +623,14 @@ def test_other_messages_of_an_end_leave_as_they_are() -> None:
     assert b'"guard"' in second.wire()
     ends.at_plant.says_now = (other,)
     assert ends.plant.wake(0.0) == Actions(publish=(other,))
+
+
+def test_an_end_is_told_the_time() -> None:
+    ends = begun(Mac(2, 4))
+    end = ends.at_plant
+    ends.plant.start(1.0)
+    ends.plant.wake(2.0)
+    ends.plant.appear(3)
+    ends.plant.stop(4.0)
+    assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [2.0], [4.0], 3)
+    assert ends.plant.wake_at() == end.due

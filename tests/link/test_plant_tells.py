@@ -9,6 +9,7 @@ import pytest
 
 from plant_service.adapters.base import PlantError
 from plant_service.core import (
+    CHUNK_SYMBOLS,
     FAREWELL_S,
     HELLO_S,
     LAST_KEYS_REPEAT_S,
@@ -16,7 +17,7 @@ from plant_service.core import (
     MEETING_S,
     PlantCore,
 )
-from plant_service.status import PlantTelemetry
+from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
 from protocol.defence.key_digits import digits
 from protocol.link.events import (
     NEW_JOURNAL,
@@ -137,6 +138,7 @@ class Told:
         first = actions
         while True:
             self.all.append(actions)
+            assert all(notice.text for notice in actions.notices)
             if not actions.finish_step:
                 return first
             actions = self.core.finish_step()
@@ -899,7 +901,8 @@ def test_a_measurement_says_which_key_chose_the_coin(named: bool) -> None:
     (report,) = published(end.wakes(1.0), Measurement)
     assert report.applied_key == ("k0" if named else "")
     end.wakes(2.0)  # missed
-    assert end.core.record.coin_key == record.coin_key
+    after = end.core.record
+    assert (after.coin_key, after.coin_from) == (record.coin_key, record.coin_from)
     assert end.core.said_key("k0", keyed=True) == "k0"
     assert Told().core.said_key("k0", keyed=True) is None
 
@@ -985,6 +988,7 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     assert isinstance(counted.write, Save)
     if right:
         assert counted.notices == ()
+        assert (counted.write.later, counted.write.obsolete_rows) == (True, ())
         assert counted.write.contribution is not None
         assert counted.write.contribution.j == 4
         assert (end.core.record.session, end.core.record.block) == (S, 0)
@@ -997,6 +1001,44 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     assert end.core.record.session == NEW
     assert counted.write == Save(end.core.record, drop_chunks=True)
     assert [type(m) for m in counted.publish] == [PlantHello]
+
+
+def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
+    end = keys_at_work()
+    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.1))
+    end.hears(offer(k=5, nonce=NONCE), 0.25)
+    counted = end.all[-1].write
+    assert isinstance(counted, Save)
+    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+
+
+def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
+    *begun, last = encode_frame(b"x" * 99, 2)[:CHUNK_SYMBOLS]
+    record = RECORD._replace(
+        transitions=4, k=5, state=(2, 0), partial="".join(map(str, begun)), p=len(begun)
+    )
+    for tag in ("b" * 32, "c" * 32):
+        end = Told(KEYS, record, contributions=rows(4)).met()
+        end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+        end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
+        write = end.all[-1].write
+        assert isinstance(write, Save)
+        differs = tag[0] == "c"
+        assert len(write.chunk) == (0 if differs else CHUNK_SYMBOLS)
+        assert write.drop_chunks == differs
+        assert not write.later
+        assert end.core.record.partial == ""
+
+
+def test_a_status_between_models_shows_the_newest_steps_alone(news: PlantTelemetry) -> None:
+    end = Told(telemetry=news, step_s=None).met()
+    for k in range(3, 15):
+        end.hears(offer(k=k), 0.0)
+    shown = [published(end.wakes(end.core.wake_at() + 0.2), PlantStatus) for _ in range(3)]
+    sizes = [len(status[0].tail_k) for status in shown if status]
+    assert sizes == [12, 12, TAIL_AT_LEAST]
+    assert len(end.core.status(9.0).tail_k) == 12, "who asks is shown all"
+    assert len(end.core.status(9.0, whole=False).tail_k) == TAIL_AT_LEAST
 
 
 def test_a_missed_step_takes_rows_along_that_may_go() -> None:
@@ -1027,7 +1069,10 @@ def test_more_links_than_were_stated_stop_keys_until_they_are_gone(news: PlantTe
     for now, count, level in ((1.0, 3, "error"), (2.0, 1, "info")):
         actions = end.core.appear(count)
         assert actions.events == (Appearances(S, end.core.record.k, count),)
-        assert [(n.level, n.subject) for n in actions.notices] == [(level, "appearances")]
+        (notice,) = actions.notices
+        assert (notice.level, notice.subject) == (level, "appearances")
+        assert f"{count} time" in notice.text
+        assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
         status = end.core.status(0.0)
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
         (said,) = published(end.wakes(now), Measurement)
@@ -1126,6 +1171,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     machine = Machine()
     machine.closing = "the valve does not move"
     end = Told(machine=machine, telemetry=news).met()
+    end.wakes(0.5)  # which is no tick
     end.wakes(1.0)
     machine.asked.clear()
     stopped = end.core.stop(1.01)
