@@ -878,10 +878,12 @@ def test_rows_of_confirmed_blocks_go_at_the_end_at_the_latest() -> None:
 
 def test_a_broken_key_store_is_an_error_and_told_in_every_status() -> None:
     end = keys_at_work()
+    assert end.core.status().key_blocks_waiting == 1
     (notice,) = end.does(end.core.key_task_done(Broken("disk full"), 1.0)).notices
     assert (notice.level, notice.subject) == ("error", "")
     assert "disk full" in notice.text
-    assert end.core.status().keys_refused == "disk full"
+    status = end.core.status()
+    assert (status.keys_refused, status.key_blocks_waiting) == ("disk full", 0)
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
