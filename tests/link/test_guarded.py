@@ -668,3 +668,20 @@ def test_a_batch_is_let_go_once_nothing_leaves_under_it_any_more(
     ends.plant.key_task_done(GuardKeys(S), 10.0)
     (task,) = tasks(ends.plant, ends.at_plant, measurement(at + 5, at + 3), 20.0)
     assert task.sent_from == 1
+
+
+@pytest.mark.parametrize("k", [FIRST - 1, FIRST])
+def test_an_answer_leaves_guarded_and_asks_for_more_keys(k: int) -> None:
+    ends = begun(Mac(2, 4))
+    wire = leaves(ends.plant, ends.at_plant, measurement(k))
+    ends.at_controller.says_now = (offer(FIRST),)
+    heard = ends.controller.receive(Measurement, wire, 0.0)
+    (answer,) = heard.publish
+    assert b'"guard":"0/0"' in answer.wire()
+    assert len(heard.keys) == 1
+    lost = begun(Mac(2, 4))
+    lost.at_controller.says_now = (offer(FIRST),)
+    assert len(lost.controller.receive(Measurement, b"no message", 0.0).keys) == 1
+    lost.controller.key_task_done(GuardKeys(S), 0.0)
+    assert lost.controller.receive(ControllerHello, b"{}", 0.5).keys == ()
+    assert len(lost.controller.receive(ControllerHello, b"{}", LACKING_S).keys) == 1
