@@ -736,7 +736,6 @@ class ControllerCore:
         """Forget the session and its half-agreed key."""
         self._plant = None
         self.record = self._no_session()
-        self._stale = 0
         self._aim()
         self.keying.end()
         self.coins.begin(None)

@@ -44,10 +44,8 @@ SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
 ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "schemes": _files("schemes", "framing switched pipelined own_scheme"),
     "link": (
-        *_files(
-            "link",
-            "refusals statuses guarded keying events fallback pacing timers channel output_rule",
-        ),
+        *_files("link", "refusals controller_tells plant_tells statuses guard guarded coins"),
+        *_files("link", "keying events rules fallback pacing timers channel output_rule"),
         *_files("link", "transcripts plant_session controller_session session_tables"),
         *_files("link", "predictions last_keys"),
         *_files("secret", "keyed_coin guarded_link"),

@@ -42,16 +42,8 @@ class _Coins:
 
     def __init__(self, size: int, *, on: bool) -> None:
         self.on = on
-        self.key, self.first = "", -1
-        """The newest key that has served, and the step of its first digit."""
         self._size = size
-        self._session = ""
-        self._digits: dict[str, tuple[int, ...]] = {}
-        self._served: list[str] = []
-        self._newest = ""
         self._asked = False
-        self.again_at = -inf
-        """When it looks again for keys that it lacked, on the loop's clock, in seconds."""
 
     def _begin(self, session: str, keys: Iterable[Key], key: str, first: int, keep: str) -> None:
         """Begin a session, or go on with it: ``key`` is the newest that has served.
@@ -60,10 +52,10 @@ class _Coins:
         """
         self._session = session if self.on else ""
         self.key, self.first = key, first
-        self._digits.clear()
-        self._served.clear()
-        self._newest = ""
+        """The newest key that has served, and the step of its first digit."""
+        self._digits: dict[str, tuple[int, ...]] = {}
         self.again_at = -inf
+        """When it looks again for keys that it lacked, on the loop's clock, in seconds."""
         held = list(keys) if self.on else []
         names = [held_key.key_id for held_key in held]
         since = names.index(keep) if keep in names else len(names)
@@ -100,11 +92,9 @@ class OfferedCoins(_Coins):
 
     def __init__(self, size: int, *, on: bool) -> None:
         super().__init__(size, on=on)
-        self._ahead: list[str] = []
-        self._pending = False
-        self._dry = False
         self.wait_s = AGAIN_S
         """Seconds until it asks once more after a batch that is not marked."""
+        self.begin(None)
 
     def begin(
         self,
@@ -194,7 +184,7 @@ class AppliedCoins(_Coins):
 
     def __init__(self, size: int, *, on: bool) -> None:
         super().__init__(size, on=on)
-        self._wanted = ""
+        self.begin("")
 
     def begin(self, session: str, keys: Iterable[Key] = (), key: str = "", first: int = -1) -> None:
         """Begin a session, or go on with it from what was read back."""

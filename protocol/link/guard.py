@@ -299,7 +299,7 @@ class Guard:
                 said["x_after"] = state
             said["x"] = state
             return to_json(said), needs
-        except (KeyError, OverflowError, TypeError, ValueError):
+        except (AttributeError, KeyError, OverflowError, TypeError, ValueError):
             return None, -1
 
     def _back(self, k: int, x: Any, key: tuple[Words, Words], rest: Any) -> list[float]:

@@ -1,14 +1,19 @@
 """A direction of the network: what is lost and when the rest arrives is each message's own fate."""
 
+import random
 from itertools import accumulate, pairwise
+from math import inf, nextafter
 from typing import Any
 
 import pytest
 
-from protocol.link.channel import COPIES, Channel
-from protocol.link.networked import Networked
+from protocol.fates import Fates
+from protocol.link.channel import COPIES, REMEMBERED, Channel
+from protocol.link.networked import UNDER_WAY, Networked, behind
+from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.messages import ControllerHello, Offer
 from protocol.scenario.network import ChannelTable
+from protocol.secret.tasks import Broken
 from tests.support.hearing import Hearing
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
@@ -57,6 +62,78 @@ def test_a_fate_is_the_same_whatever_was_sent_before() -> None:
     assert 5 < forth.count(None) < 25
 
 
+FATES = Fates("1 to_plant")
+"""Of the channel's messages: what is lost by the first number, late by the second."""
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.5])
+def test_a_delay_is_the_one_that_the_second_number_stands_for(scale: float) -> None:
+    def delays(measured: tuple[float, ...] = (), **table: Any) -> list[float | None]:
+        way = Channel(ChannelTable(**table), "1 to_plant", measured, scale)
+        return [way.arrival(k, 0.0) for k in (3, 4, 4)]
+
+    late = [FATES.at(k, copy)[1] for k, copy in ((3, 0), (4, 0), (4, 1))]
+    assert delays() == [0.0] * 3
+    assert delays(delay_s=0.25) == [scale * 0.25] * 3
+    uniform = [scale * (3.0 + (2.0 * u - 1.0) * 2.0) for u in late]
+    assert delays(delay="uniform", delay_s=3.0, jitter_s=2.0) == uniform
+    file = (0.1, 0.2, 0.4, 0.8, 1.6)
+    assert delays(file, delay="measured", file="f") == [scale * file[int(5 * u)] for u in late]
+    gamma = [scale * random.Random(u).gammavariate(4.0, 0.25) for u in late]
+    assert delays(delay="gamma", delay_s=1.0, jitter_s=0.5) == gamma
+
+
+def test_a_message_is_lost_where_its_number_is_below_the_loss() -> None:
+    lost, _ = FATES.at(5, 0)
+    assert channel(loss=lost).arrival(5, 0.0) == 0.0
+    assert channel(loss=nextafter(lost, 1)).arrival(5, 0.0) is None
+
+
+def test_a_way_that_is_narrow_carries_one_message_after_the_other() -> None:
+    way = Channel(ChannelTable(rate_hz=4.0, delay_s=1.0), "1 to_plant", scale=2.0)
+    sent = [(0, 0.0), (1, 0.0), (2, 0.25), (3, 5.0), (3, 5.5)]
+    assert [way.arrival(k, now) for k, now in sent] == [2.5, 3.0, 3.5, 7.5, 8.0]
+
+
+def test_a_message_that_is_lost_occupied_the_way() -> None:
+    way = channel(rate_hz=4.0, loss=1.0)
+    assert way.arrival(0, 0.0) is None
+    lossy = channel(rate_hz=4.0, loss=0.5)
+    fates = [FATES.at(k, 0)[0] < 0.5 for k in range(12)]
+    assert True in fates
+    found = [lossy.arrival(k, 0.0) for k in range(12)]
+    assert found == [None if lost else (k + 1) / 4 for k, lost in enumerate(fates)]
+
+
+def test_a_step_that_was_forgotten_begins_with_its_first_copy_again() -> None:
+    table = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
+    for others, first in ((REMEMBERED - 1, False), (REMEMBERED, True)):
+        way = channel(**table)
+        began = way.arrival(1000, 0.0)
+        for k in range(others):
+            way.arrival(k, 0.0)
+        assert (way.arrival(1000, 0.0) == began) == first
+
+
+def test_a_step_that_is_sent_again_is_remembered_anew() -> None:
+    way = channel(delay="uniform", delay_s=1.0, jitter_s=1.0)
+    began = way.arrival(1000, 0.0)
+    for k in range(REMEMBERED - 1):
+        way.arrival(k, 0.0)
+    way.arrival(1000, 0.0)
+    for k in range(REMEMBERED - 1):
+        way.arrival(k, 0.0)
+    third = way.arrival(1000, 0.0)
+    assert third == 2.0 * FATES.at(1000, 2)[1]
+    assert third != began
+
+
+def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
+    way = channel(loss=0.5)
+    lost = [way.arrival(k, 0.0) is None for k in range(60)]
+    assert lost == [FATES.at(k, 0)[0] < 0.5 for k in range(60)]
+
+
 # --- an end behind it -----------------------------------------------------------------------------
 
 
@@ -77,3 +154,88 @@ def test_an_offer_is_heard_when_it_arrives_and_a_hello_at_once(due: float) -> No
         peer.wake(peer.wake_at())
     assert end.heard == [(k + 2.0, Offer, offer(k)) for k in range(3)]
     assert end.woken == ([0.5] if due < 1 else []), "what was due before it goes first"
+
+
+HELLO = ControllerHello(
+    instance="a" * 16,
+    incarnation=1,
+    fingerprint="f" * 64,
+    verdict="greeting",
+    session=None,
+    answers=None,
+)
+
+
+def test_without_a_channel_an_end_stands_as_it_is() -> None:
+    end = Hearing(inf)
+    assert behind(None, end, Offer) is end
+    assert isinstance(behind(channel(), end, Offer), Networked)
+
+
+def test_what_comes_at_once_or_is_no_message_is_heard_at_once_and_what_is_lost_never() -> None:
+    end = Hearing(inf)
+    end.says_now = (HELLO,)
+    told = Actions(publish=(HELLO,))
+    peer = Networked(end, Offer, channel())
+    assert peer.receive(Offer, offer(3), 1.0) == told
+    assert peer.receive(Offer, b"no offer", 2.0) == told
+    lossy = Networked(end, Offer, channel(loss=1.0))
+    assert lossy.receive(Offer, offer(3), 3.0) == NOTHING_TO_DO
+    assert lossy.wake_at() == inf
+    assert end.heard == [(1.0, Offer, offer(3)), (2.0, Offer, b"no offer")]
+
+
+def test_all_else_is_the_ends() -> None:
+    end = Hearing(7.5)
+    end.says_now = (HELLO,)
+    peer = Networked(end, Offer, channel(delay_s=2.0))
+    done = Broken("disk full")
+    for actions in (
+        peer.start(1.0),
+        peer.finish_step(),
+        peer.key_task_done(done, 3.0),
+        peer.appear(2),
+        peer.stop(9.0),
+        peer.wake(7.5),
+    ):
+        assert actions == Actions(publish=(HELLO,))
+    assert peer.code is None
+    assert (peer.hears, peer.says) == (end.hears, end.says)
+    assert end.done == [(done, 3.0)]
+    assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [7.5], [9.0], 2)
+
+
+def test_messages_that_arrive_together_are_heard_in_the_order_in_which_they_were_sent() -> None:
+    end = Hearing(inf)
+    peer = Networked(end, Offer, channel(delay_s=2.0))
+    for k in (5, 3, 4):
+        assert peer.receive(Offer, offer(k), 1.0) == NOTHING_TO_DO
+    assert peer.wake_at() == 3.0
+    peer.wake(2.9)
+    assert end.heard == []
+    assert end.woken == [2.9]
+    for _ in range(3):
+        peer.wake(3.0)
+    assert end.heard == [(3.0, Offer, offer(k)) for k in (5, 3, 4)]
+    assert peer.wake_at() == 12.9
+
+
+def test_what_is_due_at_the_same_time_as_a_message_goes_first() -> None:
+    end = Hearing(3.0)
+    peer = Networked(end, Offer, channel(delay_s=2.0))
+    peer.receive(Offer, offer(5), 1.0)
+    peer.wake(3.0)
+    assert (end.woken, end.heard) == ([3.0], [])
+    peer.wake(3.0)
+    assert end.heard == [(3.0, Offer, offer(5))]
+
+
+def test_the_network_keeps_so_many_messages_and_no_more() -> None:
+    end = Hearing(inf)
+    peer = Networked(end, Offer, channel(delay_s=2.0))
+    payload = offer(5)
+    for _ in range(UNDER_WAY + 2):
+        peer.receive(Offer, payload, 1.0)
+    for _ in range(UNDER_WAY + 2):
+        peer.wake(3.0)
+    assert len(end.heard) == UNDER_WAY

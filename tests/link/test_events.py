@@ -7,8 +7,10 @@ import pytest
 from protocol.agreement import AgreementResult
 from protocol.box_observer import Box
 from protocol.link.events import (
+    Alarm,
     AttackBegan,
     Event,
+    Forged,
     FrameRefused,
     Interrupted,
     Milestone,
@@ -128,6 +130,21 @@ def test_an_event_is_its_line(event: Event, line: dict[str, Any]) -> None:
 def test_an_attack_is_told_with_its_kind_place_and_onset(at: str) -> None:
     words = AttackBegan(ATTACK | {"at": at}).sentence().split()
     assert {"ghost", at, "7"} <= set(words)
+
+
+@pytest.mark.parametrize("key", ["k7", ""])
+def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(key: str) -> None:
+    alarm = Alarm(S, 2, 31, (0.125, -4.0), key, 3, (0.5, 2.25), 6.5)
+    assert alarm.as_event() == {"event": "alarm", **alarm._asdict()}
+    words = alarm.sentence()
+    assert all(said in words for said in ("31", "0.125, -4", "0.5, 2.25", "6.5", " 3"))
+    assert ("k7" in words, "all candidates" in words) == (bool(key), not key)
+
+
+def test_a_forgery_is_told_with_its_step_its_direction_and_what_gave_it_away() -> None:
+    forged = Forged(S, 31, "offer", "it has no tag")
+    assert forged.as_event() == {"event": "forged", **forged._asdict()}
+    assert all(said in forged.sentence() for said in ("31", "offer", "it has no tag"))
 
 
 # --- key blocks -----------------------------------------------------------------------------------

@@ -13,7 +13,15 @@ from protocol.defence.base import Defence
 from protocol.defence.coding import Coding
 from protocol.defence.mac import Mac
 from protocol.link.events import Forged
-from protocol.link.guarded import LACKING_S, UNOPENED, Guarded, GuardStatus
+from protocol.link.guarded import (
+    AGAIN_S,
+    AHEAD,
+    LACKING_S,
+    MARGIN,
+    UNOPENED,
+    Guarded,
+    GuardStatus,
+)
 from protocol.link.peer import Actions, Notice
 from protocol.messages import (
     ControllerHello,
@@ -21,6 +29,7 @@ from protocol.messages import (
     Measurement,
     Message,
     Offer,
+    PlantHello,
     PlantStatus,
 )
 from protocol.secret.blocks import BlockResult
@@ -41,7 +50,7 @@ def batch(number: int, first: int = -1, of: int = 0) -> Batch:
 @pytest.mark.parametrize("status", [PlantStatus, ControllerStatus])
 def test_what_is_told_of_it_is_in_the_statuses_of_both_ends(status: type[Message]) -> None:
     told = GuardStatus(3, 4, 5, 6, 7).fields()
-    assert list(told.values()) == [3, 4, 5, 6, 7]
+    assert told == {"guarded": 3, "unguarded": 4, "guard_ahead": 5, "forged": 6, "forged_k": 7}
     assert set(told) <= set(status.model_fields)
 
 
@@ -365,3 +374,263 @@ def test_a_step_that_left_bare_stays_bare() -> None:
     ends.plant.key_task_done(GuardKeys(S, (batch(2, FIRST - 1),)), 0.0)
     assert leaves(ends.plant, ends.at_plant, early) == early.wire()
     assert b'"guard"' in leaves(ends.plant, ends.at_plant, measurement(FIRST))
+
+
+# --- what is counted and asked, to the step -------------------------------------------------------
+
+
+def hears(ends: Ends, said: Message, now: float = 0.0) -> Actions:
+    """A message of the plant's reaches the controller as it leaves."""
+    wire = leaves(ends.plant, ends.at_plant, said)
+    return ends.controller.receive(Measurement, wire, now)
+
+
+@pytest.mark.parametrize("made", GUARDS)
+def test_the_first_message_of_a_batch_counts_as_guarded(
+    made: Callable[[int, int], Defence],
+) -> None:
+    ends = begun(made(2, 4))
+    told = []
+    for k in (FIRST - 1, FIRST, FIRST + 1):
+        hears(ends, measurement(k))
+        told.append(ends.controller.status()[:2])
+    assert told == [(0, 1), (1, 1), (2, 1)]
+
+
+def test_how_far_the_keys_reach_is_counted_from_the_newest_step_said() -> None:
+    defence = Mac(2, 4)
+    ends = begun(defence)
+    assert ends.plant.status().ahead == 0
+    until = FIRST + 2 * (next_first(defence) - FIRST) - 1
+    for k, newest in ((FIRST, FIRST), (FIRST + 5, FIRST + 5), (FIRST, FIRST + 5), (until, until)):
+        leaves(ends.plant, ends.at_plant, measurement(k))
+        assert ends.plant.status().ahead == until - newest
+    leaves(ends.plant, ends.at_plant, measurement(until + 4))
+    assert ends.plant.status().ahead == 0
+    assert begun(Coding(2, 4)).controller.status() == GuardStatus(), "its offers are not guarded"
+
+
+@pytest.mark.parametrize("made", GUARDS)
+def test_keys_are_asked_for_that_many_steps_before_the_last_covered_one(
+    made: Callable[[int, int], Defence],
+) -> None:
+    defence = made(2, 4)
+    for steps, asks in ((AHEAD - 1, True), (AHEAD, False)):
+        size = defence.session_words + defence.step_words * (steps + 2)
+        key = Random(1).randbytes(4 * size)
+        end = Hearing(inf)
+        guarded = Guarded(
+            end, "plant", defence, P, lambda why: Actions(), S, GuardKeys(S, (Batch(0, key, 0),))
+        )
+        said = Measurement(session=S, k=0, x=state(0), applied_k=-1, x_after=())
+        asked = tasks(guarded, end, said, 0.0)
+        assert [(t.wants, t.begins, t.k, t.sent_from) for t in asked] == [
+            (True, max(MARGIN, steps + 1), 0, 0)
+        ] * asks
+
+
+def test_a_new_batch_begins_some_steps_from_here() -> None:
+    end = Hearing(inf)
+    guarded = Guarded(end, "plant", Mac(2, 4), P, lambda why: Actions(), S)
+    (task,) = tasks(guarded, end, measurement(7), 0.0)
+    assert task == GuardTask(S, P, 7, 7 + MARGIN, 1, 1, -1, -1, 0, 0, wants=True)
+
+
+@pytest.mark.parametrize(("pending", "wait"), [(True, AGAIN_S), (False, LACKING_S)])
+def test_keys_that_are_not_there_yet_are_asked_for_again(pending: bool, wait: float) -> None:
+    ends = begun(Mac(2, 4))
+    said = measurement(FIRST)
+    assert tasks(ends.plant, ends.at_plant, said, 0.0)
+    ends.plant.key_task_done(GuardKeys(S, pending=pending), 1.0)
+    assert not tasks(ends.plant, ends.at_plant, said, 1.0 + 0.99 * wait)
+    assert tasks(ends.plant, ends.at_plant, said, 1.0 + wait)
+    ends.plant.key_task_done(GuardKeys(S, pending=pending), 2.0)
+    ends.plant.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0)
+    assert tasks(ends.plant, ends.at_plant, said, 2.0), "a block was confirmed: there may be some"
+
+
+def test_what_the_tags_have_shown_is_written_down_once_a_batch() -> None:
+    defence = Mac(2, 4)
+    ends = begun(defence)
+    promised = []
+    for k in (FIRST, FIRST + 1, next_first(defence), next_first(defence) + 1, FIRST + 2):
+        for task in hears(ends, measurement(k)).keys:
+            assert isinstance(task, GuardTask)
+            promised.append((k, task.promise, task.heard_from, task.heard_after))
+            ends.controller.key_task_done(GuardKeys(S), float(k))
+    assert promised == [
+        (FIRST, (FIRST, 0), 0, 1),
+        (next_first(defence), (FIRST, 1), 0, 1),
+    ]
+
+
+def test_a_promise_that_was_kept_is_taken_up_and_a_newer_one_stays() -> None:
+    ends = begun(Mac(2, 4), promise=(FIRST - 5, 0))
+    bare = measurement(FIRST - 4).wire()
+    refused = ends.controller.receive(Measurement, bare, 0.0)
+    assert [type(event) for event in refused.events] == [Forged]
+    ends.controller.receive(Measurement, measurement(FIRST - 5).wire(), 0.0)
+    assert len(ends.at_controller.heard) == 1, "up to that step one may be bare"
+
+
+def test_batches_that_have_served_are_let_go_and_named_as_such() -> None:
+    defence = Mac(2, 4)
+    ends = begun(defence)
+    first = leaves(ends.plant, ends.at_plant, measurement(FIRST))
+    hears(ends, measurement(next_first(defence)))
+    ends.controller.key_task_done(GuardKeys(S), 0.0)
+    heard = len(ends.at_controller.heard)
+    assert ends.controller.receive(Measurement, first, 0.0) == Actions(), "it is late"
+    assert len(ends.at_controller.heard) == heard
+    (task,) = tasks(ends.controller, ends.at_controller, offer(next_first(defence)), 9.0)
+    assert (task.heard_from, task.sent_from) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"no json",
+        b"[]",
+        b"{}",
+        b'{"session":1,"k":3}',
+        b'{"session":"%s"}' % S.encode(),
+        b'{"session":"%s","k":"3"}' % S.encode(),
+        b'{"session":"%s","k":-2}' % S.encode(),
+    ],
+)
+def test_what_is_no_message_of_a_step_is_the_ends_to_judge(payload: bytes) -> None:
+    ends = begun(Mac(2, 4), promise=(0, 0))
+    actions = ends.controller.receive(Measurement, payload, 4.0)
+    assert actions == Actions()
+    assert ends.at_controller.heard == [(4.0, Measurement, payload)]
+    assert ends.controller.status() == GuardStatus()
+
+
+def test_step_0_is_a_step() -> None:
+    ends = begun(Mac(2, 4), promise=(0, 0))
+    end = ends.controller
+    end.receive(Measurement, measurement(0).model_copy(update={"x_after": ()}).wire(), 0.0)
+    assert end.status().unguarded == 1
+
+
+def hello(instance: str) -> bytes:
+    return b'{"instance":"%s"}' % instance.encode()
+
+
+@pytest.mark.parametrize(("process", "ends_it"), [(P, False), ("b" * 16, True)])
+def test_another_process_of_the_partners_may_have_lost_its_keys(
+    process: str, ends_it: bool
+) -> None:
+    """Then the count begins anew, and messages that do not open end the session again."""
+    defence = Mac(2, 4)
+    ends = begun(defence, heard=1)
+    ends.controller.receive(PlantHello, hello(P), 0.0)
+    hears(ends, measurement(FIRST))
+    ends.controller.key_task_done(GuardKeys(S), 0.0)
+    wire = leaves(ends.plant, ends.at_plant, measurement(next_first(defence)))
+    ends.controller.receive(Measurement, wire, 0.0)
+    ends.controller.key_task_done(GuardKeys(S), 0.0)
+    for _ in range(UNOPENED - 1):
+        ends.controller.receive(Measurement, wire, 0.0)
+    ends.controller.receive(PlantHello, hello(process), 0.0)
+    ends.controller.receive(Measurement, wire, 0.0)
+    assert ends.ended == []
+    for _ in range(UNOPENED - 2):
+        ends.controller.receive(Measurement, wire, 0.0)
+    assert ends.ended == []
+    ends.controller.receive(Measurement, wire, 0.0)
+    assert len(ends.ended) == ends_it
+
+
+@pytest.mark.parametrize("payload", [b"[]", b"no json", b"{}", b'{"instance":3}'])
+def test_a_hello_of_nobody_is_passed_on(payload: bytes) -> None:
+    ends = begun(Mac(2, 4))
+    assert ends.controller.receive(PlantHello, payload, 2.0) == Actions()
+    assert ends.at_controller.heard == [(2.0, PlantHello, payload)]
+
+
+def test_a_forgery_is_an_event_of_its_step_an_error_and_what_the_end_does() -> None:
+    end = Hearing(inf)
+    halts = Actions(
+        events=(Forged(S, 99, "offer", "the end's own"),),
+        notices=(Notice("halted", "warning", "refusals"),),
+    )
+    guarded = Guarded(
+        end,
+        "controller",
+        Mac(2, 4),
+        C,
+        lambda why: Actions(),
+        S,
+        GuardKeys(S, (), (batch(0),)),
+        lambda: halts,
+    )
+    ends = begun(Mac(2, 4))
+    for number, k in enumerate((12, 12, 13), 1):
+        changed = leaves(ends.plant, ends.at_plant, measurement(k))
+        refused = guarded.receive(Measurement, tampered(changed), 0.0)
+        (alarm, halted) = refused.notices
+        assert (alarm.level, alarm.subject) == ("error", "alarms")
+        assert str(k) in alarm.text
+        assert halted == halts.notices[0]
+        *own, last = refused.events
+        assert last == halts.events[0]
+        assert own == ([] if number == 2 else [Forged(S, k, "measurement", "its tag is wrong")])
+        assert (guarded.status().forged, guarded.status().forged_k) == (number, k)
+
+
+def test_the_session_that_ends_over_lost_keys_is_told_after_the_forgery() -> None:
+    defence = Mac(2, 4)
+    ends = begun(defence, heard=0, promise=(FIRST - 1, 0))
+    wire = leaves(ends.plant, ends.at_plant, measurement(FIRST))
+    assert len(ends.controller.receive(Measurement, wire, 0.0).keys) == 1
+    ends.controller.key_task_done(GuardKeys(S), 0.0)
+    said = [ends.controller.receive(Measurement, wire, 0.0) for _ in range(UNOPENED)]
+    assert [len(actions.events) for actions in said] == [1, *[0] * (UNOPENED - 1)]
+    last = said[-1].notices
+    assert [(n.level, n.subject) for n in last] == [("error", "alarms"), ("error", "")]
+    assert ends.ended
+    assert ends.controller.receive(Measurement, wire, 0.0) == Actions(), "the end judges it"
+
+
+def test_an_end_without_a_session_waits_for_the_first_that_it_says() -> None:
+    end = Hearing(inf)
+    guarded = Guarded(end, "plant", Mac(2, 4), P, lambda why: Actions())
+    assert guarded.code is None
+    assert guarded.status() == GuardStatus()
+    guarded.receive(Offer, offer(12).wire(), 1.0)
+    assert end.heard.pop() == (1.0, Offer, offer(12).wire())
+    assert guarded.status() == GuardStatus(), "it is in no session"
+    assert len(tasks(guarded, end, measurement(FIRST), 2.0)) == 1
+    guarded.receive(Offer, offer(12).wire(), 3.0)
+    assert guarded.status().unguarded == 1
+
+
+def test_what_asks_no_time_asks_for_no_keys() -> None:
+    ends = begun(Mac(2, 4))
+    ends.at_plant.says_now = (measurement(FIRST),)
+    for actions in (ends.plant.finish_step(), ends.plant.appear(1), ends.plant.stop(0.0)):
+        assert actions.keys == ()
+    assert len(ends.plant.start(0.0).keys) == 1
+
+
+def test_other_messages_of_an_end_leave_as_they_are() -> None:
+    ends = begun(Mac(2, 4))
+    mine, other = measurement(FIRST), offer(3)
+    ends.at_plant.says_now = (other, mine)
+    first, second = ends.plant.wake(0.0).publish
+    assert first is other
+    assert b'"guard"' in second.wire()
+    ends.at_plant.says_now = (other,)
+    assert ends.plant.wake(0.0) == Actions(publish=(other,))
+
+
+def test_an_end_is_told_the_time() -> None:
+    ends = begun(Mac(2, 4))
+    end = ends.at_plant
+    ends.plant.start(1.0)
+    ends.plant.wake(2.0)
+    ends.plant.appear(3)
+    ends.plant.stop(4.0)
+    assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [2.0], [4.0], 3)
+    assert ends.plant.wake_at() == end.due

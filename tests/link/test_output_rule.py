@@ -3,11 +3,16 @@
 import pytest
 
 from protocol.agreement import NO_SYMBOL
-from protocol.box_observer import Box
-from protocol.link.outputs import OutputRule
+from protocol.box_observer import Box, Estimate
+from protocol.link.events import Alarm
+from protocol.link.outputs import MOST_MISSED, OutputRule
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
+from protocol.messages import Measurement
 from protocol.vectors import Vector
 from runtime.scenario_file import scenario_of
+from tests.support.controller_in_hand import ControllerInHand
+from tests.support.plant_in_hand import PlantInHand
 
 BOX = Box((0.09995, -0.001), (0.10005, 0.001))
 """Where the state of the shipped motor lies: an angle, as it is read, and a speed."""
@@ -71,3 +76,94 @@ def test_a_transition_leaves_a_box_from_which_the_next_is_judged(rule: OutputRul
     later = rule.box(verdict.estimate, 1, reading)
     assert later != after, "over a missed step it moves on"
     assert rule.box(None, 0, reading) == rule.observer.begin(reading)
+
+
+# --- both ends with it ----------------------------------------------------------------------------
+
+S, A, P, NEW = "1" * 16, "a" * 16, "c" * 16, "9" * 16
+RULES = rules_of(scenario_of("encoder"))
+
+
+class Pair:
+    """Both ends, on a plant that goes where it is told."""
+
+    def __init__(self) -> None:
+        self.asked: list[Vector] = []
+        self.controller = ControllerInHand(RULES, self.propose, A)
+        first = ReceiverRecord(session=S, k=0, x=(0.1,), u=(0.0,))
+        self.plant = PlantInHand(RULES, P, first)
+        self.meet()
+
+    def propose(self, x: Vector) -> tuple[Vector, ...]:
+        self.asked.append(x)
+        return tuple((0.4 * i / (RULES.size - 1) - 0.2,) for i in range(RULES.size))
+
+    def meet(self) -> None:
+        self.plant.heard_controller(self.controller.greeting(), NEW)
+        said = self.controller.heard_plant(self.plant.hello()).reply
+        assert said is not None
+        assert self.plant.heard_controller(said, NEW) == "accepted"
+
+    def step(self, rule: OutputRule, coin: int, off: float = 0.0) -> Estimate | None:
+        """A step that is read as its candidate's prediction says, and ``off`` beside that."""
+        record = self.plant.record
+        box = rule.box(record.estimate, record.k - record.applied_k - 1, record.x)
+        offer = self.controller.measured(self.plant.measurement()).offer
+        assert offer is not None
+        self.controller.finish_step()
+        assert self.controller.record.estimate == record.estimate
+        assert self.asked.pop() == box.centre, "the law is asked of the middle of the box"
+        (y,) = rule.observer.read(rule.predictions(box, offer.candidates)[coin])
+        transition = self.plant.applied(offer, coin, (y + off,))
+        expected = rule.judge(box, offer.candidates, (y + off,))
+        assert transition.verdict == expected
+        assert self.plant.record.estimate == expected.estimate
+        return expected.estimate
+
+
+def test_both_ends_move_one_box_through_steps_that_are_made_and_missed(rule: OutputRule) -> None:
+    pair = Pair()
+    assert pair.step(rule, 0) is not None
+    for missed in (0, 1, 3, MOST_MISSED + 1, 0):
+        for _ in range(missed):
+            pair.plant.missed((0.0,), pair.plant.record.x)
+        pair.step(rule, 1)
+    before = pair.plant.record.estimate
+    pair.step(rule, 0, off=NOWHERE)
+    assert pair.plant.record.estimate != before
+    pair.step(rule, 1)
+
+
+def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with(
+    rule: OutputRule,
+) -> None:
+    pair = Pair()
+    pair.step(rule, 1)
+    estimate, u = pair.plant.record.estimate, pair.plant.record.u
+    for missed in range(3):
+        pair.plant.line.x_next = pair.plant.record.x
+        told = pair.plant.miss()
+        assert told.u == rule.instead(estimate, missed, u)
+        u = told.u
+    assert pair.plant.record.estimate == estimate, "it stands until the next transition"
+
+
+def test_a_session_begins_without_a_box(rule: OutputRule) -> None:
+    pair = Pair()
+    pair.step(rule, 1)
+    pair.plant.carry_out(pair.plant.core.end_session("keys are gone"))
+    assert pair.controller.core.end_session("keys are gone").write is not None
+    assert (pair.plant.record.estimate, pair.controller.record.estimate) == (None, None)
+
+
+def test_an_alarm_says_what_would_have_been_read(rule: OutputRule) -> None:
+    pair = Pair()
+    record = pair.plant.record
+    box = rule.box(None, 0, record.x)
+    pair.step(rule, 1, off=NOWHERE)
+    pair.controller.core.receive(Measurement, pair.plant.measurement().wire(), 1e6)
+    counted = pair.controller.core.finish_step()
+    (alarm,) = [event for event in counted.events if isinstance(event, Alarm)]
+    predictions = rule.predictions(box, pair.propose(record.x))
+    assert alarm.expected == rule.observer.read(predictions[alarm.candidate])
+    assert alarm.reading == pair.plant.record.x

@@ -204,3 +204,49 @@ def test_a_turn_comes_within_a_step(now: float, step_s: float, phase: float) -> 
 def test_phases_stay_what_they_were() -> None:
     """A fleet's plants tick together with those that another process runs."""
     assert phase_of("loop-0001") == 0x40C02589 / 2**32
+
+
+def test_a_repeat_that_would_come_as_late_as_half_an_interval_before_the_tick_is_not_made() -> None:
+    """Intervals of a quarter: at the tick less an eighth one is still sent, and after it none."""
+    for now, following in ((0.625, 0.875), (0.6875, 1.0)):
+        pacing = running()
+        assert pacing.measurement_due(now)
+        assert pacing.due_at(running=True, measuring=True) == following
+
+
+def test_repeats_in_lock_step_come_at_an_interval_of_their_own() -> None:
+    pacing = Pacing(None, 4, 2.0)
+    for i in range(3):
+        now = pacing.due_at(running=True, measuring=True)
+        assert now == pytest.approx(2.0 + i * LOCKSTEP_REPEAT_S)
+        assert pacing.measurement_due(now)
+    assert pacing.deadline == 2.0
+
+
+def test_nothing_is_measured_between_an_offer_and_its_tick() -> None:
+    pacing = running()
+    pacing.applied()
+    assert pacing.due_at(running=True, measuring=True) == 1.0
+    assert pacing.tick(1.0, running=True) == "ended"
+    assert pacing.due_at(running=True, measuring=True) == 1.0
+    assert pacing.measurement_due(1.0)
+    assert pacing.due_at(running=True, measuring=True) == 1.25
+
+
+def test_a_fleets_first_step_is_longer_by_up_to_one() -> None:
+    pacing = Pacing(1.0, 4, 0.0, 0.25)
+    pacing.tick(3.0, running=False)
+    assert pacing.deadline == 4.25
+    assert pacing.tick(4.2, running=True) == "nothing"
+    assert pacing.tick(4.25, running=True) == "missed"
+    assert pacing.deadline == 5.25
+    assert pacing.tick(6.25, running=True) == "missed"
+    assert pacing.deadline == 8.25, "a step was swallowed"
+
+
+def test_a_turn_follows_now_even_where_it_falls_on_it() -> None:
+    assert next_turn(1.0, 0.5, 0.0) == 1.5
+    assert next_turn(1.25, 0.5, 0.0) == 1.5
+    assert next_turn(1.25, 0.5, 0.5) == 1.75
+    assert next_turn(0.0, 0.5, 0.5) == 0.25
+    assert phase_of("") == 0.0

@@ -12,8 +12,10 @@ class Hearing:
     ----------
     heard : list of (float, type, bytes)
         When, and what.
-    woken : list of float
+    started, woken, stopped : list of float
         When.
+    appearances : int
+        How often its messages leave.
     done : list of tuple
         Tasks of keys that it was told of, and when.
     """
@@ -26,13 +28,17 @@ class Hearing:
         self.due = due
         self.says_now: tuple[Message, ...] = ()
         self.heard: list[tuple[float, type[Message], bytes]] = []
+        self.started: list[float] = []
         self.woken: list[float] = []
+        self.stopped: list[float] = []
+        self.appearances = 0
         self.done: list[tuple[Done, float]] = []
 
     def _said(self) -> Actions:
         return Actions(publish=self.says_now)
 
     def start(self, now: float) -> Actions:
+        self.started.append(now)
         return self._said()
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
@@ -55,7 +61,9 @@ class Hearing:
         return self._said()
 
     def appear(self, count: int) -> Actions:
+        self.appearances = count
         return self._said()
 
     def stop(self, now: float) -> Actions:
+        self.stopped.append(now)
         return self._said()

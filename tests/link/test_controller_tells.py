@@ -1,0 +1,915 @@
+"""All that a controller tells: each status field by field, each notice by level and subject."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf
+from typing import Any
+
+import pytest
+
+from controller_service.core import GREETING_S, STALE, ControllerCore
+from controller_service.telemetry import ControllerTelemetry
+from protocol.defence.alarm_rule import AlarmRule
+from protocol.defence.key_digits import digits
+from protocol.link.coins import BATCH, LACKING_S
+from protocol.link.events import Alarm, Milestone, SessionBegan
+from protocol.link.key_events import Appearances
+from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
+from protocol.link.records import SenderRecord, Step
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.messages import (
+    BlockAnnouncement,
+    ControllerHello,
+    ControllerStatus,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    SendCommand,
+    SendReply,
+)
+from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
+from protocol.secret.blocks import BlockResult, Schedule, Stored
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import Contribution, fresh_nonce
+from protocol.secret.records import Key
+from protocol.secret.tasks import Broken, CoinKeys, CoinTask
+from protocol.vectors import Vector
+from runtime.errors import USAGE
+from runtime.memory_journal import MemoryControllerJournal
+from tests.support.controller_in_hand import PERIOD_S, Zeros
+from tests.support.line_ends import line_rules
+
+RULES = line_rules(alpha=4.0, largest_input=5.0)
+SCHEDULE = Schedule(Assumption(0.1), 2, 4)
+KEYS = replace(RULES, schedule=SCHEDULE)
+S, T, NEW = "1" * 16, "2" * 16, "9" * 16
+A, B, P, Q = (letter * 16 for letter in "abcd")
+NONCE = fresh_nonce()
+CANDIDATES = ((1.5,), (-1.5,))
+FAR = 100.0
+OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
+AT_WORK = SenderRecord(
+    session=S,
+    incarnation=0,
+    ended=(T,),
+    state=RULES.scheme.initial,
+    k=3,
+    applied_k=1,
+    transitions=2,
+    agreements=1,
+    p=1,
+    x=(0.0,),
+    offer=OFFER,
+)
+
+
+class Law:
+    """Sets of one state: i where |x| is at most i + 1, and none beyond 5."""
+
+    def index(self, x: Vector) -> int:
+        if abs(x[0]) > 5:
+            raise LookupError("outside")
+        return int(abs(x[0]))
+
+
+def propose(x: Vector) -> tuple[Vector, ...]:
+    if x[0] > FAR:
+        raise LookupError(f"no answer at {x[0]:g}")
+    return CANDIDATES
+
+
+class Told:
+    """A controller, and all that it ever did."""
+
+    def __init__(
+        self,
+        rules: Rules = RULES,
+        record: SenderRecord | None = AT_WORK,
+        *,
+        telemetry: bool = True,
+        payloads: tuple[bytes, ...] = (),
+        **more: Any,
+    ) -> None:
+        self.journal = MemoryControllerJournal()
+        for number, payload in enumerate(payloads):
+            queued = Save(SenderRecord(), queued=(f"m{number}", payload))
+            self.journal.write(queued)
+        law: Any = Law()
+        self.telemetry = ControllerTelemetry(law, keys_refused="a secret of its own")
+        self.core = ControllerCore(
+            rules,
+            propose,
+            self.journal,
+            Zeros(),
+            instance=A,
+            period_s=PERIOD_S,
+            record=record,
+            telemetry=self.telemetry if telemetry else None,
+            **more,
+        )
+        self.all: list[Actions] = []
+
+    def does(self, actions: Actions) -> Actions:
+        """What a shell does with the actions, and with those after them; the first ones."""
+        first = actions
+        while True:
+            self.all.append(actions)
+            assert all(notice.text for notice in actions.notices)
+            if isinstance(actions.write, Save):
+                self.journal.write(actions.write)
+            if not actions.finish_step:
+                return first
+            actions = self.core.finish_step()
+
+    def hears(self, message: Message, now: float) -> Actions:
+        return self.does(self.core.receive(type(message), message.wire(), now))
+
+    @property
+    def notices(self) -> list[tuple[str, str]]:
+        """Level and subject of all that was said so far; they are forgotten."""
+        said: list[tuple[str, str]] = [
+            (n.level, n.subject) for actions in self.all for n in actions.notices
+        ]
+        self.all.clear()
+        return said
+
+    def at_work(self, now: float = 0.0) -> "Told":
+        """Its plant has asked it to take up the session of the journal."""
+        self.does(self.core.start(now))
+        self.hears(hello(transitions=2, applied_k=1), now)
+        assert self.core.plant == P
+        self.all.clear()
+        return self
+
+
+def hello(**fields: object) -> PlantHello:
+    made = PlantHello(
+        instance=P,
+        session=S,
+        controller=A,
+        incarnation=1,
+        fingerprint=RULES.fingerprint,
+        transitions=0,
+        applied_k=-1,
+    )
+    return made.model_copy(update=fields)
+
+
+def measurement(**fields: object) -> Measurement:
+    made = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
+    return made.model_copy(update=fields)
+
+
+def fields(status: Message) -> dict[str, Any]:
+    """All but version, number and hour."""
+    said = status.model_dump()
+    del said["v"], said["seq"], said["t_ns"]
+    return said
+
+
+def told(actions: Actions) -> dict[str, Any]:
+    """The one status that was published."""
+    (status,) = actions.publish
+    assert isinstance(status, ControllerStatus)
+    return fields(status)
+
+
+NOTHING_YET: dict[str, Any] = {
+    "phase": "greeting",
+    "detail": "",
+    "session": None,
+    "k": -1,
+    "set_index": -1,
+    "transitions": 0,
+    "agreements": 0,
+    "malformed": 0,
+    "automaton": RULES.scheme.initial[0],
+    "sending": "",
+    "frame_symbols": 0,
+    "frame_length": 0,
+    "queue": 0,
+    "delivered": 0,
+    "unexplained": 0,
+    "defence": "residual",
+    "watched": 0,
+    "unwatched": 0,
+    "coin_keys": 0,
+    "alarms": 0,
+    "alarm_k": -1,
+    "alarm_reading": (),
+    "alarm_expected": (),
+    "alarm_gauge": 0.0,
+    "keys_made": 0,
+    "keys_of_block": 0,
+    "key_block_steps": 0,
+    "keys_refused": "a secret of its own",
+    "keys_stopped": "",
+    "key_blocks_lost": 0,
+    "key_blocks_waiting": 0,
+    "appearances": 1,
+    "guarded": 0,
+    "unguarded": 0,
+    "guard_ahead": 0,
+    "forged": 0,
+    "forged_k": -1,
+}
+
+
+# --- when a status is due -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("status_s", [None, 0.25])
+def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
+    status_s: float | None,
+) -> None:
+    more: dict[str, Any] = {} if status_s is None else {"status_s": status_s}
+    end = Told(record=None, **more)
+    assert end.core.wake_at() == inf, "not before it starts"
+    end.does(end.core.start(5.0))
+    assert end.core.wake_at() == 5.0
+    assert end.core.wake(4.99) == NOTHING_TO_DO
+    now, last_kept, kept = 5.0, -inf, 0
+    while now < 8.0:
+        actions = end.core.wake(now)
+        assert told(actions) == NOTHING_YET
+        assert actions == Actions(publish=actions.publish, health=actions.health)
+        assert (actions.health is not None) == (now >= last_kept + HEALTH_S)
+        if actions.health is not None:
+            assert actions.health == actions.publish[0]
+            last_kept, kept = now, kept + 1
+        following = next_turn(now, status_s or STATUS_S, phase_of(A))
+        assert end.core.wake_at() == following
+        assert end.core.wake((now + following) / 2) == NOTHING_TO_DO
+        now = following
+    assert kept == 3
+
+
+def test_a_status_is_kept_again_when_a_second_is_over_to_the_instant() -> None:
+    end = Told(record=None, status_s=1.0)
+    end.does(end.core.start(5.0))
+    assert end.core.wake(5.0).health is not None
+    later = end.core.wake_at()
+    assert later < 6.0
+    assert end.core.wake(later).health is None
+    assert end.core.wake(max(6.0, end.core.wake_at())).health is not None
+
+
+def test_without_telemetry_no_status_is_ever_due() -> None:
+    end = Told(telemetry=False, payloads=(b"a",)).at_work()
+    assert end.core.wake_at() == inf
+    assert end.core.wake(1e9) == NOTHING_TO_DO
+    end.hears(measurement(), 2e9)
+    end.does(end.core.halt())
+    end.does(end.core.end_session("why"))
+    assert end.core.wake_at() == inf
+    assert end.core.stop(3e9) == NOTHING_TO_DO
+    with pytest.raises(AssertionError):
+        end.core.status()
+
+
+# --- what a status says ---------------------------------------------------------------------------
+
+
+def test_a_status_says_what_record_rules_and_queue_hold() -> None:
+    payload = b"hi"
+    symbols = encode_frame(payload, 2)
+    record = AT_WORK._replace(message=1, offset=3, x=(2.5,), offer=None)
+    rules = replace(RULES, defence="keyed-coin and mac")
+    end = Told(rules, record, payloads=(b"one", payload, b"three"))
+    end.does(end.core.start(0.0))
+    expected = NOTHING_YET | {
+        "session": S,
+        "k": 3,
+        "set_index": 2,
+        "transitions": 2,
+        "agreements": 1,
+        "automaton": record.state[0],
+        "sending": "hi",
+        "frame_symbols": 3,
+        "frame_length": len(symbols),
+        "queue": 1,
+        "delivered": 1,
+        "defence": "keyed-coin and mac",
+    }
+    assert told(end.core.wake(0.0)) == expected
+    assert fields(end.core.status()) == expected
+
+
+def test_when_all_is_sent_the_last_message_is_told_as_whole() -> None:
+    end = Told(record=AT_WORK._replace(message=1, x=(7.0,), offer=None), payloads=(b"one",))
+    end.does(end.core.start(0.0))
+    said = told(end.core.wake(0.0))
+    length = frame_length(3, 2)
+    assert (said["sending"], said["frame_symbols"], said["frame_length"]) == ("one", length, length)
+    assert (said["queue"], said["delivered"], said["set_index"]) == (0, 1, -1)
+
+
+def test_statuses_are_numbered() -> None:
+    end = Told(record=None)
+    end.does(end.core.start(0.0))
+    assert [end.core.status().seq for _ in range(3)] == [1, 2, 3]
+
+
+def test_a_step_is_told_in_the_status_after_it() -> None:
+    end = Told().at_work()
+    before = told(end.core.wake(end.core.wake_at()))
+    assert (before["phase"], before["k"]) == ("running", 3)
+    end.hears(measurement(), 1.0)
+    after = told(end.core.wake(end.core.wake_at()))
+    assert after == before | {
+        "k": 4,
+        "set_index": 1,
+        "transitions": 3,
+        "agreements": 2,
+        "automaton": end.core.record.state[0],
+    }
+    (transition,) = [e for actions in end.all for e in actions.events]
+    assert isinstance(transition, CountedTransition)
+    assert (transition.j, transition.k, transition.symbol, transition.x_next) == (2, 3, 0, (1.5,))
+
+
+def test_what_no_candidate_explains_is_counted() -> None:
+    end = Told(replace(RULES, alarm_rule=AlarmRule(2, 2))).at_work()
+    end.hears(measurement(x=(9.0,), x_after=(9.0,)), 1.0)
+    assert told(end.core.wake(end.core.wake_at()))["unexplained"] == 1
+    end.hears(measurement(k=5, applied_k=4, x=(10.5,), x_after=(10.5,)), 2.0)
+    assert told(end.core.wake(end.core.wake_at()))["unexplained"] == 1
+
+
+def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> None:
+    symbols = encode_frame(b"a", 2)
+    record = AT_WORK._replace(
+        state=(2, 1), cipher=1, message_symbol=symbols[-1], framed=True, offset=len(symbols)
+    )
+    end = Told(record=record, payloads=(b"a",)).at_work()
+    end.core.wake(0.0)
+    end.hears(measurement(), 0.001)
+    counted = end.all[1]
+    assert [type(event) for event in counted.events] == [CountedTransition, Milestone]
+    assert counted.events[1] == Milestone("delivered", b"a", "m0")
+    assert isinstance(counted.write, Save)
+    assert not counted.write.later
+    ((level, text),) = [(n.level, n.text) for n in counted.notices]
+    assert level == "info"
+    assert "m0" in text
+    assert end.core.wake_at() == 0.001
+    actions = end.core.wake(0.001)
+    assert told(actions)["delivered"] == 1
+    assert actions.health is not None
+
+
+# --- phases ---------------------------------------------------------------------------------------
+
+
+def phase(end: Told) -> tuple[str, bool]:
+    """The phase of its status, and whether there is a detail to it."""
+    status = end.core.status()
+    return status.phase, bool(status.detail)
+
+
+def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> None:
+    end = Told().at_work()
+    assert phase(end) == ("running", False)
+    answer = end.hears(measurement(x=(101.0,), x_after=(101.0,)), 1.0)
+    assert end.core.status().detail == "no answer at 101"
+    assert phase(end) == ("outside", True)
+    assert answer.notices[0] == Notice("no answer at 101", "warning", "refusals")
+    assert isinstance(answer.write, Save)
+    assert not answer.write.later
+    assert answer.publish == ()
+    assert not answer.finish_step
+    end.hears(measurement(k=5, applied_k=3, x=(0.0,), x_after=(101.0,)), 2.0)
+    assert phase(end) == ("running", False)
+
+
+def test_a_session_that_is_left_is_told_as_greeting() -> None:
+    ways: list[Callable[[Told], object]] = [
+        lambda end: end.does(end.core.end_session("keys are gone")),
+        lambda end: end.hears(hello(controller=B, transitions=2, applied_k=1), 1.0),
+        lambda end: end.hears(hello(controller=B, session=NEW), 1000.0),
+        lambda end: end.hears(measurement(x_after=()), 1.0),
+    ]
+    for leave in ways:
+        end = Told().at_work()
+        leave(end)
+        assert phase(end) == ("greeting", True)
+        assert end.core.plant is None
+        assert end.notices == [("warning", "refusals")]
+
+
+@pytest.mark.parametrize("record", [None, AT_WORK])
+def test_only_who_has_met_no_plant_gives_up_over_another_model(
+    record: SenderRecord | None,
+) -> None:
+    end = Told(record=record)
+    end.does(end.core.start(0.0))
+    answer = end.hears(hello(fingerprint="e" * 64), 1.0)
+    (said,) = answer.publish
+    assert isinstance(said, ControllerHello)
+    assert (said.verdict, said.answers) == ("other-model", P)
+    levels = [(n.level, n.subject) for n in answer.notices]
+    if record is not None:
+        assert (end.core.code, end.core.refused) == (None, False)
+        assert levels == [("warning", "refusals")]
+        assert phase(end) == ("greeting", True)
+        return
+    assert (end.core.code, end.core.refused) == (USAGE, True)
+    assert levels == [("warning", "refusals"), ("error", "")]
+    assert phase(end) == ("refused", True)
+    for text in (end.core.status().detail, answer.notices[1].text):
+        assert "e" * 8 in text
+        assert "f" * 8 in text
+        assert "e" * 9 not in text
+    stopped = told(end.core.stop(2.0))
+    assert stopped["phase"] == "refused", "whoever looks later sees why"
+
+
+def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
+    end = Told().at_work()
+    end.core.wake(0.0)
+    stopped = end.core.stop(0.01)
+    assert told(stopped)["phase"] == "stopped"
+    assert stopped.health == stopped.publish[0]
+    assert (stopped.write, stopped.notices, stopped.events) == (None, (), ())
+
+
+# --- alarms ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("halts", [False, True])
+def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
+    end = Told(replace(RULES, halts=halts)).at_work()
+    end.hears(measurement(x=(3.0,), x_after=(3.0,)), 1.0)
+    alarm = Alarm(S, 2, 3, (3.0,), "", 0, (1.5,), 1.5)
+    (counted,) = [a for a in end.all if a.events]
+    assert [type(event) for event in counted.events] == [CountedTransition, Alarm]
+    assert counted.events[1] == alarm
+    levels = [(n.level, n.subject) for n in counted.notices]
+    assert levels == [("warning", "refusals")] * halts + [("error", "alarms")]
+    assert "step 3" in counted.notices[-1].text
+    status = end.core.status()
+    assert (status.alarms, status.alarm_k) == (1, 3)
+    assert (status.alarm_reading, status.alarm_expected) == ((3.0,), (1.5,))
+    assert (status.alarm_gauge, status.unexplained) == (1.5, 1)
+    assert (status.phase, bool(status.detail)) == (
+        ("alarmed", True) if halts else ("running", False)
+    )
+    offered = [m for a in end.all for m in a.publish if isinstance(m, Offer)]
+    assert len(offered) == (not halts)
+    assert end.core.record.halted == halts
+    again = end.hears(measurement(k=5, applied_k=3, x=(3.0,), x_after=(3.0,)), 2.0)
+    assert (again == NOTHING_TO_DO) == halts
+    assert end.core.status().alarms == 1
+
+
+def test_a_forgery_is_told_as_an_alarm_where_that_ends_the_offers() -> None:
+    end = Told(replace(RULES, halts=True)).at_work()
+    halted = end.does(end.core.halt())
+    assert [(n.level, n.subject) for n in halted.notices] == [("warning", "refusals")]
+    assert phase(end) == ("alarmed", True)
+
+
+def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() -> None:
+    rules = replace(RULES, alarm_rule=AlarmRule(2, 3))
+    end = Told(rules).at_work()
+    end.hears(measurement(x=(3.0,), x_after=(3.0,)), 1.0)
+    end.hears(measurement(k=5, applied_k=4, x=(4.5,), x_after=(4.5,)), 2.0)
+    assert end.core.record.failed == 0b10
+    assert end.core.status().alarms == 0
+    kept = end.core.record
+    again = Told(rules, kept)
+    again.does(again.core.start(3.0))
+    again.hears(hello(transitions=4, applied_k=4), 3.0)
+    again.hears(measurement(k=6, applied_k=5, x=(9.0,), x_after=(9.0,)), 4.0)
+    assert again.core.status().alarms == 1
+    assert again.core.record.failed == 0b01
+
+
+# --- the keyed coin -------------------------------------------------------------------------------
+
+COIN = replace(RULES, keyed=True)
+TWO = (Key("k0", bytes(range(32))), Key("k1", bytes(range(32, 64))))
+DIGITS = digits(TWO[0].key, 2)
+
+
+def keyed(record: SenderRecord = AT_WORK, step: Step | None = None, keys: Any = TWO) -> Told:
+    return Told(COIN, record, coin_keys=keys, step=step).at_work()
+
+
+def named(actions: Actions) -> tuple[str | None, int | None, str | None]:
+    """What the offer says of its coin."""
+    (offer,) = actions.publish
+    assert isinstance(offer, Offer)
+    return offer.coin_key, offer.coin_from, offer.coin_last
+
+
+def keyed_measurement(**fields: object) -> Measurement:
+    return measurement(**{"applied_key": "", **fields})
+
+
+def test_an_offer_names_the_key_its_first_step_and_the_newest_that_is_held() -> None:
+    unkeyed = AT_WORK._replace(offer=None, k=2)
+    end = Told(COIN, unkeyed, coin_keys=TWO)
+    assert end.core.start(0.0).keys == (CoinTask(S, "k1", BATCH),)
+    end.at_work()
+    assert end.core.status().coin_keys == 2
+    first = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 1.0)
+    assert named(first) == ("k0", 3, "k1")
+    assert end.core.status().coin_keys == 1
+    second = end.hears(keyed_measurement(k=4, applied_k=1, x=(0.0,), x_after=()), 2.0)
+    assert named(second) == ("k0", 3, "k1")
+    kept = end.core.record
+    assert (kept.coin_key, kept.coin_from) == ("k0", 3)
+
+
+@pytest.mark.parametrize("counted", [True, False])
+def test_a_process_goes_on_with_the_newest_key_that_was_named(counted: bool) -> None:
+    offer = OFFER.model_copy(update={"coin_key": "k1", "coin_from": 3, "coin_last": "k1"})
+    record = AT_WORK._replace(offer=offer, coin_key="k1", coin_from=3)
+    step = None
+    if not counted:
+        was = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
+        step = Step(offer, measurement=was)
+        record = AT_WORK._replace(offer=None, k=2, coin_key="k0", coin_from=1)
+    end = keyed(record, step)
+    assert end.core.status().coin_keys == 0, "k0 is never named again"
+    following = end.hears(keyed_measurement(applied_k=1, x=(0.0,), x_after=()), 1.0)
+    assert named(following) == ("k1", 3, "k1")
+
+
+@pytest.mark.parametrize("right", [True, False])
+@pytest.mark.parametrize("known", [True, False])
+def test_a_transition_is_watched_where_both_ends_hold_the_key(known: bool, right: bool) -> None:
+    offer = OFFER.model_copy(update={"coin_key": "k0", "coin_from": 3, "coin_last": "k1"})
+    record = AT_WORK._replace(offer=offer, coin_key="k0", coin_from=3)
+    end = keyed(record, keys=TWO if known else ())
+    chosen = DIGITS[0] if right else 1 - DIGITS[0]
+    x = CANDIDATES[chosen]
+    end.hears(keyed_measurement(x=x, x_after=x, applied_key="k0"), 1.0)
+    status = end.core.status()
+    assert (status.watched, status.unwatched) == (known, not known)
+    alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
+    assert len(alarms) == (known and not right)
+    assert [e.expected for a in end.all for e in a.events if isinstance(e, CountedTransition)] == [
+        DIGITS[0] if known else -1
+    ]
+    for alarm in alarms:
+        assert alarm == Alarm(S, 2, 3, x, "k0", DIGITS[0], CANDIDATES[DIGITS[0]], 3.0)
+    assert status.alarms == len(alarms)
+
+
+def test_keys_of_the_last_offer_are_held_until_it_was_counted() -> None:
+    """A process that begins between an offer and its report tests it by the key before."""
+    offer = OFFER.model_copy(update={"coin_key": "k0", "coin_from": 3, "coin_last": "k1"})
+    record = AT_WORK._replace(offer=offer, coin_key="k1", coin_from=4)
+    end = keyed(record)
+    x = CANDIDATES[DIGITS[0]]
+    end.hears(keyed_measurement(x=x, x_after=x, applied_key="k0"), 1.0)
+    assert end.core.status().watched == 1
+
+
+def test_a_store_that_had_no_keys_is_asked_again_over_the_next_confirmed_block() -> None:
+    rules = replace(COIN, schedule=SCHEDULE)
+    end = Told(rules, AT_WORK._replace(offer=None, k=2))
+    (task,) = [t for t in end.does(end.core.start(0.0)).keys if isinstance(t, CoinTask)]
+    assert task == CoinTask(S, "", BATCH)
+    end.hears(hello(transitions=2, applied_k=1), 0.0)
+    assert end.core.key_task_done(CoinKeys(S), 1.0) == NOTHING_TO_DO
+
+    def asked(k: int) -> int:
+        end.all.clear()
+        end.hears(keyed_measurement(k=k, applied_k=1, x=(0.0,), x_after=()), 10.0 * k)
+        return sum(isinstance(t, CoinTask) for a in end.all for t in a.keys)
+
+    assert [asked(3), asked(4)] == [0, 0]
+    end.does(end.core.key_task_done(BlockResult(S, 0, "unequal"), 45.0))
+    assert asked(5) == 0
+    end.does(end.core.key_task_done(BlockResult(S, 1, "confirmed", 5), 55.0))
+    assert [asked(6), asked(7)] == [1, 0]
+    end.core.key_task_done(CoinKeys(S, TWO), 75.0)
+    assert end.core.status().coin_keys == 2
+    assert LACKING_S < 1.1
+    assert asked(8) == 1
+
+
+@pytest.mark.parametrize(("rules", "applied_key"), [(RULES, "k0"), (RULES, ""), (COIN, None)])
+def test_a_measurement_that_says_another_thing_of_the_coin_than_the_rules_is_malformed(
+    rules: Rules, applied_key: str | None
+) -> None:
+    end = Told(rules).at_work()
+    record = end.core.record
+    end.hears(measurement(applied_key=applied_key), 1.0)
+    (actions,) = end.all
+    (notice,) = actions.notices
+    assert (notice.level, notice.subject) == ("warning", "malformed")
+    assert "applied_key" in notice.text
+    assert actions == Actions(notices=(notice,))
+    assert (end.core.record, end.core.status().malformed) == (record, 1)
+
+
+# --- what is malformed ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [
+        (Measurement, "measurement"),
+        (PlantHello, "hello"),
+        (BlockAnnouncement, "word"),
+        (SendCommand, "command"),
+    ],
+)
+def test_what_is_malformed_is_named_and_counted(kind: type[Message], name: str) -> None:
+    end = Told().at_work()
+    for number in (1, 2):
+        actions = end.core.receive(kind, b'{"session":1}', 1.0)
+        (notice,) = actions.notices
+        assert actions == Actions(notices=(notice,))
+        assert (notice.level, notice.subject) == ("warning", "malformed")
+        assert notice.text.split(":")[0] == name
+        assert end.core.status().malformed == end.core.malformed == number
+
+
+# --- greetings ------------------------------------------------------------------------------------
+
+
+def test_it_greets_a_stranger_again_when_the_time_is_over_and_not_before() -> None:
+    end = Told(record=None)
+    end.does(end.core.start(0.0))
+    assert len(end.hears(measurement(), 10.0).publish) == 1
+    for now in (10.0, 10.0 + 0.99 * GREETING_S):
+        assert end.hears(measurement(), now) == NOTHING_TO_DO
+    again = end.hears(measurement(), 10.0 + GREETING_S)
+    assert again == Actions(publish=(end.all[1].publish[0],))
+    assert end.hears(measurement(), 10.0 + 1.99 * GREETING_S) == NOTHING_TO_DO
+
+
+def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
+    for period_s, silence in ((PERIOD_S, SILENCE_S), (2.0, 6.0)):
+        for silent, is_told in ((0.99, True), (1.0, False)):
+            end = Told()
+            end.core = ControllerCore(
+                RULES,
+                propose,
+                end.journal,
+                Zeros(),
+                instance=A,
+                period_s=period_s,
+                record=AT_WORK,
+            )
+            end.at_work()
+            end.hears(measurement(), 1.0)
+            end.all.clear()
+            end.hears(hello(instance=Q, session=NEW), 1.0 + silent * silence)
+            texts = [n.text for a in end.all for n in a.notices if n.subject == "refusals"]
+            assert len(texts) == is_told
+            assert end.core.plant == (P if is_told else Q)
+            for text in texts:
+                assert P in text
+                assert Q in text
+
+
+def test_a_session_that_is_taken_up_is_told_once() -> None:
+    end = Told(record=None)
+    end.does(end.core.start(0.0))
+    taken = end.hears(hello(session=NEW), 1.0)
+    assert taken.events == (SessionBegan(NEW, "the plant began it"),)
+    (notice,) = taken.notices
+    assert (notice.level, notice.subject) == ("info", "")
+    assert NEW in notice.text
+    assert P in notice.text
+    assert isinstance(taken.write, Save)
+    assert taken.write.record == end.core.record
+    again = end.hears(hello(session=NEW), 2.0)
+    assert again == Actions(publish=taken.publish)
+    other = end.hears(hello(session=NEW, instance=Q), 3000.0)
+    assert (other.events, other.write) == ((), None)
+    assert len(other.notices) == 1
+
+
+def test_who_greets_as_a_later_life_saves_that_before() -> None:
+    end = Told()
+    end.does(end.core.start(0.0))
+    answer = end.hears(hello(controller=None, incarnation=5), 1.0)
+    assert isinstance(answer.write, Save)
+    assert answer.write.record == end.core.record
+    assert end.core.record.incarnation == 6
+    (said,) = answer.publish
+    assert isinstance(said, ControllerHello)
+    assert (said.verdict, said.incarnation) == ("greeting", 6)
+
+
+def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
+    rows = [Contribution(j, 1, b"n" * 32, None) for j in (1, 2)]
+    end = Told(KEYS, AT_WORK._replace(transitions=3), contributions=rows)
+    began = end.does(end.core.start(0.0))
+    assert began.write == Save(end.core.record)
+    (closed,) = began.keys
+    assert (type(closed).__name__, began.events, began.notices) == ("ClosedBlock", (), ())
+
+
+# --- commands -------------------------------------------------------------------------------------
+
+
+def test_a_command_is_answered_with_how_many_wait() -> None:
+    end = Told(record=None)
+    end.does(end.core.start(0.0))
+    for number, (name, payload, accepted) in enumerate(
+        [
+            ("m1", b"one", True),
+            ("m2", b"x" * MAX_PAYLOAD, True),
+            ("m2", b"x" * MAX_PAYLOAD, True),
+            ("m2", b"y", False),
+            ("m3", b"x" * (MAX_PAYLOAD + 1), False),
+            ("initial", b"z", False),
+        ]
+    ):
+        answer = end.hears(SendCommand(id=name, payload=payload), 1.0)
+        (reply,) = answer.publish
+        assert isinstance(reply, SendReply)
+        assert (reply.id, reply.accepted, reply.queued) == (name, accepted, min(number + 1, 2))
+        new = number < 2
+        assert bool(reply.detail) == (not new)
+        assert accepted or reply.detail.split(":")[0] in ("id", "message")
+        assert answer.events == ((Milestone("sent", payload, name),) if new else ())
+        written = Save(end.core.record, queued=(name, payload))
+        assert answer.write == (written if new else None)
+        assert answer.notices == ()
+    assert end.core.status().queue == 1
+
+
+def test_messages_that_were_delivered_wait_no_more() -> None:
+    end = Told(record=AT_WORK._replace(message=2), payloads=(b"a", b"b", b"c")).at_work()
+    for name, waiting in (("m3", 2), ("m3", 2), ("m4", 3)):
+        (reply,) = end.hears(SendCommand(id=name, payload=b"d"), 1.0).publish
+        assert isinstance(reply, SendReply)
+        assert reply.queued == waiting
+
+
+# --- key blocks -----------------------------------------------------------------------------------
+
+
+def keys_at_work() -> Told:
+    """Block 0 is whole, stored, and not confirmed."""
+    rows = [Contribution(j, 1, b"n" * 32, None) for j in (1, 2, 3)]
+    record = AT_WORK._replace(transitions=4)
+    end = Told(KEYS, record, contributions=rows)
+    end.does(end.core.start(0.0))
+    end.hears(hello(transitions=4, applied_k=1), 0.0)
+    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+    assert [event.as_event()["event"] for event in stored.events] == ["block"]
+    end.all.clear()
+    return end
+
+
+def word(tag: str = "b" * 32, **fields: Any) -> BlockAnnouncement:
+    made = BlockAnnouncement(side="plant", session=S, block=0, tag=tag, waiting=1)
+    return made.model_copy(update=fields)
+
+
+def test_a_word_on_blocks_is_answered_with_its_own() -> None:
+    end = keys_at_work()
+    answer = end.hears(word(), 1.0)
+    (said,) = answer.publish
+    assert said == BlockAnnouncement(side="controller", session=S, block=0, tag="a" * 32, waiting=0)
+    assert answer.keys == (BlockResult(S, 0, "confirmed"),)
+    assert not answer.finish_step
+    confirmed = end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0))
+    assert isinstance(confirmed.write, Save)
+    assert confirmed.write.record == end.core.record
+    assert confirmed.write.obsolete_rows, "the rows of a block that is confirmed go at once"
+    status = end.core.status()
+    assert (status.keys_made, status.keys_of_block, status.key_block_steps) == (5, 5, 2)
+    assert status.key_blocks_waiting == 0
+
+
+@pytest.mark.parametrize("fields", [{"side": "controller"}, {"session": T}])
+def test_a_word_that_is_not_the_plants_of_the_session_is_not_answered(
+    fields: dict[str, Any],
+) -> None:
+    end = keys_at_work()
+    assert end.hears(word(**fields), 1.0) == NOTHING_TO_DO
+    assert Told().at_work().hears(word(), 1.0) == NOTHING_TO_DO, "no keys are made"
+
+
+def test_an_answer_that_announces_a_confirmed_block_lets_its_rows_go() -> None:
+    end = keys_at_work()
+    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).write is None
+    answer = end.hears(word(), 2.0)
+    assert answer.write == Save(end.core.record, obsolete_rows=(range(1, 3),))
+
+
+def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
+    end = keys_at_work()
+    assert (end.core.record.block, end.core.record.tag) == (-1, "")
+    answer = end.hears(measurement(), 1.0)
+    (offer,) = answer.publish
+    assert isinstance(offer, Offer)
+    assert (offer.block, offer.tag) == (0, "a" * 32)
+    record = end.core.record
+    assert (record.block, record.tag, record.offer) == (0, "a" * 32, offer)
+    assert record.nonce == ""
+    counted = end.all[1].write
+    assert isinstance(counted, Save)
+    assert counted.contribution is not None
+    assert counted.contribution.j == 4
+    assert counted.later
+
+
+def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
+    judged: list[tuple[str, BlockResult]] = [
+        ("b", BlockResult(S, 0, "confirmed")),
+        ("c", BlockResult(S, 0, "unequal")),
+    ]
+    for tag, result in judged:
+        end = keys_at_work()
+        end.hears(measurement(block=0, tag=tag * 32, nonce=NONCE), 1.0)
+        _, counted, *ended = end.all
+        assert counted.keys == (result,)
+        assert len(ended) == (tag == "c")
+        assert end.core.record.session == (None if ended else S)
+        if not ended:
+            assert end.core.record.nonce == NONCE
+            assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0).write == Save(
+                end.core.record, obsolete_rows=(range(1, 3),)
+            )
+
+
+def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
+    end = keys_at_work()
+    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0))
+    end.hears(measurement(), 2.0)
+    counted = end.all[-1].write
+    assert isinstance(counted, Save)
+    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+
+
+def test_a_block_that_differs_ends_the_session_once_the_keeper_knows() -> None:
+    end = keys_at_work()
+    first = end.hears(word("c" * 32), 1.0)
+    assert first == Actions(keys=(BlockResult(S, 0, "unequal"),), finish_step=True)
+    (_, ended) = end.all
+    assert [type(event) for event in ended.events] == [SessionBegan]
+    assert [(n.level, n.subject) for n in ended.notices] == [("warning", "refusals")]
+    assert isinstance(ended.write, Save)
+    assert ended.write.record.session is None
+    assert phase(end) == ("greeting", True)
+    assert end.core.status().key_blocks_waiting == 0
+
+
+def test_a_controller_that_stops_says_how_many_blocks_wait() -> None:
+    end = keys_at_work()
+    (notice,) = end.core.stop(1.0).notices
+    assert (notice.level, notice.subject) == ("warning", "")
+    assert "1" in notice.text.split(":")[1]
+
+
+def test_rows_of_confirmed_blocks_go_at_the_end_at_the_latest() -> None:
+    end = keys_at_work()
+    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).write is None
+    end.core.receive(Measurement, measurement().wire(), 2.0)  # its answer announces the block
+    stopped = end.core.stop(3.0)
+    assert isinstance(stopped.write, Save)
+    assert stopped.write.obsolete_rows
+    assert stopped.write.record == end.core.record
+
+
+def test_a_broken_key_store_is_an_error_and_told_in_every_status() -> None:
+    end = keys_at_work()
+    (notice,) = end.does(end.core.key_task_done(Broken("disk full"), 1.0)).notices
+    assert (notice.level, notice.subject) == ("error", "")
+    assert "disk full" in notice.text
+    assert end.core.status().keys_refused == "disk full"
+
+
+def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
+    end = keys_at_work()
+    k = end.core.record.k
+    for count, level in ((3, "error"), (1, "info")):
+        actions = end.core.appear(count)
+        assert actions.events == (Appearances(S, k, count),)
+        (notice,) = actions.notices
+        assert (notice.level, notice.subject) == (level, "appearances")
+        assert f"{count} time" in notice.text
+        assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
+        status = end.core.status()
+        assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
+
+
+def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session() -> None:
+    """A session that ends, or begins, has had none of them."""
+    old = measurement(k=2, applied_k=1)
+    end = Told().at_work()
+    for _ in range(STALE - 1):
+        assert end.hears(old, 1.0) == NOTHING_TO_DO
+    end.hears(hello(session=NEW), 2.0)
+    assert end.core.record.session == NEW
+    end.hears(measurement(session=NEW, k=7, applied_k=-1, x_after=()), 3.0)
+    old = old.model_copy(update={"session": NEW})
+    for _ in range(STALE - 1):
+        assert end.hears(old, 4.0) == NOTHING_TO_DO
+    assert end.notices[-1:] != [("warning", "refusals")]
+    end.hears(old, 5.0)
+    assert end.core.record.session is None

@@ -1,0 +1,1195 @@
+"""All that a plant tells: each status field by field, each notice by level, each event whole."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf
+from typing import Any
+
+import pytest
+
+from plant_service.adapters.base import PlantError
+from plant_service.core import (
+    CHUNK_SYMBOLS,
+    FAREWELL_S,
+    HELLO_S,
+    LAST_KEYS_REPEAT_S,
+    LAST_KEYS_S,
+    MEETING_S,
+    PlantCore,
+)
+from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
+from protocol.defence.key_digits import digits
+from protocol.link.events import (
+    NEW_JOURNAL,
+    AttackBegan,
+    FrameRefused,
+    Interrupted,
+    Milestone,
+    Missed,
+    SessionBegan,
+    Timing,
+)
+from protocol.link.key_events import Appearances
+from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
+from protocol.link.records import ReceiverRecord, Step
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
+from protocol.messages import (
+    BlockAnnouncement,
+    ControllerHello,
+    Measurement,
+    Message,
+    Offer,
+    PlantHello,
+    PlantModel,
+    PlantStatus,
+)
+from protocol.scenario import Scenario
+from protocol.schemes.framing import encode_frame
+from protocol.secret.blocks import BlockResult, Schedule, Stored
+from protocol.secret.bound import Assumption
+from protocol.secret.nonces import Contribution, fresh_nonce
+from protocol.secret.records import Key
+from protocol.secret.tasks import Broken, CoinKeys, CoinTask
+from protocol.vectors import Vector
+from runtime.errors import DONE, USAGE
+from tests.support.line_ends import line_rules
+
+RULES = line_rules(alpha=4.0, largest_input=5.0)
+KEYS = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+COIN = replace(RULES, keyed=True)
+S, T, NEW = "1" * 16, "2" * 16, "9" * 16
+A, B, P = "a" * 16, "b" * 16, "c" * 16
+CANDIDATES = ((1.5,), (-1.5,))
+RECORD = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.25,), transitions=2, controller=A)
+OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
+NONCE = fresh_nonce()
+TRUTH = Truth((7.0,), (8.0,))
+
+
+class Machine:
+    """A plant that goes where it is told, and remembers what it was told."""
+
+    def __init__(self, *, acts: bool = False, device: bool = False) -> None:
+        self.acts, self.device = acts, device
+        self.truth: Truth | None = None
+        self.coin = 0
+        self.x_next: Vector = (1.5,)
+        self.fallback: Vector = (0.5,)
+        self.asked: list[tuple[Any, ...]] = []
+        self.closing = ""
+
+    def toss(self, j: int) -> int:
+        self.asked.append(("toss", j))
+        return self.coin
+
+    def prepare(self, k: int) -> None:
+        self.asked.append(("prepare", k))
+
+    def fall_back(self, x: Vector, in_force: Vector) -> Vector:
+        self.asked.append(("fall back", x, in_force))
+        return self.fallback
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:
+        self.asked.append(("begin", k, x, u))
+
+    def end(self, k: int) -> Vector:
+        self.asked.append(("end", k))
+        return self.x_next
+
+    def safe(self, why: str) -> None:
+        self.asked.append(("safe", why))
+
+    def close(self) -> str:
+        self.asked.append(("close",))
+        return self.closing
+
+
+class Told:
+    """A plant, and all that it ever did."""
+
+    def __init__(
+        self,
+        rules: Rules = RULES,
+        record: ReceiverRecord = RECORD,
+        *,
+        machine: Machine | None = None,
+        step_s: float | None = 1.0,
+        **more: Any,
+    ) -> None:
+        self.machine = machine or Machine()
+        coin: Any = self.machine
+        self.core = PlantCore(
+            rules,
+            self.machine,
+            coin,
+            self.machine.fall_back,
+            Pacing(step_s, 4, 0.0),
+            lambda: NEW,
+            0.0,
+            instance=P,
+            record=record,
+            **more,
+        )
+        self.all: list[Actions] = []
+
+    def does(self, actions: Actions) -> Actions:
+        """What a shell does with the actions, and with those after them; the first ones."""
+        first = actions
+        while True:
+            self.all.append(actions)
+            assert all(notice.text for notice in actions.notices)
+            if not actions.finish_step:
+                return first
+            actions = self.core.finish_step()
+
+    def hears(self, message: Message, now: float) -> Actions:
+        return self.does(self.core.receive(type(message), message.wire(), now))
+
+    def wakes(self, now: float) -> Actions:
+        return self.does(self.core.wake(now))
+
+    @property
+    def events(self) -> list[Any]:
+        """Of all that was traced so far; forgotten afterwards."""
+        said = [event for actions in self.all for event in actions.events]
+        self.all.clear()
+        return said
+
+    @property
+    def notices(self) -> list[tuple[str, str]]:
+        """Level and subject of all that was said so far; forgotten afterwards."""
+        said: list[tuple[str, str]] = [
+            (n.level, n.subject) for actions in self.all for n in actions.notices
+        ]
+        self.all.clear()
+        return said
+
+    def met(self, now: float = 0.0) -> "Told":
+        """A controller has taken up its session."""
+        self.does(self.core.start(now))
+        self.hears(hello(), now)
+        self.hears(hello(verdict="accepted", answers=P), now)
+        assert self.core.accepted
+        self.all.clear()
+        self.machine.asked.clear()
+        return self
+
+
+def hello(**fields: object) -> ControllerHello:
+    made = ControllerHello(
+        instance=A,
+        incarnation=1,
+        fingerprint=RULES.fingerprint,
+        verdict="greeting",
+        session=S,
+        answers=None,
+    )
+    return made.model_copy(update=fields)
+
+
+def offer(**fields: object) -> Offer:
+    return OFFER.model_copy(update=fields)
+
+
+def published(actions: Actions, kind: type[Message]) -> list[Any]:
+    return [message for message in actions.publish if type(message) is kind]
+
+
+@pytest.fixture
+def news(sustained: Scenario) -> PlantTelemetry:
+    return PlantTelemetry(sustained, "realtime", seeded=False, status_s=0.25)
+
+
+def fields(status: Message) -> dict[str, Any]:
+    """All but version, number and hour."""
+    said = status.model_dump()
+    del said["v"], said["seq"], said["t_ns"]
+    return said
+
+
+# --- how a life begins ----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fresh", [True, False])
+@pytest.mark.parametrize("attack", [None, AttackBegan({"kind": "ghost"})])
+def test_the_first_actions_say_which_session_it_is_and_save_a_new_one(
+    fresh: bool, attack: AttackBegan | None
+) -> None:
+    end = Told(fresh=fresh, attack=attack)
+    began = end.core.start(0.0)
+    (session, *others) = began.events
+    assert isinstance(session, SessionBegan)
+    assert session.session == S
+    assert (session.reason == NEW_JOURNAL) == fresh
+    assert others == ([] if attack is None else [attack])
+    assert began == Actions(events=began.events, write=Save(end.core.record) if fresh else None)
+
+
+REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
+
+
+def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
+    machine = Machine()
+    machine.truth = TRUTH
+    end = Told(machine=machine, step=Step(OFFER, 0, REPORT))
+    end.does(end.core.start(0.0))
+    first, second = end.all
+    assert first.finish_step
+    assert [type(e) for e in first.events] == [SessionBegan]
+    (counted,) = second.events
+    assert isinstance(counted, CountedTransition)
+    assert (counted.coin, counted.u, counted.truth, counted.x_next) == (0, (1.5,), TRUTH, (1.5,))
+    assert end.core.record.k == 4
+    assert end.core.measured_k == -1
+
+
+@pytest.mark.parametrize("begun", [None, Step(OFFER, 1)])
+def test_the_step_in_which_a_process_died_is_missed_and_told(begun: Step | None) -> None:
+    machine = Machine(acts=True, device=True)
+    machine.truth = TRUTH
+    end = Told(machine=machine, step=begun, back=(9.0,))
+    began = end.core.start(0.0)
+    assert [type(e) for e in began.events] == [SessionBegan, Interrupted]
+    known = begun is not None
+    assert began.events[1] == Interrupted(
+        session=S,
+        k=3,
+        x=(0.0,),
+        u=(-1.5,) if known else (0.25,),
+        x_next=(9.0,),
+        candidates=CANDIDATES if known else (),
+        coin=1 if known else -1,
+        truth=TRUTH,
+    )
+    assert began.write == Save(end.core.record)
+    record = end.core.record
+    assert (record.k, record.x, record.missed, record.transitions) == (4, (9.0,), 1, 2)
+    assert record.u == machine.fallback, "the fallback is in force"
+    assert not began.finish_step
+    assert machine.asked == [
+        ("fall back", (9.0,), (-1.5,) if known else (0.25,)),
+        ("begin", 4, (9.0,), machine.fallback),
+    ]
+
+
+def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() -> None:
+    machine = Machine(acts=True, device=True)
+    end = Told(machine=machine, step=Step(OFFER, 0, REPORT), back=(9.0,))
+    end.does(end.core.start(0.0))
+    _, after = end.all
+    assert [type(e) for e in after.events] == [CountedTransition, Interrupted]
+    interrupted = after.events[1]
+    assert isinstance(interrupted, Interrupted)
+    assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
+    assert isinstance(after.write, Save)
+    assert after.write.record == end.core.record
+    assert not after.write.later
+    assert end.core.record.k == 5
+    end.machine.x_next = (2.0,)
+    end.core.receive(ControllerHello, hello().wire(), 1.0)
+    assert [type(e) for e in end.events] == [SessionBegan, CountedTransition, Interrupted]
+
+
+# --- when a status is due, and what it says -------------------------------------------------------
+
+
+def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
+    news: PlantTelemetry,
+) -> None:
+    end = Told(telemetry=news, step_s=None)
+    end.does(end.core.start(0.0))
+    now, kept, models, last = 0.0, 0, [], -inf
+    for number in range(12):
+        actions = end.wakes(now)
+        (status,) = published(actions, PlantStatus)
+        models.append(len(published(actions, PlantModel)))
+        if models[-1]:
+            shown = [m for m in actions.publish if not isinstance(m, PlantHello)]
+            assert shown == [news.model, status], "the model stands before the status"
+        assert status.seq == number + 1
+        assert (actions.health is not None) == (now >= last + HEALTH_S)
+        if actions.health is not None:
+            assert actions.health == status
+            last, kept = now, kept + 1
+        following = next_turn(now, 0.25, phase_of(P))
+        assert published(end.wakes((now + following) / 2), PlantStatus) == []
+        now = following
+    assert kept == 3
+    assert models == [1, 0, 0, 0] * 3
+
+
+def test_without_telemetry_no_status_is_ever_due() -> None:
+    end = Told(step_s=None).met()
+    end.hears(OFFER, 0.0)
+    assert published(end.wakes(100.0), PlantStatus) == []
+    assert end.core.stop(101.0) == NOTHING_TO_DO
+    with pytest.raises(AssertionError):
+        end.core.status(0.0)
+
+
+def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry) -> None:
+    *symbols, _ = encode_frame(b"abc", 2)
+    held = symbols[:40]
+    record = RECORD._replace(
+        partial="".join(map(str, held)),
+        state=(1, -1),
+        transitions=60,
+        p=40,
+        sessions=2,
+        missed=7,
+        agreements=30,
+        symbol_errors=3,
+        messages=4,
+        frames_refused=5,
+        blocks_begun=6,
+        applied_k=2,
+        x=(0.5,),
+    )
+    end = Told(KEYS, record, telemetry=news).met()
+    end.core.receive(Offer, b"{", 0.0)
+    news.keys_refused = "a secret of its own"
+    said = fields(end.core.status(0.0))
+    assert said == {
+        "phase": "running",
+        "detail": "",
+        "session": S,
+        "sessions": 2,
+        "k": 3,
+        "x": (0.5,),
+        "transitions": 60,
+        "missed": 7,
+        "late": 0,
+        "malformed": 1,
+        "agreements": 30,
+        "symbol_errors": 3,
+        "rate_hz": 0.0,
+        "automaton": 1,
+        "recovered_symbols": 40,
+        "messages": 4,
+        "last_message": "",
+        "message_k": -1,
+        "latency_counts": said["latency_counts"],
+        "partial": said["partial"],
+        "frame_symbols": 40,
+        "frame_length": end.core.deframer.expected_length,
+        "frames_refused": 5,
+        "outside": 0,
+        "unexplained": 0,
+        "sampled_late_s": (),
+        "actuated_after_s": (),
+        "overruns": 0,
+        "keys_made": 0,
+        "keys_of_block": 0,
+        "key_block_steps": 0,
+        "keys_refused": "a secret of its own",
+        "keys_stopped": "",
+        "key_blocks_lost": 0,
+        "key_blocks_waiting": 0,
+        "key_blocks_begun": 6,
+        "appearances": 1,
+        "guarded": 0,
+        "unguarded": 0,
+        "guard_ahead": 0,
+        "forged": 0,
+        "forged_k": -1,
+        "pictured_k": -1,
+        "pictured_x": (),
+        "pictured_candidates": (),
+        "pictured_x_next": (),
+        "pictured_gauges": (),
+        "pictured_symbol": -1,
+        "pictured_inside": 0,
+        "tail_k": (),
+        "tail_x": (),
+        "tail_role": (),
+        "tail_symbol": (),
+        "tail_automaton": (),
+        "tail_coin": (),
+        "attack": "",
+        "true_x": (),
+        "tail_true_x": (),
+    }
+    assert sum(said["latency_counts"]) == 0
+
+
+def test_a_step_is_told_in_the_status_after_it(news: PlantTelemetry) -> None:
+    machine = Machine()
+    machine.truth = TRUTH
+    end = Told(telemetry=news, machine=machine).met()
+    end.wakes(0.0)  # which publishes its measurement
+    before = fields(end.core.status(0.0))
+    end.hears(OFFER, 0.25)
+    end.wakes(1.0)
+    after = fields(end.core.status(1.5))
+    assert after == before | {
+        "k": 4,
+        "x": (1.5,),
+        "transitions": 3,
+        "agreements": 1,
+        "automaton": end.core.record.state[0],
+        "latency_counts": after["latency_counts"],
+        "rate_hz": after["rate_hz"],
+        "sampled_late_s": (0.0,) * 3,
+        "actuated_after_s": (0.25,) * 3,
+        "pictured_k": 3,
+        "pictured_x": (0.0,),
+        "pictured_candidates": CANDIDATES,
+        "pictured_x_next": (1.5,),
+        "pictured_gauges": (0.0, 3.0),
+        "pictured_symbol": 0,
+        "pictured_inside": 1,
+        "tail_k": (3,),
+        "tail_x": ((0.0,),),
+        "tail_role": ("test",),
+        "tail_symbol": (0,),
+        "tail_automaton": (end.core.record.state[0],),
+        "tail_coin": (0,),
+        "true_x": (7.0,),
+        "tail_true_x": ((7.0,),),
+    }
+    assert sum(after["latency_counts"]) == 1
+
+
+def test_an_answer_is_timed_from_the_first_copy_of_its_measurement(
+    news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seconds: list[float] = []
+    monkeypatch.setattr(news, "answered", seconds.append)
+    end = Told(telemetry=news).met()
+    end.hears(offer(k=3, session=T), 0.0)
+    assert seconds == []
+    end.wakes(0.0)
+    end.wakes(0.25)  # a repeat
+    end.hears(OFFER, 0.5)
+    assert seconds == [0.5]
+    end.wakes(1.0)
+    end.hears(offer(k=4), 1.125)
+    assert seconds == [0.5, 0.125]
+    end.wakes(2.0)
+    end.wakes(3.0)  # missed
+    end.wakes(3.25)
+    end.hears(offer(k=6), 3.5)
+    assert seconds == [0.5, 0.125, 0.5]
+
+
+def test_an_offer_after_its_step_is_late_once(news: PlantTelemetry) -> None:
+    end = Told(telemetry=news).met()
+    end.wakes(0.0)
+    end.wakes(1.0)  # missed
+    assert end.core.record.missed == 1
+    assert end.core.status(0.0).late == 0
+    for _ in range(2):
+        assert end.hears(OFFER, 1.1) == NOTHING_TO_DO
+        assert end.core.status(0.0).late == 1
+    end.hears(offer(k=4), 1.2)
+    end.wakes(2.0)
+    for k in (3, 4):
+        end.hears(offer(k=k), 2.1)  # its step was made, or it was told
+    assert end.core.status(0.0).late == 1
+    end.wakes(3.0)
+    end.hears(offer(k=5), 3.1)
+    end.hears(offer(k=9), 3.1)  # of a step to come
+    assert end.core.status(0.0).late == 2
+
+
+# --- phases and notices ---------------------------------------------------------------------------
+
+
+def test_a_session_that_is_taken_up_is_told_once(news: PlantTelemetry) -> None:
+    end = Told(telemetry=news)
+    end.does(end.core.start(0.0))
+    assert end.core.status(0.0).phase == "greeting"
+    asks = end.hears(hello(), 0.0)
+    assert asks == Actions(write=Save(end.core.record), publish=asks.publish)
+    (asked,) = asks.publish
+    assert asked == PlantHello(
+        instance=P,
+        session=S,
+        controller=A,
+        incarnation=1,
+        fingerprint=RULES.fingerprint,
+        transitions=2,
+        applied_k=-1,
+    )
+    accepts = hello(verdict="accepted", answers=P)
+    (notice,) = end.hears(accepts, 0.0).notices
+    assert (notice.level, notice.subject) == ("info", "")
+    assert A in notice.text
+    assert S in notice.text
+    assert end.core.status(0.0).phase == "running"
+    assert end.hears(accepts, 0.1) == NOTHING_TO_DO
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
+    known: bool, news: PlantTelemetry
+) -> None:
+    record = RECORD._replace(transitions=3 if known else 0)
+    end = Told(record=record, telemetry=news)
+    end.does(end.core.start(0.0))
+    answer = end.hears(hello(fingerprint="e" * 64), 0.0)
+    (notice,) = answer.notices
+    if known:
+        assert (notice.level, notice.subject) == ("warning", "incompatible")
+        assert [type(m) for m in answer.publish] == [PlantHello]
+        assert "e" * 8 in notice.text
+        assert "e" * 9 not in notice.text
+        assert not end.core.refused
+        silent = end.hears(hello(fingerprint="e" * 64, verdict="accepted"), 0.0)
+        assert silent.publish == ()
+        assert len(silent.notices) == 1
+        return
+    assert answer == Actions(notices=(notice,))
+    assert (notice.level, notice.subject) == ("error", "")
+    status = end.core.status(0.0)
+    assert (status.phase, bool(status.detail)) == ("refused", True)
+    for text in (status.detail, notice.text):
+        assert "e" * 8 in text
+        assert "f" * 8 in text
+        assert "f" * 9 not in text
+    assert end.core.wake_at() == -inf
+    codes = [end.core.code]
+    assert end.wakes(1.0) == NOTHING_TO_DO
+    assert [*codes, end.core.code] == [None, USAGE]
+    assert fields(end.core.stop(2.0).publish[-1])["phase"] == "refused"
+
+
+def test_two_controllers_are_both_named() -> None:
+    end = Told().met()
+    answer = end.hears(hello(instance=B, session=None), 0.0)
+    (notice,) = answer.notices
+    assert (notice.level, notice.subject) == ("warning", "incompatible")
+    assert A in notice.text
+    assert B in notice.text
+    assert [m.controller for m in published(answer, PlantHello)] == [A]
+
+
+NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
+    (lambda end: end.hears(hello(verdict="unknown-session", answers=P), 0.0), "warning"),
+    (lambda end: end.does(end.core.end_session("keys are gone")), "error"),
+]
+
+
+@pytest.mark.parametrize(("ends", "level"), NEW_SESSIONS)
+def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
+    ends: Callable[[Told], object], level: str, news: PlantTelemetry
+) -> None:
+    record = RECORD._replace(partial="01", p=9, coin_key="k", coin_from=2, keyed=True, applied_k=1)
+    end = Told(record=record, telemetry=news).met()
+    ends(end)
+    (actions,) = end.all
+    (began,) = actions.events
+    assert isinstance(began, SessionBegan)
+    assert (began.session, bool(began.reason)) == (NEW, True)
+    assert actions.write == Save(end.core.record, drop_chunks=True)
+    assert end.core.record == ReceiverRecord(
+        session=NEW,
+        k=3,
+        x=(0.0,),
+        u=(0.25,),
+        state=RULES.scheme.initial,
+        sessions=2,
+        controller=A,
+        incarnation=1,
+    )
+    (said,) = actions.publish
+    assert isinstance(said, PlantHello)
+    assert (said.session, said.transitions, said.applied_k) == (NEW, 0, -1)
+    assert [(n.level, n.subject) for n in actions.notices] == [(level, "")]
+    assert NEW in actions.notices[0].text
+    status = end.core.status(0.0)
+    assert (status.phase, status.sessions, status.frame_symbols) == ("greeting", 2, 0)
+
+
+def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
+    end = Told().met()
+    record = end.core.record
+    wrong: list[tuple[type[Message], bytes, str]] = [
+        (Offer, b'{"session":1}', "offer"),
+        (ControllerHello, b'{"session":1}', "hello"),
+        (BlockAnnouncement, b'{"session":1}', "word"),
+        (Offer, offer(cipher=7).wire(), "offer.cipher"),
+    ]
+    for number, (kind, payload, name) in enumerate(wrong):
+        actions = end.core.receive(kind, payload, 0.0)
+        (notice,) = actions.notices
+        assert actions == Actions(notices=(notice,))
+        assert (notice.level, notice.subject) == ("warning", "malformed")
+        assert notice.text.split(":")[0] == name
+        assert (end.core.malformed, end.core.record) == (number + 1, record)
+
+
+@pytest.mark.parametrize("malformed", [{"coin_key": "k0"}, {"coin_from": 3}, {"coin_last": "k0"}])
+def test_an_offer_that_names_a_key_where_no_coin_is_keyed_is_malformed(
+    malformed: dict[str, object],
+) -> None:
+    end = Told().met()
+    (notice,) = end.hears(offer(**malformed), 0.0).notices
+    assert notice.subject == "malformed"
+    named = {"coin_key": "k0", "coin_from": 3, "coin_last": "k0"}
+    end = Told(COIN).met()
+    (notice,) = end.hears(offer(**{**named, **dict.fromkeys(malformed)}), 0.0).notices
+    assert notice.subject == "malformed"
+    assert end.hears(offer(**named), 0.0).notices == ()
+
+
+# --- steps ----------------------------------------------------------------------------------------
+
+
+def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
+    end = Told().met()
+    assert end.hears(OFFER, 0.25).publish == ()
+    assert end.machine.asked == [
+        ("toss", 2),
+        ("begin", 3, (0.0,), (1.5,)),
+        ("end", 3),
+        ("prepare", 3),
+        ("prepare", 4),
+    ]
+    first, second = end.all
+    assert isinstance(first.write, Step)
+    assert (first.write.coin, first.finish_step) == (0, True)
+    assert first.write.measurement is not None
+    assert (first.write.measurement.k, first.write.measurement.applied_k) == (4, 3)
+    assert second.write == Save(end.core.record, later=True)
+
+
+def test_a_plant_that_acts_saves_its_coin_before() -> None:
+    machine = Machine(acts=True, device=True)
+    machine.coin = 1
+    end = Told(machine=machine).met()
+    begun = end.core.receive(Offer, OFFER.wire(), 0.25)
+    assert begun == Actions(write=Step(OFFER, 1), finish_step=True)
+    assert machine.asked == [("toss", 2)]
+    assert end.core.under_way == OFFER
+    assert end.core.finish_step() == NOTHING_TO_DO
+    assert machine.asked[1:] == [("begin", 3, (0.0,), (-1.5,))]
+    over = end.core.wake(1.0)
+    assert machine.asked[2:] == [("end", 3)]
+    (report,) = published(over, Measurement)
+    assert isinstance(over.write, Step)
+    assert over.write.measurement == report
+    counted = end.core.finish_step()
+    (transition,) = counted.events
+    assert isinstance(transition, CountedTransition)
+    assert (transition.coin, transition.u) == (1, (-1.5,))
+    assert end.core.under_way is None
+
+
+@pytest.mark.parametrize("device", [False, True])
+def test_a_missed_step_is_told_whole(device: bool) -> None:
+    machine = Machine(acts=device, device=device)
+    machine.truth, machine.x_next = TRUTH, (4.0,)
+    end = Told(machine=machine).met()
+    assert end.core.wake_at() <= 1.0
+    end.wakes(1.0)
+    u = (0.25,) if device else machine.fallback
+    assert end.events == [Missed(S, 3, (0.0,), u, (4.0,), TRUTH)]
+    record = end.core.record
+    assert (record.k, record.x, record.u) == (4, (4.0,), machine.fallback)
+    assert (record.missed, record.transitions, record.applied_k) == (1, 2, -1)
+    made = [("end", 3), ("fall back", (4.0,), (0.25,)), ("begin", 4, (4.0,), machine.fallback)]
+    asked = [("fall back", (0.0,), (0.25,)), ("begin", 3, (0.0,), machine.fallback), ("end", 3)]
+    assert machine.asked == (made if device else asked)
+
+
+def test_a_fallback_that_is_in_force_is_not_applied_once_more() -> None:
+    machine = Machine(acts=True, device=True)
+    machine.fallback = (0.25,)
+    end = Told(machine=machine).met()
+    end.wakes(1.0)
+    assert [what for what, *_ in machine.asked] == ["end", "fall back"]
+    dead = Told(machine=Machine(acts=True, device=True), step=Step(OFFER, 0), back=(9.0,))
+    dead.machine.fallback = (1.5,)
+    dead.does(dead.core.start(0.0))
+    assert dead.machine.asked[-1][0] == "begin", "whether it is in force nobody knows"
+
+
+def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
+    machine = Machine(acts=True, device=True)
+    machine.coin, machine.x_next, machine.truth = 1, (4.0,), TRUTH
+    end = Told(machine=machine).met()
+    end.hears(OFFER, 0.25)
+    end.hears(hello(verdict="unknown-session", answers=P), 0.5)
+    saved = end.all[-1].write
+    assert isinstance(saved, Save)
+    assert isinstance(saved.record, ReceiverRecord)
+    assert saved.record.begun == Step(OFFER, 1)
+    end.all.clear()
+    machine.asked.clear()
+    actions = end.wakes(1.0)
+    told = Interrupted(NEW, 3, (0.0,), (-1.5,), (4.0,), CANDIDATES, 1, TRUTH)
+    assert actions.events == (told,)
+    assert actions.write == Save(end.core.record)
+    assert end.core.under_way is None
+    assert (end.core.record.missed, end.core.record.u) == (1, machine.fallback)
+    assert machine.asked == [
+        ("end", 3),
+        ("fall back", (4.0,), (-1.5,)),
+        ("begin", 4, (4.0,), machine.fallback),
+    ]
+
+
+def test_an_offer_is_applied_once_and_only_in_its_step() -> None:
+    machine = Machine(acts=True, device=True)
+    end = Told(machine=machine).met()
+    end.hears(OFFER, 0.25)
+    asked = list(machine.asked)
+    for strange in (OFFER, offer(k=4), offer(k=2), offer(session=T)):
+        assert end.hears(strange, 0.5) == NOTHING_TO_DO
+    assert machine.asked == asked
+
+
+@pytest.mark.parametrize("flipped", [0, 1])
+def test_what_becomes_of_a_frame_is_told_after_its_transition(
+    flipped: int, news: PlantTelemetry
+) -> None:
+    *symbols, last = encode_frame(b"a", 2)
+    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)), p=len(symbols))
+    end = Told(record=record, telemetry=news).met()
+    end.hears(offer(cipher=last ^ flipped), 0.25)
+    counted = end.all[-1]
+    transition, event = counted.events
+    assert isinstance(transition, CountedTransition)
+    (notice,) = counted.notices
+    assert notice.subject == ""
+    received = None if flipped else b"a"
+    if flipped:
+        assert event == FrameRefused(S, len(symbols) + 1)
+        assert notice.level == "error"
+    else:
+        assert event == Milestone("recovered", b"a")
+        assert notice.level == "info"
+        assert "3" in notice.text
+        assert "1 bytes" in notice.text
+    assert counted.write == Save(end.core.record, drop_chunks=True, received=received)
+    status = end.core.status(0.0)
+    assert (status.messages, status.frames_refused) == (1 - flipped, flipped)
+    assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
+
+
+# --- greetings, silence ---------------------------------------------------------------------------
+
+
+def test_hellos_come_so_often_until_somebody_answers() -> None:
+    end = Told()
+    end.does(end.core.start(0.0))
+    assert end.core.wake_at() == -inf
+    (first,) = end.wakes(0.0).publish
+    assert isinstance(first, PlantHello)
+    assert first.controller is None
+    assert end.core.wake_at() == HELLO_S
+    assert published(end.wakes(0.99 * HELLO_S), PlantHello) == []
+    assert len(published(end.wakes(HELLO_S), PlantHello)) == 1
+    end.hears(hello(), 2 * HELLO_S)
+    (asks,) = end.wakes(2 * HELLO_S).publish
+    assert isinstance(asks, PlantHello)
+    assert asks.controller == A
+
+
+def test_a_controller_that_is_silent_for_long_is_one_of_many_again() -> None:
+    end = Told(step_s=None).met()
+    assert end.core.wake_at() <= 0.0
+    end.wakes(0.0)
+    assert published(end.wakes(0.999 * SILENCE_S), PlantHello) == []
+    (said,) = published(end.wakes(SILENCE_S), PlantHello)
+    assert said.controller is None
+    assert published(end.wakes(SILENCE_S + 0.99 * HELLO_S), PlantHello) == []
+    assert len(published(end.wakes(SILENCE_S + HELLO_S), PlantHello)) == 1
+    end.hears(offer(), 2 * SILENCE_S)
+    assert published(end.wakes(2.9 * SILENCE_S), PlantHello) == [], "it was heard"
+
+
+@pytest.mark.parametrize(
+    ("said", "heard"),
+    [
+        (OFFER, True),
+        (offer(k=2), True),
+        (offer(session=T), False),
+        (hello(instance=B, session=None), False),
+    ],
+    ids=["its offer", "an old one", "another session's", "another's hello"],
+)
+def test_whoever_is_with_it_is_heard_by_whatever_it_says(said: Message, heard: bool) -> None:
+    end = Told(step_s=None).met()
+    end.hears(said, 1.0)
+    assert end.core.answered_at == (1.0 if heard else 0.0)
+
+
+def test_a_plant_that_waits_for_its_step_to_end_counts_no_silence() -> None:
+    machine = Machine(acts=True, device=True)
+    end = Told(machine=machine, step_s=5 * SILENCE_S).met()
+    end.hears(OFFER, 0.0)
+    assert end.core.wake_at() == 5 * SILENCE_S
+    assert end.wakes(4 * SILENCE_S) == NOTHING_TO_DO
+    assert end.core.answered_at == 4 * SILENCE_S
+
+
+# --- the watchdog ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_plant_without_offers_goes_to_its_safe_state(moved: bool) -> None:
+    patience = 3.5 if moved else MEETING_S
+    end = Told(record=RECORD if moved else RECORD._replace(k=0), step_s=None, watchdog_s=3.5).met(
+        1.0
+    )
+    end.wakes(0.999 * (1.0 + patience))
+    assert ("safe", "x") not in end.machine.asked
+    assert end.core.wake_at() <= 1.0 + patience
+    with pytest.raises(PlantError) as why:
+        end.core.wake(1.0 + patience)
+    assert f"{patience:g} s" in str(why.value)
+    assert end.machine.asked == [("safe", str(why.value))]
+
+
+def test_an_offer_that_is_applied_sets_the_watchdog_back() -> None:
+    end = Told(step_s=None, watchdog_s=3.0).met()
+    end.hears(OFFER, 2.0)
+    end.wakes(4.9)
+    with pytest.raises(PlantError):
+        end.core.wake(5.0)
+
+
+def test_a_patient_watchdog_waits_no_shorter_for_the_first_meeting() -> None:
+    end = Told(record=RECORD._replace(k=0), step_s=None, watchdog_s=2 * MEETING_S).met()
+    end.wakes(1.9 * MEETING_S)
+    with pytest.raises(PlantError):
+        end.core.wake(2 * MEETING_S)
+
+
+def test_from_its_first_step_on_the_watchdog_has_its_own_time() -> None:
+    end = Told(record=RECORD._replace(k=0), watchdog_s=2.0).met()
+    end.wakes(1.0)
+    assert end.core.record.missed == 1
+    end.wakes(2.9)
+    with pytest.raises(PlantError):
+        end.core.wake(3.0)
+
+
+def test_without_a_watchdog_a_plant_waits_for_ever() -> None:
+    end = Told(step_s=None).met()
+    end.wakes(1e9)
+
+
+# --- the keyed coin -------------------------------------------------------------------------------
+
+TWO = (Key("k0", bytes(range(32))), Key("k1", bytes(range(32, 64))))
+DIGITS = digits(TWO[0].key, 2)
+
+
+def keyed(key: str, first: int, last: str = "k1", **fields: object) -> Offer:
+    return offer(**{"coin_key": key, "coin_from": first, "coin_last": last, **fields})
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_a_measurement_says_which_key_chose_the_coin(named: bool) -> None:
+    machine = Machine()
+    machine.coin = 1 - DIGITS[0]
+    end = Told(COIN, machine=machine, coin_keys=TWO).met()
+    chosen = DIGITS[0] if named else 1 - DIGITS[0]
+    machine.x_next = CANDIDATES[chosen]
+    end.hears(keyed("k0" if named else "", 3 if named else 0), 0.25)
+    (counted,) = [e for a in end.all for e in a.events]
+    assert isinstance(counted, CountedTransition)
+    assert (counted.coin, counted.coin_key) == (chosen, "k0" if named else "")
+    assert counted.coin_from == (3 if named else -1)
+    record = end.core.record
+    assert record.keyed == named
+    assert (record.coin_key, record.coin_from) == (("k0", 3) if named else ("", -1))
+    (report,) = published(end.wakes(1.0), Measurement)
+    assert report.applied_key == ("k0" if named else "")
+    end.wakes(2.0)  # missed
+    after = end.core.record
+    assert (after.coin_key, after.coin_from) == (record.coin_key, record.coin_from)
+    assert end.core.said_key("k0", keyed=True) == "k0"
+    assert Told().core.said_key("k0", keyed=True) is None
+
+
+@pytest.mark.parametrize("applied", ["k0", ""])
+@pytest.mark.parametrize("measured", [True, False])
+def test_a_process_binds_the_newest_key_that_may_have_served(measured: bool, applied: str) -> None:
+    """Of a step that was begun and not read nobody knows whether its key chose."""
+    report = REPORT.model_copy(update={"applied_key": applied}) if measured else None
+    record = RECORD._replace(coin_key="", coin_from=-1)
+    begun = Step(keyed("k0", 3), 0, report)
+    machine = Machine(acts=True, device=True)
+    end = Told(COIN, record, machine=machine, step=begun, coin_keys=TWO, back=(9.0,))
+    end.does(end.core.start(0.0))
+    bound = not measured or applied
+    assert (end.core.coins.key, end.core.coins.first) == (("k0", 3) if bound else ("", -1))
+    other = Told(COIN, RECORD, step=Step(keyed("k0", 3, session=T), 0), coin_keys=TWO, back=(9.0,))
+    assert other.core.coins.key == ""
+
+
+def test_a_record_says_the_newest_key_where_no_step_does() -> None:
+    end = Told(COIN, RECORD._replace(coin_key="k1", coin_from=2), coin_keys=TWO).met()
+    assert end.core.coins.digit(keyed("k0", 3)) is None
+    assert end.core.coins.digit(keyed("k1", 3)) is None
+    assert end.core.coins.digit(keyed("k1", 2)) == digits(TWO[1].key, 2)[1]
+
+
+def test_keys_that_the_controller_holds_are_asked_for() -> None:
+    rules = replace(KEYS, keyed=True)
+    end = Told(rules, RECORD._replace(transitions=0)).met()
+    end.hears(keyed("", 0, "k1", nonce=NONCE), 0.25)
+    assert [t for a in end.all for t in a.keys] == [CoinTask(S, "")]
+    assert end.core.key_task_done(CoinKeys(S), 0.5) == NOTHING_TO_DO
+    end.all.clear()
+    for k, asks in ((4, []), (5, [CoinTask(S, "")])):
+        end.wakes(k - 3.0)
+        end.hears(keyed("", 0, "k1", k=k, nonce=NONCE), k - 2.75)
+        tasks = [t for a in end.all for t in a.keys if isinstance(t, CoinTask)]
+        assert tasks == asks, "once a second where there are none"
+        end.all.clear()
+
+
+# --- key blocks -----------------------------------------------------------------------------------
+
+
+def rows(until: int) -> list[Contribution]:
+    return [Contribution(j, 1, b"n" * 32, None) for j in range(1, until)]
+
+
+def keys_at_work(steps: int | None = None, **more: Any) -> Told:
+    """Block 0 is whole, stored, and not confirmed."""
+    record = RECORD._replace(transitions=4, k=5)
+    end = Told(KEYS, record, contributions=rows(4), steps=steps, **more)
+    end.does(end.core.start(0.0))
+    if steps is None:
+        end.hears(hello(), 0.0)
+        end.hears(hello(verdict="accepted", answers=P), 0.0)
+    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+    assert [event.as_event()["event"] for event in stored.events] == ["block"]
+    end.all.clear()
+    return end
+
+
+def word(tag: str = "b" * 32, waiting: int = 1, **fields: Any) -> BlockAnnouncement:
+    made = BlockAnnouncement(side="controller", session=S, block=0, tag=tag, waiting=waiting)
+    return made.model_copy(update=fields)
+
+
+def test_a_life_with_keys_gives_its_keeper_what_the_journal_has() -> None:
+    end = Told(KEYS, RECORD._replace(transitions=4), contributions=rows(4))
+    began = end.core.start(0.0)
+    assert [type(task).__name__ for task in began.keys] == ["ClosedBlock"]
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> None:
+    end = keys_at_work()
+    tag = "b" * 32 if right else "c" * 32
+    end.hears(offer(k=5, nonce=NONCE, block=0, tag=tag), 0.25)
+    counted = end.all[-1]
+    judged = BlockResult(S, 0, "confirmed" if right else "unequal")
+    assert counted.keys == (judged,)
+    assert isinstance(counted.write, Save)
+    if right:
+        assert counted.notices == ()
+        assert (counted.write.later, counted.write.obsolete_rows) == (True, ())
+        assert counted.write.contribution is not None
+        assert counted.write.contribution.j == 4
+        assert (end.core.record.session, end.core.record.block) == (S, 0)
+        done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5)
+        assert done.write == Save(end.core.record, obsolete_rows=(range(1, 3),))
+        return
+    assert [type(e) for e in counted.events] == [CountedTransition, SessionBegan]
+    assert [(n.level, n.subject) for n in counted.notices] == [("error", "")]
+    assert NEW in counted.notices[0].text
+    assert end.core.record.session == NEW
+    assert counted.write == Save(end.core.record, drop_chunks=True)
+    assert [type(m) for m in counted.publish] == [PlantHello]
+
+
+def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
+    end = keys_at_work()
+    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.1))
+    end.hears(offer(k=5, nonce=NONCE), 0.25)
+    counted = end.all[-1].write
+    assert isinstance(counted, Save)
+    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+
+
+def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
+    *begun, last = encode_frame(b"x" * 99, 2)[:CHUNK_SYMBOLS]
+    record = RECORD._replace(
+        transitions=4, k=5, state=(2, 0), partial="".join(map(str, begun)), p=len(begun)
+    )
+    for tag in ("b" * 32, "c" * 32):
+        end = Told(KEYS, record, contributions=rows(4)).met()
+        end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+        end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
+        write = end.all[-1].write
+        assert isinstance(write, Save)
+        differs = tag[0] == "c"
+        assert len(write.chunk) == (0 if differs else CHUNK_SYMBOLS)
+        assert write.drop_chunks == differs
+        assert not write.later
+        assert end.core.record.partial == ""
+
+
+def test_a_status_between_models_shows_the_newest_steps_alone(news: PlantTelemetry) -> None:
+    end = Told(telemetry=news, step_s=None).met()
+    for k in range(3, 15):
+        end.hears(offer(k=k), 0.0)
+    shown = [published(end.wakes(end.core.wake_at() + 0.2), PlantStatus) for _ in range(3)]
+    sizes = [len(status[0].tail_k) for status in shown if status]
+    assert sizes == [12, 12, TAIL_AT_LEAST]
+    assert len(end.core.status(9.0).tail_k) == 12, "who asks is shown all"
+    assert len(end.core.status(9.0, whole=False).tail_k) == TAIL_AT_LEAST
+
+
+def test_a_missed_step_takes_rows_along_that_may_go() -> None:
+    end = keys_at_work()
+    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5))
+    end.wakes(1.0)  # missed: its measurement announces the block
+    assert end.core.record.block == 0
+    (write,) = [a.write for a in end.all if isinstance(a.write, Save)]
+    assert write.obsolete_rows == (range(1, 3),)
+
+
+def test_a_plant_that_stops_says_how_many_blocks_wait() -> None:
+    end = keys_at_work()
+    (notice,) = end.core.stop(1.0).notices
+    assert (notice.level, notice.subject) == ("warning", "")
+    assert "1" in notice.text.split(":")[1]
+
+
+def test_a_broken_key_store_is_an_error() -> None:
+    end = keys_at_work()
+    (notice,) = end.core.key_task_done(Broken("disk full"), 0.0).notices
+    assert (notice.level, notice.subject) == ("error", "")
+    assert "disk full" in notice.text
+
+
+def test_more_links_than_were_stated_stop_keys_until_they_are_gone(news: PlantTelemetry) -> None:
+    end = keys_at_work(telemetry=news)
+    for now, count, level in ((1.0, 3, "error"), (2.0, 1, "info")):
+        actions = end.core.appear(count)
+        assert actions.events == (Appearances(S, end.core.record.k, count),)
+        (notice,) = actions.notices
+        assert (notice.level, notice.subject) == (level, "appearances")
+        assert f"{count} time" in notice.text
+        assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
+        status = end.core.status(0.0)
+        assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
+        (said,) = published(end.wakes(now), Measurement)
+        assert said.copy_number == (count > 1)
+        assert (said.nonce == end.core.record.nonce) == (count == 1)
+
+
+# --- the end --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("round_trip_s", [None, 0.5])
+def test_a_plant_that_is_over_reports_until_it_is_answered_or_time_is_up(
+    round_trip_s: float | None,
+) -> None:
+    more: dict[str, Any] = {} if round_trip_s is None else {"round_trip_s": round_trip_s}
+    end = Told(steps=3, **more)
+    end.does(end.core.start(10.0))
+    until = 10.0 + FAREWELL_S + (round_trip_s or 0.0)
+    assert end.core.wake_at() == -inf
+    (said,) = end.wakes(10.0).publish
+    assert isinstance(said, Measurement)
+    assert said.k == 3
+    assert end.core.wake_at() == 10.0 + LOCKSTEP_REPEAT_S
+    assert len(end.wakes(until - 0.001).publish) == 1
+    assert end.core.code is None
+    assert end.wakes(until) == NOTHING_TO_DO
+    assert end.core.code == DONE
+
+
+def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> None:
+    end = Told(steps=3)
+    end.does(end.core.start(10.0))
+    end.wakes(10.0)
+    for said in (offer(k=2), hello(verdict="unknown-session", answers=P), offer(k=4)):
+        assert end.hears(said, 10.1) == NOTHING_TO_DO
+    assert end.does(end.core.end_session("why")) == NOTHING_TO_DO
+    assert end.core.code is None
+    assert end.hears(OFFER, 10.2) == NOTHING_TO_DO
+    assert end.core.code == DONE
+
+
+def test_whole_blocks_are_waited_for_until_both_ends_have_none() -> None:
+    end = keys_at_work(steps=5)
+    end.wakes(10.0)
+    last = end.hears(offer(k=5), 10.25)
+    (said,) = last.publish
+    assert said == BlockAnnouncement(side="plant", session=S, block=0, tag="a" * 32, waiting=1)
+    assert [(n.level, n.subject) for n in last.notices] == [("info", "")]
+    assert "1" in last.notices[0].text
+    assert end.core.wake_at() == 10.25 + LAST_KEYS_REPEAT_S
+    again = end.wakes(10.5)
+    assert again == Actions(publish=(said,))
+    assert end.hears(word(), 10.6).keys == (BlockResult(S, 0, "confirmed"),)
+    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 10.7))
+    end.wakes(10.8)
+    assert end.core.code is None, "the controller waits still"
+    end.hears(word(waiting=0), 10.9)
+    assert end.wakes(11.0) == NOTHING_TO_DO
+    assert end.core.code == DONE
+
+
+def test_whole_blocks_are_waited_for_no_longer_than_stated() -> None:
+    end = keys_at_work(steps=5)
+    end.wakes(10.0)
+    end.hears(offer(k=5), 10.25)
+    end.wakes(10.24 + LAST_KEYS_S)
+    assert end.core.code is None
+    assert end.wakes(10.25 + LAST_KEYS_S) == NOTHING_TO_DO
+    assert end.core.code == DONE
+
+
+def test_after_a_block_that_differs_nothing_is_waited_for() -> None:
+    end = keys_at_work(steps=5)
+    end.wakes(10.0)
+    end.hears(offer(k=5), 10.25)
+    told = end.hears(word("c" * 32, waiting=3), 10.5)
+    assert told.keys == (BlockResult(S, 0, "unequal"),)
+    end.does(end.core.key_task_done(BlockResult(S, 0, "unequal"), 10.6))
+    end.wakes(10.7)
+    assert end.core.code == DONE
+
+
+@pytest.mark.parametrize("fields", [{"side": "plant"}, {"session": T}])
+def test_a_word_that_is_not_the_controllers_of_the_session_counts_for_nothing(
+    fields: dict[str, Any],
+) -> None:
+    end = keys_at_work(steps=5)
+    end.wakes(10.0)
+    end.hears(offer(k=5), 10.25)
+    assert end.hears(word(**fields), 10.5) == NOTHING_TO_DO
+    end.hears(word(waiting=0), 10.6)
+    assert Told().met().hears(word(), 1.0) == NOTHING_TO_DO, "no keys are made"
+
+
+def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantTelemetry) -> None:
+    machine = Machine()
+    machine.closing = "the valve does not move"
+    end = Told(machine=machine, telemetry=news).met()
+    end.wakes(0.5)  # which is no tick
+    end.wakes(1.0)
+    machine.asked.clear()
+    stopped = end.core.stop(1.01)
+    assert [what for what, *_ in machine.asked] == ["safe", "close"]
+    assert machine.asked[0][1], "it is told why"
+    assert stopped.events == (Timing(4, 1, (0.0,) * 3, (), 0),)
+    assert stopped.notices == (Notice("the valve does not move", "error"),)
+    status = stopped.publish[-1]
+    assert isinstance(status, PlantStatus)
+    assert (status.phase, status.k) == ("stopped", 4)
+    assert stopped.health == status, "the last status is kept"
+    assert stopped.write is None
+
+
+def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:
+    *symbols, last = encode_frame(b"a", 2)
+    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)))
+    for steps, phase in ((4, "stopped"), (5, "running")):
+        end = Told(record=record, telemetry=news, steps=steps).met()
+        end.hears(offer(cipher=last), 0.25)
+        assert end.core.status(0.0).phase == phase
