@@ -7,7 +7,7 @@ WORKDIR /build
 RUN python3 -m venv /opt/wyner
 # Dependencies first: they change seldom, and their layer is kept while they do not.
 COPY requirements/image.txt requirements/image.txt
-RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check \
+RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check --no-compile \
         --only-binary :all: --require-hashes --requirement requirements/image.txt
 COPY pyproject.toml LICENSE NOTICE README.md ./
 COPY protocol protocol

@@ -35,14 +35,14 @@ $(VENV)/bin/python:
 # What running needs, pinned and checked by hash; then the project itself.
 $(STAMPS)/runtime: requirements/runtime.txt pyproject.toml | $(VENV)/bin/python
 	@echo "installing into $(VENV): half a minute, once"
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/runtime.txt
+	deploy/pinned $(VENV) requirements/runtime.txt
 	$(BIN)/pip install $(NODEPS) --editable .
 	@mkdir -p $(STAMPS) && touch $@
 
 # What testing needs; it contains all that running needs.
 $(STAMPS)/dev: requirements/dev.txt pyproject.toml | $(VENV)/bin/python
 	@echo "installing what the tests need into $(VENV): a minute, once"
-	$(BIN)/pip install --quiet --disable-pip-version-check --require-hashes -r requirements/dev.txt
+	deploy/pinned $(VENV) requirements/dev.txt
 	$(BIN)/pip install $(NODEPS) --editable .
 	@mkdir -p $(STAMPS) && touch $@ $(STAMPS)/runtime
 
@@ -149,6 +149,8 @@ bench: $(STAMPS)/dev
 lock:
 	$(PYTHON) -m venv $(VENV)
 	$(BIN)/pip install --quiet uv
+	echo uv | $(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
+	  --no-header --no-emit-index-url --upgrade - -o requirements/uv.txt
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 	  --no-header --no-emit-index-url --upgrade pyproject.toml -o requirements/runtime.txt
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
