@@ -28,6 +28,9 @@ SHOWN_TEXT: Final = 2000
 LARGEST_CONFIDENCE: Final = 1.0 + 1e-9
 """A probability at most; a sum of shares may exceed 1 by a rounding."""
 
+ROUNDING: Final = 1e-6
+"""By which the probabilities of a guess may miss a sum of 1."""
+
 
 class Listener:
     """An eavesdropper with the last of her guesses and the count of her steps.
@@ -158,8 +161,11 @@ def sound_guess(guess: object, size: int) -> Guess:
         raise TypeError(f"expected a Guess, got {guess!r}")
     symbol = tuple(map(float, guess.symbol))
     agreed = float(guess.agreed)
-    if len(symbol) != size or not all(0.0 <= p <= LARGEST_CONFIDENCE for p in (*symbol, agreed)):
-        raise ValueError(f"expected {size} probabilities and that of an agreement, got {guess}")
+    shares = len(symbol) == size and min(symbol) >= 0.0 and abs(sum(symbol) - 1.0) <= ROUNDING
+    if not (shares and 0.0 <= agreed <= LARGEST_CONFIDENCE):
+        raise ValueError(
+            f"expected {size} probabilities that sum to 1, and that of an agreement, got {guess}"
+        )
     return Guess(index(guess.k), symbol, agreed, str(guess.session))
 
 

@@ -109,11 +109,13 @@ def make_law(scenario: Scenario, design: "Design") -> "CandidateLaw":
     """
     name = scenario.control.law
     law = law_named(name)(scenario, design)
-    if names_a_file(name):
-        from controller_service.laws.own import refuse_odd_answers
+    if not names_a_file(name):
+        return law
+    from controller_service.laws.own import OwnLaw, try_at_origin
 
-        refuse_odd_answers(name, law, scenario)
-    return law
+    own = OwnLaw(name, law, scenario)
+    try_at_origin(own, scenario)
+    return own
 
 
 def synthesise(scenario: Scenario, progress: "Progress | None" = None) -> "Design":

@@ -1,10 +1,16 @@
 """The schemes by name, as a scenario's ``[secrecy] scheme`` gives it."""
 
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from typing import Any, Final, TypeVar
 
 from protocol.agreement import NO_SYMBOL
 from protocol.registry import Classes, UnknownError
 from protocol.schemes.base import Carry, Scheme
+
+T = TypeVar("T")
+
+EXPLORED: Final = 64
+"""States of a scheme that are looked at before anybody follows it."""
 
 
 class Schemes(Classes[Scheme[Any]]):
@@ -25,13 +31,51 @@ class Schemes(Classes[Scheme[Any]]):
                 f"got {initial!r}"
             )
         try:
-            answer: object = scheme(2).advance(initial, NO_SYMBOL)
-        except Exception as error:  # the code is the user's
-            raise UnknownError(f"{name!r}: advance: {type(error).__name__}: {error}") from error
-        kinds = [type(part) for part in answer] if isinstance(answer, tuple) else []
-        if kinds != [type(initial), Carry]:
-            raise UnknownError(f"{name!r}: advance: got {answer!r}, expected a state and a Carry")
+            problem = next(_problems(_asked(scheme, 2)), None)
+        except UnknownError as error:
+            raise UnknownError(f"{name!r}: {error}") from error.__cause__
+        if problem is not None:
+            raise UnknownError(f"{name!r}: {problem}")
         return scheme
+
+
+def _asked(method: Callable[..., T], *arguments: object) -> T:
+    """What it answers; raises UnknownError with one line where it raises anything."""
+    try:
+        return method(*arguments)
+    except Exception as error:  # the code is the user's
+        why = " ".join(f"{type(error).__name__}: {error}".split())
+        raise UnknownError(f"{method.__name__}: {why}") from error
+
+
+def _problems(scheme: Scheme[Any]) -> Iterator[str]:
+    """What breaks a scheme's rules in its states over two symbols, the nearest ones first."""
+    symbols = (NO_SYMBOL, 0, 1)
+    states = [scheme.initial]
+    for state in states:
+        pad: object = _asked(scheme.pad, state)
+        tests: object = _asked(scheme.tests, state)
+        if pad not in symbols:
+            yield f"pad: got {pad!r} in {state}, expected -1 to 1 for two symbols"
+        if not isinstance(tests, bool):
+            yield f"tests: got {tests!r} in {state}, expected True or False"
+        answers: list[object] = [_asked(scheme.advance, state, v) for v in symbols]
+        for verdict, answer in zip(symbols, answers, strict=True):
+            told = f"advance: got {answer!r} in {state} at {verdict}, expected"
+            match answer:
+                case (tuple() as after, Carry() as carry) if type(after) is type(state):
+                    if not all(isinstance(v, int) for v in after):
+                        yield f"{told} a state of whole numbers"
+                    if carry.pad != pad:
+                        yield f"{told} pad {pad!r}, as pad() says"
+                    if carry.agreed not in (NO_SYMBOL, verdict):
+                        yield f"{told} agreed to be the verdict, or -1"
+                    if after not in states and len(states) < EXPLORED:
+                        states.append(after)
+                case _:
+                    yield f"{told} a state and a Carry"
+        if not tests and any(answer != answers[0] for answer in answers):
+            yield f"tests: got False in {state}, expected True, since a verdict makes a difference"
 
 
 SCHEMES: Final[Schemes] = Schemes(

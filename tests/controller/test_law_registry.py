@@ -20,6 +20,7 @@ from protocol.registry import UnknownError
 from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS
+from runtime.user_code import UserCodeError
 from tests.support.safety import violations
 from tests.system.test_services import System
 from wyner.cli.main import main
@@ -134,12 +135,12 @@ def test_a_law_that_nobody_registered() -> None:
     ("answers", "many", "expected"),
     [
         ("(0.0, 0.0)", "zeros", r"one state: got shape \(2,\), expected \(2, 1\)"),
-        ("((0.0,), (0.0,))", "zeros[0]", r"many states: got shape \(2, 1\) for one"),
+        ("((0.0,), (0.0,))", "zeros[0]", r"many states: got shape \(2, 1\), expected \(1, 2, 1\)"),
         ("((0.0,), (0.0,))", "zeros + 0.1", r"got \[\[0.0\], \[0.0\]\] for one state and \[\[0.1"),
         (
             "((1e9,), (0.0,))",
             "zeros",
-            r"got \[\[1000000000.0\].*, expected each in control.inputs",
+            r"got \[1000000000.0\], expected each in control.inputs",
         ),
         ("1 / 0", "zeros", "ZeroDivisionError: division by zero"),
     ],
@@ -160,3 +161,45 @@ def test_a_law_of_ones_own_that_answers_no_candidates_is_one_line(
     with pytest.raises(ProgramError, match=rf"^control\.law: \S+odd.py:Odd: .*{expected}") as told:
         make_law(scenario, design)
     assert "\n" not in str(told.value)
+
+
+@pytest.mark.parametrize(
+    ("answer", "expected"),
+    [
+        ("1 / 0", "ZeroDivisionError: division by zero"),
+        ("u * np.nan", r"got \[nan\], expected each in control.inputs"),
+        ("u + 100", r"got \[\d+\.\d+\], expected each in control.inputs"),
+        ("u[:, :1]", r"got shape \((\d, )?1, 1\), expected \((\d, )?2, 1\), M candidates"),
+        ("None", r"got shape \(\), expected \((\d, )?2, 1\)"),
+        ("'none'", "ValueError: could not convert string to float"),
+    ],
+)
+def test_a_law_of_ones_own_that_fails_far_from_the_origin_ends_who_asked_with_one_line(
+    tmp_path: Path, answer: str, expected: str
+) -> None:
+    path = tmp_path / "far.py"
+    path.write_text(
+        "import numpy as np\nfrom controller_service.laws.base import ProgramLaw\n\n\n"
+        "class Far(ProgramLaw):\n"
+        "    def candidates(self, x):\n"
+        "        found = self.candidates_many([x])\n"
+        "        return None if found is None else found[0]\n\n"
+        "    def candidates_many(self, X, indices=None):\n"
+        "        u = super().candidates_many(X, indices)\n"
+        "        if np.abs(X).max() <= 1:\n            return u\n"
+        f"        return {answer}\n"
+    )
+    scenario = parse_scenario(table(law=f"{path}:Far"), "far.toml")
+    law = make_law(scenario, cached_design(scenario))
+    assert np.array_equal(law.candidates((0.1, 0.2)), law.candidates_many([(0.1, 0.2)])[0])
+    line = rf"^control\.law: \S+far.py:Far: candidates .*({expected})"
+    with pytest.raises(UserCodeError, match=line) as told:
+        law.candidates((4.0, -2.0))
+    assert "\n" not in str(told.value)
+    assert "[4.0, -2.0]" in str(told.value) or "shape" in str(told.value)
+    with pytest.raises(UserCodeError, match=line):
+        law.candidates_many([(0.1, 0.2), (4.0, -2.0)])
+    with pytest.raises(UserCodeError, match=line):
+        simulate_runs(scenario, law, seed=1, runs=range(2), steps=30)
+    with pytest.raises(LookupError, match="outside T_"):
+        law.candidates((1e6, 0.0))

@@ -878,10 +878,12 @@ def test_rows_of_confirmed_blocks_go_at_the_end_at_the_latest() -> None:
 
 def test_a_broken_key_store_is_an_error_and_told_in_every_status() -> None:
     end = keys_at_work()
+    assert end.core.status().key_blocks_waiting == 1
     (notice,) = end.does(end.core.key_task_done(Broken("disk full"), 1.0)).notices
     assert (notice.level, notice.subject) == ("error", "")
     assert "disk full" in notice.text
-    assert end.core.status().keys_refused == "disk full"
+    status = end.core.status()
+    assert (status.keys_refused, status.key_blocks_waiting) == ("disk full", 0)
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
@@ -896,6 +898,22 @@ def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
         assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
         status = end.core.status()
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
+        said = end.hears(measurement(k=k + count, applied_k=1, x_after=()), 10.0 / count)
+        (offer,) = said.publish
+        assert isinstance(offer, Offer)
+        assert offer.copy_number == (count > 1), "no first copy may appear more often"
+        k = end.core.record.k
+
+
+def test_what_was_reported_counts_before_it_is_counted() -> None:
+    end = Told().at_work()
+    seen = [(end.core.reported, end.core.unfinished)]
+    for said in (measurement(applied_k=1, x_after=()), measurement(k=5, applied_k=4)):
+        end.core.receive(Measurement, said.wire(), 1.0)
+        seen.append((end.core.reported, end.core.unfinished))
+        end.core.finish_step()
+        seen.append((end.core.reported, end.core.unfinished))
+    assert seen == [(2, False), (2, True), (2, False), (3, True), (3, False)]
 
 
 def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session() -> None:

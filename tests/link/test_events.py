@@ -18,7 +18,7 @@ from protocol.link.events import (
     SessionBegan,
     Timing,
 )
-from protocol.link.key_events import BlockStored, key_events, key_notices
+from protocol.link.key_events import Appearances, BlockStored, key_events, key_notices
 from protocol.link.keying import Keying
 from protocol.link.peer import Notice
 from protocol.link.session import CountedTransition, Truth
@@ -115,6 +115,7 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
             BlockStored(S, 1, 5),
             {"event": "block", "session": S, "number": 1, "keys": 5, "signed": ""},
         ),
+        (Appearances(S, 4, 2), {"event": "appearances", "session": S, "k": 4, "times": 2}),
         (
             BlockResult(S, 1, "confirmed", 5),
             {"event": "judged", "session": S, "number": 1, "what": "confirmed"},

@@ -224,9 +224,7 @@ def test_before_its_keys_a_message_waits_and_they_are_asked_for_at_once() -> Non
     ends = begun(Coding(2, 4), heard=1)
     wire = leaves(ends.plant, ends.at_plant, measurement(next_first(Coding(2, 4))))
     (task,) = ends.controller.receive(Measurement, wire, 0.0).keys
-    assert isinstance(task, GuardTask)
-    assert (task.session, task.instance, task.heard_after) == (S, C, 0)
-    assert (task.wants, task.session_words, task.step_words) == (False, 0, 0), "it sends none"
+    assert task == GuardTask(S, C, 0, MARGIN - 1, heard_after=0), "it sends none guarded"
     assert ends.at_controller.heard == []
     assert ends.controller.receive(Measurement, wire, 0.0).keys == (), "they are asked for already"
     ends.controller.key_task_done(GuardKeys(S, (), (batch(1),)), 0.0)
@@ -634,3 +632,56 @@ def test_an_end_is_told_the_time() -> None:
     ends.plant.stop(4.0)
     assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [2.0], [4.0], 3)
     assert ends.plant.wake_at() == end.due
+
+
+def test_each_batch_that_is_lacking_is_looked_for_once() -> None:
+    defence = Mac(2, 4)
+    ends = begun(defence, heard=0)
+    early = leaves(ends.plant, ends.at_plant, measurement(FIRST))
+    late = leaves(ends.plant, ends.at_plant, measurement(next_first(defence)))
+    controller = ends.controller
+    assert len(controller.receive(Measurement, early, 0.0).keys) == 1
+    assert controller.receive(Measurement, late, 0.0) == Actions(), "it has asked"
+    controller.key_task_done(GuardKeys(S), 0.0)
+    assert len(controller.receive(Measurement, late, 0.0).keys) == 1
+    controller.key_task_done(GuardKeys(S), 0.0)
+    for number, wire in enumerate((late, early), 1):
+        assert controller.receive(Measurement, wire, 0.0).keys == ()
+        assert len(ends.at_controller.heard) == number, "bare, as its keys are nowhere"
+    other = begun(defence, heard=0)
+    assert len(other.controller.receive(Measurement, late, 0.0).keys) == 1
+    other.controller.key_task_done(GuardKeys(S), 0.0)
+    assert other.controller.receive(Measurement, early, 0.0).keys == (), "an older one"
+
+
+@pytest.mark.parametrize(("made", "kept"), [(Mac, 1), (Coding, 0)])
+def test_a_batch_is_let_go_once_nothing_leaves_under_it_any_more(
+    made: Callable[[int, int], Defence], kept: int
+) -> None:
+    """A coded measurement may have to say a state of the batch before once more."""
+    defence = made(2, 4)
+    ends, at = begun(defence), next_first(defence)
+    leaves(ends.plant, ends.at_plant, measurement(at - 1))
+    ends.plant.key_task_done(GuardKeys(S), 0.0)
+    (task,) = tasks(ends.plant, ends.at_plant, measurement(at + 3, at - 2), 10.0)
+    assert task.sent_from == kept
+    ends.plant.key_task_done(GuardKeys(S), 10.0)
+    (task,) = tasks(ends.plant, ends.at_plant, measurement(at + 5, at + 3), 20.0)
+    assert task.sent_from == 1
+
+
+@pytest.mark.parametrize("k", [FIRST - 1, FIRST])
+def test_an_answer_leaves_guarded_and_asks_for_more_keys(k: int) -> None:
+    ends = begun(Mac(2, 4))
+    wire = leaves(ends.plant, ends.at_plant, measurement(k))
+    ends.at_controller.says_now = (offer(FIRST),)
+    heard = ends.controller.receive(Measurement, wire, 0.0)
+    (answer,) = heard.publish
+    assert b'"guard":"0/0"' in answer.wire()
+    assert len(heard.keys) == 1
+    lost = begun(Mac(2, 4))
+    lost.at_controller.says_now = (offer(FIRST),)
+    assert len(lost.controller.receive(Measurement, b"no message", 0.0).keys) == 1
+    lost.controller.key_task_done(GuardKeys(S), 0.0)
+    assert lost.controller.receive(ControllerHello, b"{}", 0.5).keys == ()
+    assert len(lost.controller.receive(ControllerHello, b"{}", LACKING_S).keys) == 1

@@ -227,6 +227,7 @@ def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_on
         (Stored(S, 0, TAG, keys=5), ""),
         (Stored(S, 2, ""), "block 2 lost too many copies to make one"),
         (Stored(S, 0, "", exhausted=True), "no pad is left to sign key blocks with"),
+        (Stored(S, 3, "", older=True), "block 3 began before the key store did"),
     ],
 )
 def test_why_the_last_block_made_no_key(done: Stored, stopped: str) -> None:

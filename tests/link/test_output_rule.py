@@ -7,11 +7,12 @@ from protocol.box_observer import Box, Estimate
 from protocol.link.events import Alarm
 from protocol.link.outputs import MOST_MISSED, OutputRule
 from protocol.link.records import ReceiverRecord
-from protocol.link.session import rules_of
+from protocol.link.session import Truth, rules_of
 from protocol.messages import Measurement
 from protocol.vectors import Vector
 from runtime.scenario_file import scenario_of
 from tests.support.controller_in_hand import ControllerInHand
+from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
 BOX = Box((0.09995, -0.001), (0.10005, 0.001))
@@ -146,6 +147,23 @@ def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with(
         assert told.u == rule.instead(estimate, missed, u)
         u = told.u
     assert pair.plant.record.estimate == estimate, "it stands until the next transition"
+
+
+def test_a_record_keeps_the_state_that_no_reading_tells(rule: OutputRule) -> None:
+    pair = Pair()
+    seen: list[Vector] = []
+    pair.plant.line.truth = Truth((0.5, -0.25), (0.0,))
+    pair.step(rule, 1)
+    seen.append(pair.plant.record.true_x)
+    for truth in (Truth((0.75, 0.125), (0.0,)), None):
+        pair.plant.line.truth = truth
+        pair.plant.missed((0.0,), pair.plant.record.x)
+        seen.append(pair.plant.record.true_x)
+    assert seen == [(0.5, -0.25), (0.75, 0.125), ()]
+    read = PlantInHand(line_rules(4.0, 5.0), P, ReceiverRecord(S, 1, (0.0,), (0.0,)))
+    read.line.truth = Truth((7.0,), (0.0,))
+    read.missed((0.0,), (1.0,))
+    assert read.record.true_x == (), "where all is read it stands in x"
 
 
 def test_a_session_begins_without_a_box(rule: OutputRule) -> None:

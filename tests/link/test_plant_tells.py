@@ -826,6 +826,24 @@ def test_a_plant_that_waits_for_its_step_to_end_counts_no_silence() -> None:
     assert end.core.answered_at == 4 * SILENCE_S
 
 
+def test_before_anybody_is_met_the_first_step_has_not_begun() -> None:
+    end = Told(record=RECORD._replace(k=0, transitions=0))
+    end.does(end.core.start(0.0))
+    end.wakes(3.5)
+    assert end.core.pacing.deadline == 4.5
+    end.hears(hello(), 5.0)
+    assert end.core.pacing.deadline == 6.0
+    end.hears(hello(verdict="accepted", answers=P), 5.5)
+    assert end.core.pacing.deadline == 6.5
+    assert end.core.wake_at() <= 5.5
+    (said,) = published(end.wakes(5.5), Measurement)
+    assert said.k == 0
+    end.hears(offer(k=0), 5.75)
+    assert end.core.wake_at() == 6.5
+    end.wakes(6.5)
+    assert (end.core.record.k, end.core.record.missed) == (1, 0)
+
+
 # --- the watchdog ---------------------------------------------------------------------------------
 
 
@@ -1125,6 +1143,7 @@ def test_whole_blocks_are_waited_for_until_both_ends_have_none() -> None:
     assert end.core.wake_at() == 10.25 + LAST_KEYS_REPEAT_S
     again = end.wakes(10.5)
     assert again == Actions(publish=(said,))
+    assert end.hears(offer(k=5), 10.55) == NOTHING_TO_DO, "that was counted"
     assert end.hears(word(), 10.6).keys == (BlockResult(S, 0, "confirmed"),)
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 10.7))
     end.wakes(10.8)

@@ -193,6 +193,33 @@ def test_a_name_that_is_none_is_one_line(name: str, expected: str) -> None:
         ("advance = Scheme.advance", "expected the methods that it lacks: advance"),
         ("def advance(self, state, verdict): return state", "expected a state and a Carry"),
         ("def advance(self, state, verdict): return state.t, 0", "advance: AttributeError: 'S'"),
+        ("def pad(self, state): return 2", "pad: got 2 in S(s=1), expected -1 to 1"),
+        ("def pad(self, state): return 1", "expected pad 1, as pad() says"),
+        ("def pad(self, state): return 1 / 0", "pad: ZeroDivisionError"),
+        ("def tests(self, state): return None", "tests: got None in S(s=1), expected True or"),
+        (
+            "def advance(self, state, verdict): return S(verdict), COVER\n"
+            "    def tests(self, state): return False",
+            "tests: got False in S(s=1), expected True, since a verdict makes a difference",
+        ),
+        (
+            "def advance(self, state, verdict): return state, COVER._replace(agreed=1)",
+            "expected agreed to be the verdict, or -1",
+        ),
+        (
+            "def advance(self, state, verdict): return S(0.5), COVER",
+            "advance: got (S(s=0.5), Carry(agreed=-1, pad=-1)) in S(s=1) at -1, expected a st",
+        ),
+        (
+            "def advance(self, state, verdict): return S(2 + verdict), COVER\n"
+            "    def pad(self, state): return 7 if state.s == 3 else -1",
+            "pad: got 7 in S(s=3)",
+        ),
+        (
+            "def advance(self, state, verdict): return S(state.s + 1), COVER\n"
+            "    def pad(self, state): return 7 if state.s == 60 else -1",
+            "pad: got 7 in S(s=60)",
+        ),
         ("version = '1'", "expected a class attribute version, a whole number, got '1'"),
         ("initial = {'s': 1}", "expected a class attribute initial, a NamedTuple of whole"),
     ],

@@ -318,6 +318,9 @@ def odd(**answers: object) -> Listener:
         (None, "TypeError: expected a Guess, got None"),
         (Guess(0, (), 0.5), "ValueError: expected 2 probabilities"),
         (Guess(0, (0.5, 0.6, 0.1), 0.5), "ValueError: expected 2 probabilities"),
+        (Guess(0, (0.5, 0.6), 0.5), "ValueError: expected 2 probabilities that sum to 1"),
+        (Guess(0, (0.2, 0.3), 0.5), "ValueError: expected 2 probabilities that sum to 1"),
+        (Guess(0, (-0.5, 1.5), 0.5), "ValueError: expected 2 probabilities"),
         (Guess(0, (0.5, float("nan")), 0.5), "ValueError: expected 2 probabilities"),
         (Guess(0, (0.5, 0.5), 1.5), "ValueError: expected 2 probabilities"),
         (Guess(0.5, (0.5, 0.5), 0.5), "TypeError: 'float' object"),  # type: ignore[arg-type]
