@@ -56,14 +56,21 @@ def pytest_xdist_auto_num_workers() -> int:
 
 
 LONGEST = (
-    *("system/test_medium.py", "campaigns/test_campaigns.py", "tap/test_text.py"),
-    *("tap/test_particle_smoother.py", "kme/test_kme.py", "campaigns/test_exhaustive.py"),
-    *("cli/test_demo.py", "studies/test_figures.py", "system/test_integration.py"),
-    *("system/test_services.py", "tap/test_ladder.py", "link/test_session_machine.py"),
-    *("simulate/test_network.py", "simulate/test_engine_system.py", "runs/test_memory.py"),
-    *("system/test_leaks.py", "adapters/test_device.py", "attacker/test_live.py"),
-    *("examples/test_examples.py", "sweeps/test_sweep.py", "runs/check/test_evidence.py"),
-    *("benchmarks/test_pace.py", "runtime/test_fleet.py", "system/test_network_table.py"),
+    *("tap/test_text.py", "tap/test_particle_smoother.py", "campaigns/test_campaigns.py"),
+    *("system/test_medium.py", "studies/test_figures.py", "system/test_integration.py"),
+    *("campaigns/test_exhaustive.py", "tap/test_ladder.py", "kme/test_kme.py", "cli/test_demo.py"),
+    *(
+        "fit/test_fit.py",
+        "tap/test_outputs.py",
+        "house/test_package.py",
+        "simulate/test_network.py",
+    ),
+    *("fit/test_noisy_fit.py", "runs/test_memory.py", "benchmarks/test_loop.py"),
+    *("runs/check/test_evidence.py", "controller/test_packed.py", "examples/test_examples.py"),
+    *("protocol/test_statistics.py", "simulate/test_engine_system.py", "adapters/test_device.py"),
+    *("simulate/test_packed_link.py", "sweeps/test_sweep.py", "system/test_leaks.py"),
+    *("benchmarks/test_pace.py", "system/test_network_table.py", "link/test_session_machine.py"),
+    *("attacker/test_live.py", "system/test_services.py", "runtime/test_fleet.py"),
 )
 """Files that take longest go first: at the end no process then waits for another one's file."""
 
