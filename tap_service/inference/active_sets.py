@@ -73,11 +73,11 @@ class Ways:
 
     def times(self, other: "Ways") -> "Ways":
         """Each of these ways together with each of the other's, for the next item."""
-        here, there = len(self.C), len(other.C)
+        here, there = np.divmod(np.arange(len(self.C) * len(other.C)), len(other.C))
         return Ways(
-            np.concatenate([self.C.repeat(there, 0), np.tile(other.C, (here, 1, 1))], axis=1),
-            np.concatenate([self.y.repeat(there, 0), np.tile(other.y, (here, 1))], axis=1),
-            np.concatenate([self.r.repeat(there, 0), np.tile(other.r, (here, 1))], axis=1),
+            np.concatenate([self.C[here], other.C[there]], axis=1),
+            np.concatenate([self.y[here], other.y[there]], axis=1),
+            np.concatenate([self.r[here], other.r[there]], axis=1),
             self.prior + other.prior,
             self.inside,
             (*self.bound, *other.bound),
