@@ -237,9 +237,10 @@ def test_the_plant_looks_for_keys_that_the_controller_holds_and_it_does_not() ->
 
 
 def test_a_key_that_is_named_and_not_held_is_looked_for() -> None:
-    coins = applied(1)
-    assert coins.digit(offer(3, "k5", 3)) is None
-    assert coins.tasks(0.0) == (CoinTask("s", "k0", 0, ()),)
+    for last in ("k5", ""):
+        coins = applied(1)
+        assert coins.digit(offer(3, "k5", 3, last)) is None
+        assert coins.tasks(0.0) == (CoinTask("s", "k0", 0, ()),)
 
 
 def test_keys_that_were_passed_over_are_erased_once() -> None:

@@ -16,6 +16,7 @@ from plant_service.core import (
     LAST_KEYS_S,
     MEETING_S,
     PlantCore,
+    hex_digits,
 )
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
 from protocol.defence.key_digits import digits
@@ -46,6 +47,7 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
+from protocol.schemes.switched import Switched
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, fresh_nonce
@@ -1028,6 +1030,26 @@ def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> No
     counted = end.all[-1].write
     assert isinstance(counted, Save)
     assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+
+
+def test_blocks_are_counted_as_they_begin() -> None:
+    end = Told(KEYS, RECORD._replace(transitions=0, blocks_begun=3)).met()
+    begun = []
+    for k in range(3, 11):
+        end.hears(offer(k=k, nonce=NONCE), k - 2.75)
+        end.wakes(k - 2.0)
+        begun.append(end.core.record.blocks_begun)
+    assert begun == [3, 4, 4, 5, 5, 5, 5, 6], "blocks of 2 and 4, from the second transition on"
+
+
+@pytest.mark.parametrize("size", [2, 16, 17, 256])
+def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
+    frame = list(encode_frame(b"a message", size))[:5]
+    partial = "".join(f"{symbol:0{hex_digits(size)}x}" for symbol in frame)
+    rules = line_rules(alpha=4.0, largest_input=5.0, scheme=Switched(size))
+    end = Told(rules, RECORD._replace(partial=partial[-2:]), chunks=partial[:-2])
+    assert list(end.core.deframer.symbols) == frame
+    assert hex_digits(size) == len(f"{size - 1:x}")
 
 
 def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
