@@ -191,15 +191,13 @@ class Lattice:
         The window begins at step ``low``; returns shape (R, (count + G) E), from step ``low`` + 1.
         """
         rows, E = len(weights), self.states
-        nodes = weights.reshape(rows, -1, E)
+        nodes = weights.reshape(rows, -1, 1, E)
         count = nodes.shape[1]
         have = min(count, self.steps - low)
         out = np.zeros((rows, count + self.wait, E))
-        by_step = nodes[:, :have].swapaxes(0, 1)
         band = self.uniform if symbol is None else self.band[symbol]
         for g in range(self.wait):
-            part = by_step @ band[low : low + have, :, g]
-            out[:, g : g + have] += part.swapaxes(0, 1)
+            out[:, g : g + have] += (nodes[:, :have] @ band[low : low + have, :, g])[:, :, 0]
         return out.reshape(rows, (count + self.wait) * E)
 
     def window(self, low: int, count: int) -> Array:

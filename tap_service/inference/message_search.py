@@ -268,17 +268,16 @@ class MessageSearch:
         alpha = np.exp(start[low : high + 1] - start[low : high + 1].max())
         level: Array = prior + float(start[low : high + 1].max())
         alphas = np.tile(alpha.reshape(1, -1), (len(lengths), 1))
-        digits = np.array(
-            [[n // self._size ** (self._header - 1 - j) % self._size for j in range(self._header)]
-             for n in lengths.tolist()]
-        )  # fmt: skip
         for j in range(self._header):
             # lengths that began alike are one row
-            _, rows, back = np.unique(
-                digits[:, : j + 1], axis=0, return_index=True, return_inverse=True
-            )
-            moved = [self._lattice.moved(alphas[[r]], int(digits[r, j]), low)[0] for r in rows]
-            alphas = np.stack(moved)[back.reshape(-1)]
+            begun = lengths // self._size ** (self._header - 1 - j)
+            alike, rows, back = np.unique(begun, return_index=True, return_inverse=True)
+            moved = np.empty((len(rows), alphas.shape[1] + self._lattice.wait * start.shape[1]))
+            for m in range(self._size):
+                mine = alike % self._size == m
+                if mine.any():
+                    moved[mine] = self._lattice.moved(alphas[rows[mine]], m, low)
+            alphas = moved[back]
             low += 1
             left = total - 1 - j
             score = self._weights(alphas, level, left, low)
@@ -287,7 +286,7 @@ class MessageSearch:
             near = np.flatnonzero(score > score.max() - FAR)
             if len(near) > LENGTHS and j == self._header - 1:
                 near = np.sort(np.argsort(-score)[:LENGTHS])
-            lengths, total, digits = lengths[near], total[near], digits[near]
+            lengths, total = lengths[near], total[near]
             alphas, level, score = alphas[near], level[near], score[near]
             alphas, low = self._trimmed(alphas, level, total - 1 - j, low, score)
         return lengths, alphas, level, low
