@@ -771,6 +771,20 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
 
 
+def test_a_promise_of_d_c_that_is_contradicted_is_a_warning_beside_all_else(
+    news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(news, "counted", lambda t: f"D_c does not hold since step {t.k}")
+    *symbols, last = encode_frame(b"a", 2)
+    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)))
+    for cipher, levels in ((last, ["info", "warning"]), (1 - last, ["error", "warning"])):
+        end = Told(record=record, telemetry=news).met()
+        end.hears(offer(cipher=cipher), 0.25)
+        counted = end.all[-1]
+        assert [n.level for n in counted.notices] == levels
+        assert counted.notices[-1] == Notice("D_c does not hold since step 3", "warning")
+
+
 # --- greetings, silence ---------------------------------------------------------------------------
 
 
