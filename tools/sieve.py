@@ -42,6 +42,7 @@ ARGUMENTS: Final = (
     "-m",
     "not integration and not wrong_on_purpose",
     "--timeout=0",
+    "--tb=native",  # another kind reads the whole file of mutants, for a second of processor
     "-o",
     "tmp_path_retention_policy=none",
 )

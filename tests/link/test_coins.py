@@ -84,6 +84,12 @@ def test_keys_from_the_offer_that_is_still_to_be_counted_on_are_held() -> None:
     assert later.tasks(0.0) == (CoinTask("s", "k3", BATCH, ("k0",)),)
 
 
+def test_where_the_newest_key_is_gone_none_of_those_held_is_named() -> None:
+    coins = offered(4, "gone", 6, applied="k1")
+    assert (coins.left, coins.named(9)) == (0, ("", 0, "k3"))
+    assert coins.expected(offer(5, "k1", 3), "k1") == digit(1, 2)
+
+
 def test_a_transition_is_watched_by_the_digit_of_its_step_alone() -> None:
     coins = offered(1, "k0", 3)
     for k, expected in ((2, -1), (3, digit(0, 0)), (2 + DIGITS, digit(0, -1)), (3 + DIGITS, -1)):
@@ -237,9 +243,10 @@ def test_the_plant_looks_for_keys_that_the_controller_holds_and_it_does_not() ->
 
 
 def test_a_key_that_is_named_and_not_held_is_looked_for() -> None:
-    coins = applied(1)
-    assert coins.digit(offer(3, "k5", 3)) is None
-    assert coins.tasks(0.0) == (CoinTask("s", "k0", 0, ()),)
+    for last in ("k5", ""):
+        coins = applied(1)
+        assert coins.digit(offer(3, "k5", 3, last)) is None
+        assert coins.tasks(0.0) == (CoinTask("s", "k0", 0, ()),)
 
 
 def test_keys_that_were_passed_over_are_erased_once() -> None:

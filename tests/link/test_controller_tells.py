@@ -539,6 +539,14 @@ def test_a_process_goes_on_with_the_newest_key_that_was_named(counted: bool) -> 
     assert named(following) == ("k1", 3, "k1")
 
 
+def test_an_offer_that_names_no_key_leaves_the_newest_named_as_it_was() -> None:
+    end = keyed(AT_WORK._replace(offer=None, k=2, coin_key="k1", coin_from=3))
+    k = 3 + len(DIGITS)
+    answer = end.hears(keyed_measurement(k=k, applied_k=1, x=(0.0,), x_after=()), 1.0)
+    assert named(answer) == ("", 0, "k1")
+    assert (end.core.record.coin_key, end.core.record.coin_from) == ("k1", 3)
+
+
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize("known", [True, False])
 def test_a_transition_is_watched_where_both_ends_hold_the_key(known: bool, right: bool) -> None:

@@ -598,6 +598,8 @@ def test_an_end_without_a_session_waits_for_the_first_that_it_says() -> None:
     assert guarded.status() == GuardStatus()
     guarded.receive(Offer, offer(12).wire(), 1.0)
     assert end.heard.pop() == (1.0, Offer, offer(12).wire())
+    guarded.receive(Offer, b"no offer", 1.5)
+    assert end.heard.pop() == (1.5, Offer, b"no offer")
     assert guarded.status() == GuardStatus(), "it is in no session"
     assert len(tasks(guarded, end, measurement(FIRST), 2.0)) == 1
     guarded.receive(Offer, offer(12).wire(), 3.0)

@@ -7,8 +7,10 @@ import pytest
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
+from protocol.link.key_events import Appearances, appeared
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
+from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord, SenderRecord, Step
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
@@ -120,6 +122,20 @@ def test_a_sessions_first_transition_is_in_no_block() -> None:
     assert isinstance(closed, ClosedBlock)
     assert (closed.transitions, closed.steps, closed.pattern) == (2, 2, "33")
     assert keying.tasks() == ()
+
+
+def test_keys_go_on_where_a_message_leaves_as_often_as_was_stated() -> None:
+    for stated, times in ((1, "1 time "), (2, "2 times ")):
+        keying = Keying(Schedule(Assumption(0.1, appearances=stated), 2, 4))
+        stops = appeared(keying, S, 3, 5)
+        goes_on = appeared(keying, S, 4, stated)
+        assert [n.level for n in (*stops.notices, *goes_on.notices)] == ["error", "info"]
+        assert times in goes_on.notices[0].text
+        assert (stops.events, goes_on.events) == (
+            (Appearances(S, 3, 5),),
+            (Appearances(S, 4, stated),),
+        )
+    assert appeared(Keying(None), S, 3, 5) == Actions()
 
 
 # --- words ----------------------------------------------------------------------------------------

@@ -1,5 +1,7 @@
 """The test of a transition where one output alone is read: gauges, verdict, the box after it."""
 
+from dataclasses import replace
+
 import pytest
 
 from protocol.agreement import NO_SYMBOL
@@ -147,6 +149,14 @@ def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with(
         assert told.u == rule.instead(estimate, missed, u)
         u = told.u
     assert pair.plant.record.estimate == estimate, "it stands until the next transition"
+
+
+def test_a_model_that_holds_misses_a_step_under_the_input_in_force(rule: OutputRule) -> None:
+    held = replace(rule, fallback=replace(rule.fallback, kind="hold"))
+    record = ReceiverRecord(session=S, k=1, x=(0.1,), u=(0.125,))
+    plant = PlantInHand(replace(RULES, outputs=held), P, record)
+    plant.line.x_next = (0.1,)
+    assert plant.miss().u == (0.125,)
 
 
 def test_a_record_keeps_the_state_that_no_reading_tells(rule: OutputRule) -> None:

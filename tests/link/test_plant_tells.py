@@ -16,6 +16,7 @@ from plant_service.core import (
     LAST_KEYS_S,
     MEETING_S,
     PlantCore,
+    hex_digits,
 )
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
 from protocol.defence.key_digits import digits
@@ -46,6 +47,7 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
+from protocol.schemes.switched import Switched
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, fresh_nonce
@@ -769,6 +771,20 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
 
 
+def test_a_promise_of_d_c_that_is_contradicted_is_a_warning_beside_all_else(
+    news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(news, "counted", lambda t: f"D_c does not hold since step {t.k}")
+    *symbols, last = encode_frame(b"a", 2)
+    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)))
+    for cipher, levels in ((last, ["info", "warning"]), (1 - last, ["error", "warning"])):
+        end = Told(record=record, telemetry=news).met()
+        end.hears(offer(cipher=cipher), 0.25)
+        counted = end.all[-1]
+        assert [n.level for n in counted.notices] == levels
+        assert counted.notices[-1] == Notice("D_c does not hold since step 3", "warning")
+
+
 # --- greetings, silence ---------------------------------------------------------------------------
 
 
@@ -1028,6 +1044,26 @@ def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> No
     counted = end.all[-1].write
     assert isinstance(counted, Save)
     assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+
+
+def test_blocks_are_counted_as_they_begin() -> None:
+    end = Told(KEYS, RECORD._replace(transitions=0, blocks_begun=3)).met()
+    begun = []
+    for k in range(3, 11):
+        end.hears(offer(k=k, nonce=NONCE), k - 2.75)
+        end.wakes(k - 2.0)
+        begun.append(end.core.record.blocks_begun)
+    assert begun == [3, 4, 4, 5, 5, 5, 5, 6], "blocks of 2 and 4, from the second transition on"
+
+
+@pytest.mark.parametrize("size", [2, 16, 17, 256])
+def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
+    frame = list(encode_frame(b"a message", size))[:5]
+    partial = "".join(f"{symbol:0{hex_digits(size)}x}" for symbol in frame)
+    rules = line_rules(alpha=4.0, largest_input=5.0, scheme=Switched(size))
+    end = Told(rules, RECORD._replace(partial=partial[-2:]), chunks=partial[:-2])
+    assert list(end.core.deframer.symbols) == frame
+    assert hex_digits(size) == len(f"{size - 1:x}")
 
 
 def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:

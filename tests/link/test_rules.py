@@ -98,7 +98,7 @@ def test_rules_of_a_line_promise_nothing_beside() -> None:
 @pytest.mark.parametrize("name", ["sustained", "watched", "encoder", "pendulum", "motor"])
 def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
     s = scenario_of(name)
-    rules = rules_of(s)
+    rules = rules_of.__wrapped__(s)
     assert (rules.states, rules.inputs, rules.size) == (s.readings, s.m, s.secrecy.candidates)
     assert rules.fingerprint == s.fingerprint()
     assert rules.scheme.name == s.secrecy.scheme
@@ -168,11 +168,11 @@ def test_a_plant_that_holds_is_predicted_under_the_inputs_that_may_be_in_force(
     rule: OutputRule,
 ) -> None:
     held = replace(rule, fallback=replace(rule.fallback, kind="hold"))
-    at = estimate(rule)
-    moved = rule.observer.moved(at.box, at.inputs)
+    at = Estimate(BOX, FAR)
+    moved = rule.observer.moved(rule.observer.moved(BOX, FAR), FAR)
     reading = rule.observer.read(moved.centre)
-    assert held.box(at, 1, reading) == rule.observer.met(moved, reading)
-    assert held.instead(at, 1, (0.125,)) == (0.125,)
+    assert held.box(at, 2, reading) == rule.observer.met(moved, reading)
+    assert held.instead(at, 2, (0.125,)) == (0.125,)
 
 
 def test_after_many_missed_steps_the_box_begins_anew(rule: OutputRule) -> None:
