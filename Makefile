@@ -8,13 +8,12 @@ NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-studies test-house
 .PHONY: $(ROOM_TARGETS)
-.PHONY: demo dev test tests test-all tests-all test-long test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
+.PHONY: demo dev test tests test-long test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
-	@echo "make test          the tests but for the long ones, with ruff and mypy"
+	@echo "make test          the tests but for the long ones, with ruff and mypy; ALL=1: the long ones too"
 	@echo "make test-long     the long ones: many runs, benchmarks, the campaigns' short forms"
-	@echo "make test-all      both in one"
 	@echo "make test-fast     the tests without the slow ones"
 	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, attacker, wyner, studies, house"
 	@echo "make test-pythons  a part of the tests on every other Python at hand"
@@ -61,18 +60,12 @@ lint: $(STAMPS)/dev
 test: $(STAMPS)/dev
 	@$(MAKE) --no-print-directory --jobs=2 lint tests
 
-# `make test` and `make test-long` in one: what they share is made once.
-test-all: $(STAMPS)/dev
-	@$(MAKE) --no-print-directory --jobs=2 lint tests-all
-
 # Each process has a core already: a second thread of the numerics would take another's.
-tests tests-all test-long test-fast test-pythons coverage $(ROOM_TARGETS): export OPENBLAS_NUM_THREADS := 1
+tests test-long test-fast test-pythons coverage $(ROOM_TARGETS): export OPENBLAS_NUM_THREADS := 1
 
+# With ALL=1 the long tests too, in one run: what all share is made once.
 tests: $(STAMPS)/dev
-	$(BIN)/pytest -m "not long" -n auto --dist loadfile --no-loadscope-reorder
-
-tests-all: $(STAMPS)/dev
-	$(BIN)/pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(BIN)/pytest $(if $(ALL),,-m "not long") -n auto --dist loadfile --no-loadscope-reorder
 
 test-long: $(STAMPS)/dev
 	$(BIN)/pytest -m long -n auto --dist loadfile --no-loadscope-reorder
