@@ -5,9 +5,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
 from pydantic_core import from_json, to_json
 
 from protocol.defence.base import Defence, Opened, Wire, Words
+from protocol.defence.coding import Coding
 from protocol.defence.mac import Mac, tag_of
 from protocol.link import guard as module
 from protocol.link.guard import Guard, Promise
@@ -418,3 +421,26 @@ def test_without_its_batch_a_tagged_message_counts_as_bare(kind: Defence, heard:
     if heard:
         refused = guard.without(FIRST, wire, Promise(FIRST - 1, 0))
         assert refused == module.Opened(None, why="it has no tag")
+
+
+PLACES = st.sampled_from(["", "0/0", "0/2", "1/1", "-1/0", "0/-3", "0/9999999999", "1/2/3", "a"])
+FLOATS = st.floats(-1e300, 1e300)
+PAIRS = st.lists(st.integers(0, 2**64 - 1) | FLOATS, min_size=2, max_size=4)
+JSON = st.recursive(
+    PLACES | PAIRS | st.none() | st.booleans() | st.integers() | FLOATS,
+    lambda some: st.lists(some, max_size=4) | st.dictionaries(st.text(max_size=3), some),
+)
+NAMES = st.sampled_from(["x", "x_after", "applied_k", "k", "session", "after", "rest"])
+
+
+@given(st.dictionaries(NAMES, JSON, min_size=1))
+@example({"after": [1]})
+@example({"applied_k": 10**400})
+def test_whatever_stands_in_a_coded_message_it_is_opened_or_refused(odd: dict[str, Any]) -> None:
+    coded = sending(Coding(2, 4)).closed(FIRST, measurement(FIRST))
+    fields = from_json(coded) | odd
+    body = to_json({name: value for name, value in fields.items() if name not in TAIL})
+    more = to_json({"after": fields["after"], "rest": fields["rest"]})
+    wire = body[:-1] + b',"guard":"0/0",' + more[1:]
+    opened = hearing(Coding(2, 4)).opened(FIRST, wire, NONE)
+    assert (opened.plain is None) == bool(opened.why or opened.lacking >= 0)
