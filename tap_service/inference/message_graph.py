@@ -130,7 +130,7 @@ class Graph:
             layer = self._layers[place]
             wanted = node + rng.random(count)
             arc = np.concatenate(
-                [_places(c, wanted[r]) for c, r in zip(layer.cumulated, parts, strict=True)]
+                [np.searchsorted(c, wanted[r]) for c, r in zip(layer.cumulated, parts, strict=True)]
             )
             arc = np.minimum(arc, len(layer.before) - 1)
             text[place] = layer.byte[arc]
@@ -139,17 +139,6 @@ class Graph:
             passed[place] = node
         score[0] = self._first[node]
         return Drawn(text.T, score.cumsum(axis=0).T, passed.T)
-
-
-def _places(edges: Array, wanted: Array) -> Indices:
-    """``np.searchsorted`` of many in no order, by a table of places a sixteenth apart."""
-    table = np.searchsorted(edges, np.arange(16 * edges[-1] + 1) / 16)
-    at: Indices = table[(16 * wanted).astype(np.intp)]
-    (late,) = (edges[at] < wanted).nonzero()
-    while len(late):
-        at[late] += 1
-        late = late[edges[at[late]] < wanted[late]]
-    return at
 
 
 @dataclass(frozen=True)
