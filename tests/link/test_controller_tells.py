@@ -39,6 +39,7 @@ from protocol.vectors import Vector
 from runtime.errors import USAGE
 from runtime.memory_journal import MemoryControllerJournal
 from tests.support.controller_in_hand import PERIOD_S, Zeros
+from tests.support.end_in_hand import EndInHand, fields
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -80,7 +81,7 @@ def propose(x: Vector) -> tuple[Vector, ...]:
     return CANDIDATES
 
 
-class Told:
+class Told(EndInHand[ControllerCore]):
     """A controller, and all that it ever did."""
 
     def __init__(
@@ -98,42 +99,23 @@ class Told:
             self.journal.write(queued)
         law: Any = Law()
         self.telemetry = ControllerTelemetry(law, keys_refused="a secret of its own")
-        self.core = ControllerCore(
-            rules,
-            propose,
-            self.journal,
-            Zeros(),
-            instance=A,
-            period_s=PERIOD_S,
-            record=record,
-            telemetry=self.telemetry if telemetry else None,
-            **more,
+        super().__init__(
+            ControllerCore(
+                rules,
+                propose,
+                self.journal,
+                Zeros(),
+                instance=A,
+                period_s=PERIOD_S,
+                record=record,
+                telemetry=self.telemetry if telemetry else None,
+                **more,
+            )
         )
-        self.all: list[Actions] = []
 
-    def does(self, actions: Actions) -> Actions:
-        """What a shell does with the actions, and with those after them; the first ones."""
-        first = actions
-        while True:
-            self.all.append(actions)
-            assert all(notice.text for notice in actions.notices)
-            if isinstance(actions.write, Save):
-                self.journal.write(actions.write)
-            if not actions.finish_step:
-                return first
-            actions = self.core.finish_step()
-
-    def hears(self, message: Message, now: float) -> Actions:
-        return self.does(self.core.receive(type(message), message.wire(), now))
-
-    @property
-    def notices(self) -> list[tuple[str, str]]:
-        """Level and subject of all that was said so far; they are forgotten."""
-        said: list[tuple[str, str]] = [
-            (n.level, n.subject) for actions in self.all for n in actions.notices
-        ]
-        self.all.clear()
-        return said
+    def carry_out(self, actions: Actions) -> None:
+        if isinstance(actions.write, Save):
+            self.journal.write(actions.write)
 
     def at_work(self, now: float = 0.0) -> "Told":
         """Its plant has asked it to take up the session of the journal."""
@@ -160,13 +142,6 @@ def hello(**fields: object) -> PlantHello:
 def measurement(**fields: object) -> Measurement:
     made = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
     return made.model_copy(update=fields)
-
-
-def fields(status: Message) -> dict[str, Any]:
-    """All but version, number and hour."""
-    said = status.model_dump()
-    del said["v"], said["seq"], said["t_ns"]
-    return said
 
 
 def told(actions: Actions) -> dict[str, Any]:

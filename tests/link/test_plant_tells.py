@@ -55,6 +55,7 @@ from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
+from tests.support.end_in_hand import EndInHand, fields
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -107,7 +108,7 @@ class Machine:
         return self.closing
 
 
-class Told:
+class Told(EndInHand[PlantCore]):
     """A plant, and all that it ever did."""
 
     def __init__(
@@ -121,49 +122,25 @@ class Told:
     ) -> None:
         self.machine = machine or Machine()
         coin: Any = self.machine
-        self.core = PlantCore(
-            rules,
-            self.machine,
-            coin,
-            self.machine.fall_back,
-            Pacing(step_s, 4, 0.0),
-            lambda: NEW,
-            0.0,
-            instance=P,
-            record=record,
-            **more,
+        super().__init__(
+            PlantCore(
+                rules,
+                self.machine,
+                coin,
+                self.machine.fall_back,
+                Pacing(step_s, 4, 0.0),
+                lambda: NEW,
+                0.0,
+                instance=P,
+                record=record,
+                **more,
+            )
         )
-        self.all: list[Actions] = []
-
-    def does(self, actions: Actions) -> Actions:
-        """What a shell does with the actions, and with those after them; the first ones."""
-        first = actions
-        while True:
-            self.all.append(actions)
-            assert all(notice.text for notice in actions.notices)
-            if not actions.finish_step:
-                return first
-            actions = self.core.finish_step()
-
-    def hears(self, message: Message, now: float) -> Actions:
-        return self.does(self.core.receive(type(message), message.wire(), now))
-
-    def wakes(self, now: float) -> Actions:
-        return self.does(self.core.wake(now))
 
     @property
     def events(self) -> list[Any]:
         """Of all that was traced so far; forgotten afterwards."""
         said = [event for actions in self.all for event in actions.events]
-        self.all.clear()
-        return said
-
-    @property
-    def notices(self) -> list[tuple[str, str]]:
-        """Level and subject of all that was said so far; forgotten afterwards."""
-        said: list[tuple[str, str]] = [
-            (n.level, n.subject) for actions in self.all for n in actions.notices
-        ]
         self.all.clear()
         return said
 
@@ -201,13 +178,6 @@ def published(actions: Actions, kind: type[Message]) -> list[Any]:
 @pytest.fixture
 def news(sustained: Scenario) -> PlantTelemetry:
     return PlantTelemetry(sustained, "realtime", seeded=False, status_s=0.25)
-
-
-def fields(status: Message) -> dict[str, Any]:
-    """All but version, number and hour."""
-    said = status.model_dump()
-    del said["v"], said["seq"], said["t_ns"]
-    return said
 
 
 # --- how a life begins ----------------------------------------------------------------------------
