@@ -193,8 +193,12 @@ def planar_support(p: Polytope, directions: Array) -> Array:
 
 def planar_vertices(p: Polytope) -> Array:
     """Corners of an angle-sorted planar polytope; corner j is of rows j and j + 1, shape (r, 2)."""
-    H, G = p.H, np.concatenate([p.H[1:], p.H[:1]])
-    h, g = p.h, np.concatenate([p.h[1:], p.h[:1]])
+    return row_crossings(p.H, p.h, np.roll(np.arange(p.facets), -1))
+
+
+def row_crossings(H: Array, h: Array, following: Indices) -> Array:
+    """Where each line H_j v = h_j of the plane meets the line ``following[j]``, shape (r, 2)."""
+    G, g = H[following], h[following]
     d = G - H
     # Along row j's edge the corner lies (g - h cos) / sin from the foot of the normal.
     along = (g - h + 0.5 * h * (d * d).sum(axis=1)) / cross(H, G)

@@ -11,6 +11,7 @@ are found in two more sorted lists.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from controller_service.laws.programs import Quadratic
 from controller_service.sets.design import Design
 from controller_service.tolerances import CHAIN_PARALLEL
 from protocol.arrays import Array, Indices
-from protocol.convex import Polytope, planar_vertices
+from protocol.convex import row_crossings
 from protocol.scenario import Cost
 
 
@@ -32,6 +33,43 @@ def pseudo_angle(x1: Array, x2: Array) -> Array:
     return p
 
 
+class Rows:
+    """The rows of several planar sets, one set after the other.
+
+    Attributes
+    ----------
+    H, h : array
+        All rows H v <= h, each set's in order of angle.
+    edges : list of int
+        Set i has the rows ``edges[i]`` to ``edges[i + 1]``.
+    sizes : array
+        Rows of each set.
+    corners : array, shape (rows, 2)
+        Corner j is of row j and the row that follows it in its set.
+    """
+
+    def __init__(self, family: Sequence[tuple[Array, Array]]) -> None:
+        self.H = np.concatenate([H for H, _ in family])
+        self.h = np.concatenate([h for _, h in family])
+        self.sizes = np.array([len(h) for _, h in family])
+        self.edges = [0, *self.sizes.cumsum().tolist()]
+        second = np.ones(len(family), dtype=np.intp)
+        self.corners = row_crossings(self.H, self.h, self.from_row(second, 0))
+
+    def from_row(self, start: Indices, more: int) -> Indices:
+        """Each set's rows from its row ``start[i]`` on, around it, and so many ``more``."""
+        sizes = self.sizes + more
+        ends = sizes.cumsum()
+        place = np.arange(ends[-1]) - np.repeat(ends - sizes, sizes)
+        first, around = np.repeat(self.edges[:-1], sizes), np.repeat(self.sizes, sizes)
+        out: Indices = first + (place + np.repeat(start, sizes)) % around
+        return out
+
+    def of_set(self, numbers: Array) -> Array:
+        """One number of each set, for each of its rows."""
+        return np.repeat(numbers, self.sizes)
+
+
 class Sectors:
     """The facets of T_0..T_N by sector.
 
@@ -39,20 +77,18 @@ class Sectors:
     and r + 1 entries in ``a1``, ``a2``, ``b``, the first of them repeated across the angle zero.
     """
 
-    def __init__(self, family: Sequence[tuple[Array, Array]]) -> None:
-        keys, rows = [], []
-        for i, (H, h) in enumerate(family):
-            corner = planar_vertices(Polytope(H, h))
-            angle = pseudo_angle(corner[:, 0], corner[:, 1])
-            start = int(angle.argmin())
-            keys.append(4.0 * i + np.maximum.accumulate(np.roll(angle, -start)))
-            # Corner j is of rows j and j + 1: the sector before corner `start` is row `start`'s.
-            ring = np.roll(np.column_stack([H, h]), -start, axis=0)
-            rows.append(np.vstack([ring, ring[:1]]))
-        self.first, self.last = len(keys[0]), len(rows[-1])  # corners of T_0, rows of T_N
-        self.keys = np.concatenate(keys)
-        table = np.vstack(rows)
-        self.a1, self.a2, self.b = (np.ascontiguousarray(table[:, j]) for j in range(3))
+    def __init__(self, sets: Rows) -> None:
+        angle = pseudo_angle(sets.corners[:, 0], sets.corners[:, 1])
+        start = np.array([angle[a:b].argmin() for a, b in pairwise(sets.edges)])
+        key = (sets.of_set(np.arange(0.0, 4.0 * len(start), 4.0)) + angle)[sets.from_row(start, 0)]
+        self.keys = np.maximum.accumulate(key)
+        self.first, self.last = (
+            int(sets.sizes[0]),
+            int(sets.sizes[-1]) + 1,
+        )  # T_0's keys, T_N's rows
+        # Corner j is of rows j and j + 1: the sector before corner `start` is row `start`'s.
+        ring = sets.from_row(start, 1)
+        self.a1, self.a2, self.b = sets.H[ring, 0], sets.H[ring, 1], sets.h[ring]
 
 
 class Chain:
@@ -62,30 +98,29 @@ class Chain:
     corner between two facets of target j. A bound is ``q - (c1 x_1 + c2 x_2)``.
     """
 
-    def __init__(self, design: Design, side: float, scale: Sequence[float], shrink: Array) -> None:
-        B = design.B[:, 0]
-        across = np.array([-B[1], B[0]])
-        keys, rows = [], []
-        for j, (H, h) in enumerate(design.targets):
-            g = H @ B
-            bounding = side * g > CHAIN_PARALLEL * float(np.abs(B).sum())
-            offset = planar_vertices(Polytope(H, h)) @ across * (shrink[j] * scale[j])
+    def __init__(
+        self, design: Design, side: float, targets: Rows, offset: Array, shrink: Array
+    ) -> None:
+        B, H = design.B[:, 0], targets.H
+        g = H @ B
+        bounding = side * g > CHAIN_PARALLEL * float(np.abs(B).sum())
+        before = targets.from_row(targets.sizes - 1, 0)
+        begins = bounding & ~bounding[before]
+        orders, between = [], []
+        for a, b in pairwise(targets.edges):
             # Facets are sorted by angle, so a chain is one run of them, circular.
-            first = int(np.flatnonzero(bounding & ~np.roll(bounding, 1))[0])
-            run = (first + np.arange(int(bounding.sum()))) % len(h)
-            order, between = run, offset[run[:-1]]
-            if side < 0:
-                # Counter-clockwise the offset falls along the lower chain.
-                order, between = order[::-1], between[::-1]
-            keys.append(4.0 * j + np.maximum.accumulate(between))
-            G = g[order]
-            rows.append(
-                np.column_stack([h[order] * shrink[j] / G, (H[order] @ design.A) / G[:, None]])
-            )
-        self.first = len(keys[0])  # keys of target 0
-        self.keys = np.concatenate(keys)
-        table = np.vstack(rows)
-        self.q, self.c1, self.c2 = (np.ascontiguousarray(table[:, i]) for i in range(3))
+            first = int(begins[a:b].argmax())
+            run = a + (first + np.arange(int(bounding[a:b].sum()))) % (b - a)
+            # Counter-clockwise the offset falls along the lower chain.
+            orders.append(run if side > 0 else run[::-1])
+            between.append(run[:-1] if side > 0 else run[-2::-1])
+        self.first = len(between[0])  # keys of target 0
+        key = targets.of_set(np.arange(0.0, 4.0 * len(orders), 4.0)) + offset
+        self.keys = np.maximum.accumulate(key[np.concatenate(between)])
+        order = np.concatenate(orders)
+        G = g[order]
+        self.q = targets.h[order] * targets.of_set(shrink)[order] / G
+        self.c1, self.c2 = np.ascontiguousarray((H @ design.A)[order].T) / G
 
 
 def _table(*columns: Array) -> Table:
@@ -105,19 +140,19 @@ class Planar(Lookup):
         self.N = design.horizon
         self.u_min, self.u_max = u_min, u_max
         shrink = 1 - np.array(design.margins)
-        self.sectors = Sectors(design.T)
+        self.sectors = Sectors(Rows(design.T))
         B = design.B[:, 0]
         across = np.array([-B[1], B[0]])
-        widths = [
-            float(np.abs(planar_vertices(Polytope(H, h)) @ across).max()) for H, h in design.targets
-        ]
-        scale = [1 / (w * k) for w, k in zip(widths, shrink.tolist(), strict=True)]
-        self.upper = Chain(design, 1.0, scale, shrink)
-        self.lower = Chain(design, -1.0, scale, shrink)
+        targets = Rows(design.targets)
+        offset = targets.corners @ across
+        scale = 1 / (np.maximum.reduceat(np.abs(offset), targets.edges[:-1]) * shrink)
+        scaled = offset * targets.of_set(shrink * scale)
+        self.upper = Chain(design, 1.0, targets, scaled, shrink)
+        self.lower = Chain(design, -1.0, targets, scaled, shrink)
         line = across @ design.A
         # Offset of target j's line, already scaled: line1[j] x_1 + line2[j] x_2 + 4 j.
-        self.line1 = line[0] * np.array(scale)
-        self.line2 = line[1] * np.array(scale)
+        self.line1 = line[0] * scale
+        self.line2 = line[1] * scale
         self.shift = 4.0 * np.arange(len(scale))
         forms = [Quadratic.of(design.A, design.B, cost) for cost in costs]
         self.gains = [-q.F[0] / q.P[0, 0] for q in forms]

@@ -7,6 +7,7 @@ fingerprint; whatever does not fit is computed again, never trusted.
 import hashlib
 import io
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -58,7 +59,7 @@ def _unpack(body: bytes, fingerprint: str) -> Design:
 
     def take(*shape: int) -> Any:
         nonlocal position
-        count = int(np.prod(shape))
+        count = math.prod(shape)
         piece = numbers[position : position + count].reshape(shape)
         position += count
         return piece
