@@ -1,13 +1,13 @@
 """Where a bus listens and connects: endpoints as Zenoh writes them, and the files of TLS."""
 
 import errno
-import random
 import re
+import secrets
 import socket
 from collections.abc import Iterable
 from dataclasses import dataclass
 from ipaddress import ip_address
-from itertools import islice
+from itertools import chain, islice
 from pathlib import Path
 from typing import Final, Self
 
@@ -135,8 +135,9 @@ def free_endpoints(count: int) -> list[str]:
     """
     clients = kernel_ports()
     ports = [port for port in range(LOWEST_PORT, LARGEST_PORT + 1) if port not in clients]
-    random.SystemRandom().shuffle(ports)
-    found = list(islice((port for port in ports if _is_free(port) and taken_down(port)), count))
+    first = secrets.randbelow(len(ports) or 1)  # who starts at once with others tries others
+    tried = chain(ports[first:], ports[:first])
+    found = list(islice((port for port in tried if _is_free(port) and taken_down(port)), count))
     if len(found) < count:
         raise TransportError(f"ports: {len(found)} are free for listeners, expected {count}")
     return [f"tcp/127.0.0.1:{port}" for port in found]

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
-from controller_service.sets.cache_folder import default_folder
 from protocol.scenario import Scenario
+from runtime.cache_folder import cache_folder
 from runtime.files import PUBLIC_FILE, write_atomically
 
 MAGIC: Final = b"wyner-law-1\n"
@@ -212,7 +212,7 @@ def _path(scenario: Scenario, folder: Path | None) -> Path:
     """The file of a law's tables; its name says all that they depend on."""
     told = [scenario.design_fingerprint(), scenario.control.model_dump_json()]
     name = hashlib.sha256(json.dumps(told).encode()).hexdigest()
-    return (folder or default_folder()) / f"{name}.law"
+    return (folder or cache_folder("designs")) / f"{name}.law"
 
 
 def store_law(law: object, scenario: Scenario, folder: Path | None = None) -> bool:

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from controller_service.sets.cache_folder import default_folder
 from controller_service.sets.design import Design, Terminal
+from runtime.cache_folder import cache_folder
 from runtime.files import PUBLIC_FILE, write_atomically
 
 MAGIC = b"wyner-design-5\n"
@@ -22,7 +22,7 @@ MAGIC = b"wyner-design-5\n"
 
 def design_path(fingerprint: str, folder: Path | None = None) -> Path:
     """The file that holds, or would hold, the design."""
-    return (folder or default_folder()) / f"{fingerprint}.design"
+    return (folder or cache_folder("designs")) / f"{fingerprint}.design"
 
 
 def _pack(design: Design, fingerprint: str) -> bytes:

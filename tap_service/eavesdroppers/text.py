@@ -13,6 +13,7 @@ first steps the ends lost.
 """
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import ClassVar, Final
 
 from protocol.knowledge import Knowledge
@@ -74,9 +75,7 @@ class Text(Eavesdropper):
         self._inference = Inference(knowledge)
         self._reads = self._model if isinstance(self._model, OutputModel) else None
         self._sure = self.certain and self._reads is None  # else but for a session's first steps
-        self._reader = MessageReader(
-            self.scheme, language or english(), certain=self._sure, beam=beam
-        )
+        self._language, self._beam = language, beam
         self._live = live
         self._kept: list[Transition] = []
         self._inferred = Inferred([], (0.0, 1.0))
@@ -90,6 +89,13 @@ class Text(Eavesdropper):
         self._solved_k = -1
         self._heard = self._decoded = 0
         self._next = FIRST
+
+    @cached_property
+    def _reader(self) -> MessageReader:
+        """Made when she first reads: who only names her needs no model of English."""
+        return MessageReader(
+            self.scheme, self._language or english(), certain=self._sure, beam=self._beam
+        )
 
     def observe(self, transition: Transition) -> Guess:
         """Take the nearest candidate where the step was heard; what was lost must wait."""

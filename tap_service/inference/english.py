@@ -4,21 +4,28 @@ An n-gram model with words: what follows is counted after the last one to five c
 beginning of the word in a list of words by their frequency, then in a text, and after the beginning
 of the word and the word before it, in a list of pairs and then in the text. A level that has seen
 little leaves the rest to the one below it (Witten and Bell 1991). The counts are made from
-``english.txt.xz``, ``words.txt.xz`` and ``pairs.txt.xz`` when they are first needed;
-NOTICE says where these are from.
+``english.txt.xz``, ``words.txt.xz`` and ``pairs.txt.xz`` when they are first needed, which takes
+two seconds, and kept for the next process; NOTICE says where the texts are from.
 """
 
+import hashlib
+import io
 import lzma
 import re
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Self
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from protocol.arrays import Array, Flags, Indices
+from runtime.cache_folder import cache_folder
+from runtime.files import PUBLIC_FILE, write_atomically
 
 Codes = NDArray[np.int64]
 
@@ -77,31 +84,55 @@ CLASS: Final = 5.0
 """Frequency classes of the lists in a decade."""
 
 
+@dataclass(frozen=True, slots=True)
 class Level:
     """What followed each context of one kind.
 
-    Parameters
+    Attributes
     ----------
-    contexts, following : integer arrays, shape (N,)
-        The context of each character of the text, as a number, and the character's class.
-    weights : array, shape (N,), optional
-        How often each; once where not given.
-    strength : float
-        Of the level below.
-    below : array, shape (N,), optional
-        Weight of the level below in each context; by ``strength`` and how many different characters
-        were counted where not given.
+    contexts : integer array, shape (C,)
+        The contexts as numbers, in order.
+    begin, size : integer arrays, shape (C,)
+        Where a context's rows are among all.
+    weight : array, shape (C,)
+        Of what was counted after a context; the level below has the rest.
+    following : integer array, shape (rows,)
+        Classes of characters.
+    share : array, shape (rows,)
+        Their probabilities, times ``weight``.
     """
 
-    def __init__(
-        self,
+    contexts: Codes
+    begin: Indices
+    size: Indices
+    weight: Array
+    following: Codes
+    share: Array
+
+    @classmethod
+    def counted(
+        cls,
         contexts: Codes,
         following: Codes,
         weights: Array | None = None,
         *,
         strength: float = STRENGTH,
         below: Array | None = None,
-    ) -> None:
+    ) -> Self:
+        """Count a text.
+
+        Parameters
+        ----------
+        contexts, following : integer arrays, shape (N,)
+            The context of each character of the text, as a number, and the character's class.
+        weights : array, shape (N,), optional
+            How often each; once where not given.
+        strength : float
+            Of the level below.
+        below : array, shape (N,), optional
+            Weight of the level below in each context; by ``strength`` and how many different
+            characters were counted where not given.
+        """
         known, packed = contexts, contexts
         if weights is not None or contexts.max() >= _MASK // _BASE:
             # hashes leave no room for the class beside them, nor for a place
@@ -114,30 +145,30 @@ class Level:
             counts = np.diff(at, append=len(keys)).astype(float)
         else:
             counts = np.add.reduceat(weights[order], at)
-        self._following = keys[at] % _BASE
         pair_contexts = keys[at] // _BASE
-        self._begin = np.flatnonzero(np.diff(pair_contexts, prepend=-1))
-        self._contexts = pair_contexts[self._begin]
+        begin = np.flatnonzero(np.diff(pair_contexts, prepend=-1))
+        found = pair_contexts[begin]
         if known is not contexts:
-            self._contexts = known[self._contexts]
-        self._size = np.diff(self._begin, append=len(at))
-        total = np.add.reduceat(counts, self._begin)
-        rest = strength * self._size if below is None else below[order][at][self._begin]
-        weight = self._weight = total / (total + rest)
-        self._share = counts * np.repeat(weight / total, self._size)
+            found = known[found]
+        size = np.diff(begin, append=len(at))
+        total = np.add.reduceat(counts, begin)
+        rest = strength * size if below is None else below[order][at][begin]
+        weight = total / (total + rest)
+        share = counts * np.repeat(weight / total, size)
+        return cls(found, begin, size, weight, keys[at] % _BASE, share)
 
     def mix(self, p: Array, contexts: Codes) -> None:
         """Let what followed ``contexts``, shape (R,), count in ``p``, shape (R, CLASSES)."""
-        place = np.minimum(np.searchsorted(self._contexts, contexts), len(self._contexts) - 1)
-        rows = np.flatnonzero(self._contexts[place] == contexts)
+        place = np.minimum(np.searchsorted(self.contexts, contexts), len(self.contexts) - 1)
+        rows = np.flatnonzero(self.contexts[place] == contexts)
         if not len(rows):
             return
         place = place[rows]
-        size = self._size[place]
-        p[rows] *= 1.0 - self._weight[place][:, None]
-        pairs = np.repeat(self._begin[place] - np.append(0, np.cumsum(size)[:-1]), size)
+        size = self.size[place]
+        p[rows] *= 1.0 - self.weight[place][:, None]
+        pairs = np.repeat(self.begin[place] - np.append(0, np.cumsum(size)[:-1]), size)
         pairs += np.arange(len(pairs))
-        p[np.repeat(rows, size), self._following[pairs]] += self._share[pairs]  # no pair twice
+        p[np.repeat(rows, size), self.following[pairs]] += self.share[pairs]  # no pair twice
 
 
 def _stable_order(keys: Codes) -> Codes:
@@ -194,22 +225,44 @@ class Contexts:
         return Contexts(last, word, before)
 
 
+@dataclass(frozen=True, slots=True)
 class English:
     """The model.
 
-    Parameters
+    Attributes
     ----------
-    text : bytes
-        What it is counted from.
-    listed : bytes
-        Words by frequency: a class a line, its number and its words in order. Before each a capital
-        letter says how many letters it has in common with the one before: A none, B one, ...
-    pairs : bytes
-        Words that follow others: a word a line, then how often it is followed by which, as a class
-        and its words in order.
+    single : array, shape (CLASSES,)
+        Probability of each class of characters, whatever was before.
+    orders : tuple of Level
+        What followed the last characters, for each of :data:`ORDERS`.
+    listed, listed_pair : Level
+        What follows the beginning of a word in the list of words, and in that of pairs.
+    word, pair : Level
+        The same in the text.
     """
 
-    def __init__(self, text: bytes, listed: bytes, pairs: bytes) -> None:
+    single: Array
+    orders: tuple[Level, ...]
+    listed: Level
+    listed_pair: Level
+    word: Level
+    pair: Level
+
+    @classmethod
+    def counted(cls, text: bytes, listed: bytes, pairs: bytes) -> Self:
+        """Count a text and two lists.
+
+        Parameters
+        ----------
+        text : bytes
+        listed : bytes
+            Words by frequency: a class a line, its number and its words in order. Before each a
+            capital letter says how many letters it has in common with the one before: A none, B
+            one, ...
+        pairs : bytes
+            Words that follow others: a word a line, then how often it is followed by which, as a
+            class and its words in order.
+        """
         codes = class_of(np.frombuffer(text, dtype=np.uint8)).astype(np.int64)
         last = np.zeros(len(codes), dtype=np.int64)
         for back in range(1, ORDERS[-1] + 1):
@@ -217,27 +270,29 @@ class English:
         word, before = _words(codes)
         p = np.bincount(codes, minlength=CLASSES) + 0.05
         p[OTHER] = 0.0
-        self._single = p / p.sum()
-        self._levels = [Level(last % _BASE**n, codes) for n in ORDERS]
-        self._listed, self._listed_pair = _word_levels(listed, pairs)
         word = _placed(word, last)
-        self._word = Level(word, codes, strength=WORD_STRENGTH)
         known = before != NO_WORD
-        self._pair = Level(_paired(before, word)[known], codes[known])
+        return cls(
+            p / p.sum(),
+            tuple(Level.counted(last % _BASE**n, codes) for n in ORDERS),
+            *_word_levels(listed, pairs),
+            Level.counted(word, codes, strength=WORD_STRENGTH),
+            Level.counted(_paired(before, word)[known], codes[known]),
+        )
 
     def next(self, at: Contexts) -> tuple[Array, NDArray[np.intp]]:
         """Probability of each next byte: rows, shape (R, 256), and whose is which, (H,)."""
         first, back = distinct(at.last, at.word, at.before)
         last, word, before = at.last[first], at.word[first], at.before[first]
-        p = np.tile(self._single, (len(last), 1))
-        for n, level in zip(ORDERS, self._levels, strict=True):
+        p = np.tile(self.single, (len(last), 1))
+        for n, level in zip(ORDERS, self.orders, strict=True):
             level.mix(p, last % _BASE**n)
-        self._listed.mix(p, np.where(word == 0, -1, word))  # it knows nothing of what words follow
+        self.listed.mix(p, np.where(word == 0, -1, word))  # it knows nothing of what words follow
         placed = _placed(word, last)
-        self._word.mix(p, placed)
+        self.word.mix(p, placed)
         begun = (word != 0) | (last % _BASE == SPACE)
-        self._listed_pair.mix(p, np.where(begun, _paired(before, word), -1))
-        self._pair.mix(p, _paired(before, placed))
+        self.listed_pair.mix(p, np.where(begun, _paired(before, word), -1))
+        self.pair.mix(p, _paired(before, placed))
         p *= 1 - ANY_BYTE
         out = np.tile((p[:, OTHER:] + ANY_BYTE) / 256, 256)
         out[:, _FIRST : _LAST + 1] += p[:, :OTHER]
@@ -331,7 +386,7 @@ def _word_levels(listed: bytes, pairs: bytes) -> tuple[Level, Level]:
     which = np.unique(spelt.so_far, return_inverse=True)[1]
     begun = np.bincount(which, weights)  # how often words begin so
     inside = spelt.so_far != 0  # the list does not know what words follow
-    alone = Level(
+    alone = Level.counted(
         spelt.so_far[inside],
         spelt.following[inside],
         weights[inside],
@@ -360,7 +415,7 @@ def _word_levels(listed: bytes, pairs: bytes) -> tuple[Level, Level]:
     below: Array = np.repeat(np.array(others), size_of) * begun[which][rows]
     contexts = _paired(before, spelt.so_far[rows])
     weights = spelt.share[rows] * np.repeat(np.array(p), size_of)
-    return alone, Level(contexts, spelt.following[rows], weights, below=below)
+    return alone, Level.counted(contexts, spelt.following[rows], weights, below=below)
 
 
 def _so_far(letters: Codes, place: Indices) -> Codes:
@@ -424,8 +479,54 @@ def class_of(values: NDArray[np.integer]) -> Codes:
 
 @cache
 def english() -> English:
-    """The model of the text that is shipped."""
-    return English(*(lzma.decompress(path.read_bytes()) for path in (TEXT, WORDS, PAIRS)))
+    """The model of the text that is shipped, as it was kept once it had been counted."""
+    sources = [path.read_bytes() for path in (Path(__file__), TEXT, WORDS, PAIRS)]
+    name = hashlib.sha256(b"".join(sources)).hexdigest()
+    path = cache_folder("english") / f"{name}.npz"
+    model = _kept(path)
+    if model is None:
+        model = English.counted(*map(lzma.decompress, sources[1:]))
+        _keep(model, path)
+    return model
+
+
+SMALL: Final = {"begin": np.uint32, "size": np.uint8, "following": np.uint8}
+"""What a level's integers are kept as: less than half of them is left."""
+
+
+def _keep(model: English, path: Path) -> None:
+    """Write a model in the place of earlier ones, if it can be written."""
+    levels = (*model.orders, model.listed, model.listed_pair, model.word, model.pair)
+    arrays: dict[str, Any] = {
+        "single": model.single,
+        "contexts_of": [len(level.contexts) for level in levels],
+        "rows_of": [len(level.following) for level in levels],
+    }
+    for name in (field.name for field in fields(Level)):
+        whole = np.concatenate([getattr(level, name) for level in levels])
+        arrays[name] = whole.astype(SMALL.get(name, whole.dtype))
+    out = io.BytesIO()
+    np.savez(out, **arrays)
+    with suppress(OSError):
+        write_atomically(path, out.getvalue(), PUBLIC_FILE)
+        for other in path.parent.glob("*.npz"):
+            if other != path:
+                other.unlink()
+
+
+def _kept(path: Path) -> English | None:
+    """The model that was written; None where there is none, or it is damaged."""
+    try:
+        with path.open("rb") as opened, np.load(opened, allow_pickle=False) as file:
+            columns = []
+            for name in (field.name for field in fields(Level)):
+                whole = file[name].astype(np.int64) if name in SMALL else file[name]
+                sizes = file["rows_of" if name in ("following", "share") else "contexts_of"]
+                columns.append(np.split(whole, np.cumsum(sizes)[:-1]))
+            levels = [Level(*level) for level in zip(*columns, strict=True)]
+            return English(file["single"], tuple(levels[: len(ORDERS)]), *levels[len(ORDERS) :])
+    except (OSError, EOFError, ValueError, KeyError, TypeError, BadZipFile):
+        return None
 
 
 def log2_probability(model: English | AnyBytes, text: bytes) -> float:

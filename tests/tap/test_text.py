@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import lzma
 import os
 import random
 import tracemalloc
@@ -28,13 +27,10 @@ from tap_service.eavesdroppers.smoother import Smoother
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.alignment import align
 from tap_service.inference.english import (
-    TEXT,
     AnyBytes,
-    Contexts,
     English,
     distinct,
     english,
-    log2_probability,
 )
 from tap_service.inference.front import Inference
 from tap_service.inference.gap_smoother import InferredStep
@@ -522,15 +518,6 @@ def test_no_message_is_none() -> None:
 # --- English ------------------------------------------------------------------------------------
 
 
-def test_probabilities_of_the_next_byte_sum_to_one() -> None:
-    at = Contexts.start(2)
-    for byte in b"The quick brown fox's 3 jumps.":
-        rows, which = english().next(at)
-        np.testing.assert_allclose(rows[which].sum(axis=1), 1.0)
-        at = at.after(np.array([byte, 200]))
-    assert AnyBytes().next(at)[0].sum() == pytest.approx(1.0)
-
-
 def test_rows_that_differ_are_those_of_a_set_in_order_with_their_first_places() -> None:
     rng = np.random.default_rng(0)
     columns = rng.integers(0, 3, (3, 60))
@@ -542,23 +529,6 @@ def test_rows_that_differ_are_those_of_a_set_in_order_with_their_first_places() 
     texts = rng.integers(0, 256, (60, 2), dtype=np.uint8)[rng.integers(0, 60, 60)]
     said = [text.tobytes() for text in texts]
     assert [said.index(text) for text in sorted(set(said))] == first_of_each(texts).tolist()
-
-
-def test_english_is_likelier_than_noise_and_knows_no_message_of_the_studies() -> None:
-    bits = [-log2_probability(english(), s.encode()) / len(s) for s in SENTENCES]
-    assert np.mean(bits) < 3.2
-    assert -log2_probability(english(), b"xq zvw jjk qpf") / 14 > 5
-    text = lzma.decompress(TEXT.read_bytes()).decode().lower()
-    assert [s for s in (*SENTENCES, *SHORT) if s.lower().rstrip(".") in text] == []
-
-
-def test_a_sentence_begins_as_sentences_do_and_goes_on_as_words_follow_others() -> None:
-    def bits(text: bytes) -> float:
-        return -log2_probability(english(), text)
-
-    assert bits(b"The") < bits(b"the")
-    assert bits(b"It is so. The end") - bits(b"It is so. the end") < -2
-    assert bits(b"He went to the hospital") < bits(b"He went to of hospital") - 4
 
 
 @pytest.mark.long
