@@ -5,7 +5,7 @@ import os
 import resource
 import struct
 import time
-from collections.abc import Mapping
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -62,41 +62,53 @@ class Meter:
 
 def used_s() -> float:
     """Seconds of processor time of this process's descendants, without its own."""
-    mine = os.getpid()
-    stats = _stats()
-    running = _family(mine, stats) - {mine}
+    _, *running = _family(os.getpid())
     gone = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return _seconds(running, stats) + gone.ru_utime + gone.ru_stime
+    return _seconds(running) + gone.ru_utime + gone.ru_stime
 
 
 def used_by_s(child: int) -> float:
     """Seconds of processor time of one process and of all that comes from it."""
-    stats = _stats()
-    return _seconds(_family(child, stats), stats)
+    return _seconds(_family(child))
 
 
-def _stats() -> dict[int, tuple[int, int]]:
-    """Parent and clock ticks of each process; the ticks of its ended children are included."""
-    stats: dict[int, tuple[int, int]] = {}
-    for process in processes():
-        with suppress(OSError):
-            told = (process / "stat").read_bytes().decode(errors="replace")
-            fields = told.rpartition(")")[2].split()
-            stats[int(process.name)] = int(fields[1]), sum(map(int, fields[11:15]))
-    return stats
+def children_of(parent: int) -> list[int]:
+    """Processes whose parent this one is, also those that are dead and not waited for."""
+    if not CHILDREN_TOLD:
+        stats = {int(process.name): _stat(process) for process in processes()}
+        return [pid for pid, stat in stats.items() if stat and int(stat[1]) == parent]
+    found: list[int] = []
+    with suppress(OSError):  # it has ended
+        for thread in Path(f"/proc/{parent}/task").iterdir():
+            with suppress(OSError):  # this thread alone has
+                found += map(int, (thread / "children").read_text().split())
+    return found
 
 
-def _family(ancestor: int, stats: Mapping[int, tuple[int, int]]) -> set[int]:
-    family = {ancestor}
-    known = 0
-    while known < len(family):
-        known = len(family)
-        family |= {pid for pid, (parent, _) in stats.items() if parent in family}
+CHILDREN_TOLD: Final = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").exists()
+"""Whether this kernel tells a process's children; on one that does not, all processes are read."""
+
+
+def _stat(process: Path) -> list[str]:
+    """What the kernel tells of a process, from its state on; nothing of one that has ended."""
+    try:
+        told = (process / "stat").read_bytes().decode(errors="replace")
+    except OSError:
+        return []
+    return told.rpartition(")")[2].split()
+
+
+def _family(ancestor: int) -> list[int]:
+    """A process, and after it all that come from it."""
+    family = [ancestor]
+    for member in family:
+        family += children_of(member)
     return family
 
 
-def _seconds(family: set[int], stats: Mapping[int, tuple[int, int]]) -> float:
-    ticks = sum(stats[pid][1] for pid in family if pid in stats)
+def _seconds(family: Iterable[int]) -> float:
+    """Processor time of processes, and of their children that have ended and were waited for."""
+    ticks = sum(sum(map(int, _stat(Path(f"/proc/{pid}"))[11:15])) for pid in family)
     return ticks / os.sysconf("SC_CLK_TCK")
 
 

@@ -35,7 +35,7 @@ from runtime.child import (
     take_line,
 )
 from runtime.errors import Failure
-from runtime.processor_time import PROCESSOR_S, Meter, processes, used_s
+from runtime.processor_time import PROCESSOR_S, Meter, children_of, processes, used_s
 
 START_S: Final = 20.0
 """Seconds that a guest has to be loaded and made."""
@@ -321,7 +321,7 @@ def _guard(guest: int, meter: Meter) -> int:
                 break
         # Whatever is left has an ancestor that is a child: without a child nothing is left.
         while True:
-            for pid in _children():
+            for pid in children_of(os.getpid()):
                 with suppress(ProcessLookupError, PermissionError):
                     os.kill(pid, signal.SIGKILL)
             _dead()
@@ -341,17 +341,6 @@ def _dead() -> list[int]:
     while pid := os.waitpid(-1, os.WNOHANG)[0]:
         found.append(pid)
     return found
-
-
-def _children() -> Iterator[int]:
-    """Processes whose parent this one is, but for those that are dead already."""
-    me = str(os.getpid())
-    for process in processes():
-        with suppress(OSError):
-            told = (process / "stat").read_bytes().decode(errors="replace")
-            state, parent = told.rpartition(")")[2].split()[:2]
-            if parent == me and state not in "ZX":
-                yield int(process.name)
 
 
 def _answer_all(
