@@ -5,7 +5,8 @@ import os
 import resource
 import struct
 import time
-from collections.abc import Iterable
+from collections import defaultdict
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -74,9 +75,21 @@ def used_by_s(child: int) -> float:
 
 def children_of(parent: int) -> list[int]:
     """Processes whose parent this one is, also those that are dead and not waited for."""
-    if not CHILDREN_TOLD:
-        stats = {int(process.name): _stat(process) for process in processes()}
-        return [pid for pid, stat in stats.items() if stat and int(stat[1]) == parent]
+    return _children()(parent)
+
+
+def _children() -> Callable[[int], list[int]]:
+    """What tells a process's children: the kernel, or a look at every process."""
+    if CHILDREN_TOLD:
+        return _told
+    seen: defaultdict[int, list[int]] = defaultdict(list)
+    for process in processes():
+        if stat := _stat(process):
+            seen[int(stat[1])].append(int(process.name))
+    return lambda parent: seen[parent]
+
+
+def _told(parent: int) -> list[int]:
     found: list[int] = []
     with suppress(OSError):  # it has ended
         for thread in Path(f"/proc/{parent}/task").iterdir():
@@ -86,7 +99,7 @@ def children_of(parent: int) -> list[int]:
 
 
 CHILDREN_TOLD: Final = Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").exists()
-"""Whether this kernel tells a process's children; on one that does not, all processes are read."""
+"""Whether this kernel tells a process's children."""
 
 
 def _stat(process: Path) -> list[str]:
@@ -100,9 +113,9 @@ def _stat(process: Path) -> list[str]:
 
 def _family(ancestor: int) -> list[int]:
     """A process, and after it all that come from it."""
-    family = [ancestor]
+    family, children = [ancestor], _children()
     for member in family:
-        family += children_of(member)
+        family += children(member)
     return family
 
 
