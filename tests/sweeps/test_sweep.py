@@ -381,7 +381,9 @@ def test_the_version_covers_what_the_numbers_come_from(
 ) -> None:
     # These say which runs there are and what they add up to; a task does not use them.
     others = others | {
-        "runtime/files.py",  # where a law's tables are cached
+        # where a law's tables are cached
+        "runtime/files.py",
+        "runtime/cache_folder.py",
         # how a scenario's file is found and opened; what it says is read by protocol/scenario
         *(f"runtime/{name}.py" for name in ("errors", "options", "pace", "run_folder")),
         "runtime/scenario_file.py",
