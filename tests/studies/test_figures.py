@@ -55,6 +55,14 @@ NAMED_BY_CONTENT = re.compile(r"\b([mp])[0-9a-f]{10}\b")
 """Markers and clip paths in an SVG: hashes, which the last digit of a place changes."""
 
 
+def in_blocks(path: Path, side: int = 4) -> np.ndarray:
+    """How bright each block of a picture is; how an edge was smoothed hardly counts there."""
+    grey = imread(path)[:, :, :3].mean(axis=2)
+    rows, columns = (size // side for size in grey.shape)
+    blocks = grey[: rows * side, : columns * side].reshape(rows, side, columns, side)
+    return np.asarray(blocks.mean(axis=(1, 3)))
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("name", FIGURES)
 def test_a_figure_is_that_of_the_page_and_states_runs_seed_and_intervals(
@@ -76,9 +84,9 @@ def test_a_figure_is_that_of_the_page_and_states_runs_seed_and_intervals(
     assert NUMBER.split(drawn) == NUMBER.split(shown)
     places = [np.array(NUMBER.findall(text), dtype=float) for text in (drawn, shown)]
     assert np.abs(places[0] - places[1]).max() < 1e-3
-    colours = [imread(path) for path in (png, FIGURES_FOLDER / png.name)]
-    assert colours[0].shape == colours[1].shape
-    assert np.abs(colours[0] - colours[1]).mean() < 0.01
+    greys = [in_blocks(path) for path in (png, FIGURES_FOLDER / png.name)]
+    assert greys[0].shape == greys[1].shape
+    assert np.abs(greys[0] - greys[1]).max() < 0.1  # one that lacked a moved curve had 0.45
     assert min(svg.stat().st_size, png.stat().st_size) > 5_000
     assert max(svg.stat().st_size, png.stat().st_size) < 200_000
     (note,) = notes
