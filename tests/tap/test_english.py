@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from protocol.scenario import Scenario
+from runtime.cache_folder import cache_folder
 from studies.secrecy.runs import SENTENCES as SHORT
 from studies.secrecy.sentences import SENTENCES
 from tap_service.eavesdroppers.text import Text
@@ -102,6 +103,18 @@ def test_where_nothing_can_be_kept_it_is_counted(tmp_path: Path, empty_cache: Pa
     (tmp_path / "wyner").write_text("in the way")
     assert log2_probability(english(), b"It is so.") < 0
     assert not empty_cache.exists()
+
+
+def test_who_has_no_home_is_given_a_folder_that_cannot_be_made(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def homeless() -> Path:
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    monkeypatch.setattr(Path, "home", homeless)
+    with pytest.raises(OSError, match="Not a directory"):
+        cache_folder("english").mkdir(parents=True)
 
 
 def test_who_names_her_waits_for_no_model(sustained: Scenario, empty_cache: Path) -> None:
