@@ -135,7 +135,7 @@ def free_endpoints(count: int) -> list[str]:
     """
     clients = kernel_ports()
     ports = [port for port in range(LOWEST_PORT, LARGEST_PORT + 1) if port not in clients]
-    first = secrets.randbelow(len(ports) or 1)  # who starts at once with others tries others
+    first = secrets.randbelow(len(ports) or 1)  # programs that start together rarely meet
     tried = chain(ports[first:], ports[:first])
     found = list(islice((port for port in tried if _is_free(port) and taken_down(port)), count))
     if len(found) < count:

@@ -57,7 +57,7 @@ class Rows:
         self.corners = row_crossings(self.H, self.h, self.from_row(second, 0))
 
     def from_row(self, start: Indices, more: int) -> Indices:
-        """Each set's rows from its row ``start[i]`` on, around it, and so many ``more``."""
+        """Each set's rows around it from row ``start[i]`` on, the first ``more`` of them twice."""
         sizes = self.sizes + more
         ends = sizes.cumsum()
         place = np.arange(ends[-1]) - np.repeat(ends - sizes, sizes)
@@ -82,10 +82,8 @@ class Sectors:
         start = np.array([angle[a:b].argmin() for a, b in pairwise(sets.edges)])
         key = (sets.of_set(np.arange(0.0, 4.0 * len(start), 4.0)) + angle)[sets.from_row(start, 0)]
         self.keys = np.maximum.accumulate(key)
-        self.first, self.last = (
-            int(sets.sizes[0]),
-            int(sets.sizes[-1]) + 1,
-        )  # T_0's keys, T_N's rows
+        self.first = int(sets.sizes[0])  # keys of T_0
+        self.last = int(sets.sizes[-1]) + 1  # rows of T_N
         # Corner j is of rows j and j + 1: the sector before corner `start` is row `start`'s.
         ring = sets.from_row(start, 1)
         self.a1, self.a2, self.b = sets.H[ring, 0], sets.H[ring, 1], sets.h[ring]

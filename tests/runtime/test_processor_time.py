@@ -4,14 +4,16 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
 from runtime import processor_time
-from runtime.processor_time import children_of, used_by_s, used_s
+from runtime.processor_time import children_of, used_by_s
 from tests.support.patience import PATIENCE_S
+
+ROOT = Path(__file__).resolve().parents[2]
 
 FAMILY = """
 import os, threading, time
@@ -43,10 +45,11 @@ time.sleep(1000)
 
 
 @pytest.fixture(params=[True, False], ids=["its children alone", "all processes"])
-def told(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+def told(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> bool:
     if request.param and not processor_time.CHILDREN_TOLD:
         pytest.skip("this kernel does not tell a process's children")
     monkeypatch.setattr(processor_time, "CHILDREN_TOLD", request.param)
+    return bool(request.param)
 
 
 @pytest.fixture
@@ -79,11 +82,23 @@ def test_of_who_is_gone_nothing_is_told() -> None:
     assert used_by_s(process.pid) == 0.0
 
 
-@pytest.mark.usefixtures("told")
-def test_a_processs_own_time_is_not_that_of_its_descendants() -> None:
-    before, until = used_s(), time.process_time() + 0.2
-    while time.process_time() < until:
-        pass
-    assert used_s() - before < 0.1
-    subprocess.run([sys.executable, "-c", "sum(range(6_000_000))"], check=True)
-    assert used_s() > before + 0.05
+OWN = """
+import subprocess, sys, time
+from runtime import processor_time
+from runtime.processor_time import used_s
+
+processor_time.CHILDREN_TOLD = sys.argv[1] == "True"
+while time.process_time() < 0.5:
+    pass
+own = used_s()
+subprocess.run([sys.executable, "-c", "sum(range(10_000_000))"], check=True)
+print(own, used_s())
+"""
+
+
+def test_a_processs_own_time_is_not_that_of_its_descendants(told: bool) -> None:
+    command = [sys.executable, "-c", OWN, str(told)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True, cwd=ROOT)
+    own, with_a_child = map(float, done.stdout.split())
+    assert own == 0.0
+    assert with_a_child > 0.05
