@@ -140,9 +140,7 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).spoiled_stores
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
-	WYNER_MUTANTS=all $(BIN)/pytest tests/runs/check/test_mutants.py
-	WYNER_STEPS=long $(BIN)/pytest tests/simulate/test_engine_system.py tests/tap/test_text.py \
-	  -k "live_services or comes_true"
+	WYNER_TESTS=whole $(MAKE) tests ALL=1
 
 bench: $(STAMPS)/dev
 	$(BIN)/wyner bench all

@@ -1,7 +1,6 @@
 """Engine, single-process simulation and live services: one system, step for step."""
 
 import base64
-import os
 import shutil
 import subprocess
 import sys
@@ -26,6 +25,7 @@ from protocol.schemes.switched import MESSAGE, TEST
 from runtime.recording import TraceReader, TraceWriter
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
+from tests.support.size import size
 from wyner.runs.run import Run
 from wyner.runs.score.replay import Replay
 from wyner.runs.score.score import read_truth, score
@@ -35,8 +35,6 @@ from wyner.simulate.network import Simulation
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = b"Meet me where the river bends, at the second lamp after the bridge."
-LONG = os.environ.get("WYNER_STEPS") == "long"
-"""A campaign's size; ``make test-long`` tries a tenth of it."""
 WINDOW = 1000
 
 Event = dict[str, Any]
@@ -258,18 +256,18 @@ def test_a_faulty_network_changes_nothing_that_the_engine_says(tmp_path: Path) -
     "case",
     [
         # Under the paper's own law the candidates coincide after ten steps: fewer are enough.
-        Case("paper", 10_000 if LONG else 500, seed=2),
+        Case("paper", size(500, 10_000), seed=2),
         Case(
             "sustained",
-            100_000 if LONG else 1500,
+            size(1500, 100_000),
             seed=2,
-            payload=36 * TEXT if LONG else TEXT[:24],
+            payload=size(TEXT[:24], 36 * TEXT),
         ),
         Case(
             "quadruple-tank",
-            20_000 if LONG else 700,
+            size(700, 20_000),
             seed=2,
-            payload=6 * TEXT if LONG else TEXT[:8],
+            payload=size(TEXT[:8], 6 * TEXT),
         ),
         Case("packed", 1000, seed=21),
     ],

@@ -2,7 +2,6 @@
 
 import dataclasses
 import itertools
-import os
 import random
 import tracemalloc
 from collections.abc import Sequence
@@ -41,6 +40,7 @@ from tap_service.inference.message_search import Found, MessageSearch
 from tap_service.inference.message_sets import SharedSearch
 from tap_service.inference.verdicts import made_of, verdicts_of
 from tests.support.held_memory import kept
+from tests.support.size import size
 from wyner.runs.score.score import score
 
 
@@ -573,9 +573,8 @@ def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
 def test_what_she_states_comes_true() -> None:
     """A third to a half of the symbols missed: 20 short messages by 10 seeds, or by one each."""
     stated: list[tuple[float, bool]] = []
-    long = os.environ.get("WYNER_STEPS") == "long"
     few = zip((0, 4, 9, 2) * 5, SHORT, strict=True)
-    for seed, words in itertools.product(range(10), SHORT) if long else few:
+    for seed, words in size(few, itertools.product(range(10), SHORT)):
         payload = words.encode("ascii")
         missed = 0.35 + 0.15 * seed / 9
         steps = stretch(payload, 4, "pipelined", seed, missed=missed, agree=1.0)
@@ -585,7 +584,7 @@ def test_what_she_states_comes_true() -> None:
         claim = first.probability if first is not None else 0.0
         stated.append((claim, first is not None and first.payload == payload))
     p, right = (np.array(column, dtype=float) for column in zip(*stated, strict=True))
-    assert len(p) == (200 if long else 20)
+    assert len(p) == size(20, 200)
     sure = p >= 0.99
     assert sure.sum() >= len(p) / 5
     assert (right[sure] == 0).sum() <= 2 + 3 * (1 - p[sure]).sum()

@@ -1,6 +1,5 @@
 """Nothing that a run recorded can be otherwise without a check that says so, by its name."""
 
-import os
 import shutil
 from pathlib import Path
 
@@ -11,16 +10,16 @@ from tests.runs.check.mutants import Mutant, mutants_of
 from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
+from tests.support.size import size
 from tests.support.small_run import read_lines, write_lines
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
 pytestmark = pytest.mark.slow
 
-STRIDE = 11
-"""One mutant in so many is tried; all of them with ``WYNER_MUTANTS=all``."""
+STRIDE = size(11, 1)
+"""One mutant in so many is tried."""
 
-ALL = os.environ.get("WYNER_MUTANTS") == "all"
 TRACES = (PLANT_TRACE, CONTROLLER_TRACE)
 
 
@@ -121,8 +120,7 @@ def test_every_change_of_meaning_fails_the_check_that_names_it(
     folder = Path(shutil.copytree(killed, tmp_path / "run"))
     mutants = [m for m in mutants_of(killed) if not only_marked(m)]
     assert len(mutants) > 500
-    if not ALL:
-        mutants = mutants[::STRIDE]
+    mutants = mutants[::STRIDE]
     survivors, unnamed = [], []
     for m in mutants:
         before = (folder / m.file).read_bytes()
@@ -143,7 +141,7 @@ def test_an_end_mark_protects_the_rest(ended: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(ended, tmp_path / "run"))
     mutants = [m for m in mutants_of(ended) if only_marked(m) and m.file == CAPTURE]
     assert len(mutants) >= 20
-    for m in mutants if ALL else mutants[::STRIDE]:
+    for m in mutants[::STRIDE]:
         before = (folder / m.file).read_bytes()
         m.apply(folder)
         assert "whole" in failed(folder), m.name
