@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-import scipy.linalg
 
 from protocol.arrays import Array, Flags
 from protocol.knowledge import Knowledge
@@ -259,9 +258,11 @@ def _gain(k: Knowledge, A: Array, B: Array) -> Array | None:
     weights = k.policy.regulator
     if weights is None:
         return None
+    from scipy.linalg import solve_discrete_are  # a third of the start of whoever listens
+
     Q, R = np.diag(weights.next_state), np.diag(weights.input)
     try:
-        P = scipy.linalg.solve_discrete_are(A, B, Q, R)
+        P = solve_discrete_are(A, B, Q, R)
     except (np.linalg.LinAlgError, ValueError):
         return None
     return np.asarray(-np.linalg.solve(B.T @ P @ B + R, B.T @ P @ A))

@@ -30,7 +30,7 @@ from tests.campaigns.resumable import Results
 from tests.campaigns.traffic import Traffic
 
 KILLS_A_RUN: Final = 60
-BYTES_A_KILL: Final = 30
+BYTES_A_KILL: Final = 12
 """Bytes of a short run's message, so that it lasts as long as the kills."""
 
 FROZEN_S: Final = 6.0
