@@ -14,7 +14,7 @@ from protocol.scenario import ScenarioError
 from runtime.errors import Failure
 
 ROUNDS = 2
-STEPS = 2000  # a tap that joins half a second late has still heard most of it
+STEPS = 800  # a tap that joins half a second late has still heard most of it
 
 
 @pytest.fixture(scope="module")

@@ -54,7 +54,7 @@ class Sites:
 
     def _agree(self) -> None:
         """What the services of both ends do for their key servers."""
-        while not self._over.wait(0.02):
+        while not self._over.wait(0.1):
             with self._meeting, suppress(StoreError), ExitStack() as opened:
                 agree(*(opened.enter_context(self.store(side)) for side in SIDES))
 

@@ -10,6 +10,7 @@ import pytest
 
 from tests.campaigns.medium import Case, Result, run
 from tests.support.medium import NoNamespaces
+from tests.support.size import size
 
 pytestmark = [pytest.mark.long, pytest.mark.integration]
 
@@ -24,7 +25,7 @@ def result(case: Case, folder: Path, seed: int = 1) -> Result:
     return got
 
 
-@pytest.mark.parametrize("receivers", [1, 3])
+@pytest.mark.parametrize("receivers", size([3], [1, 3]))
 def test_over_multicast_a_message_leaves_once_and_the_keys_hold(
     receivers: int, tmp_path: Path
 ) -> None:

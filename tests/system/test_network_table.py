@@ -5,12 +5,13 @@ from pathlib import Path
 import pytest
 
 from tests.campaigns.tables import live
+from tests.support.size import size
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["losses", "bursts", "measured"])
+@pytest.mark.parametrize("name", size(["bursts", "measured"], ["losses", "bursts", "measured"]))
 def test_a_live_loop_misses_every_step_that_the_table_takes(name: str, tmp_path: Path) -> None:
     """150 steps at the plant's own pace. A late machine may miss others, and is not counted.
 

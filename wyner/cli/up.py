@@ -166,9 +166,9 @@ def run_session(
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import announced
-    from wyner.runs.check.seal import seal
     from wyner.runs.run import Run
     from wyner.runs.score.summary import summarise, verdict_lines
+    from wyner.runs.seal import seal
 
     at_least("--steps", options.steps, 1)
     at_least("--seed", options.seed, 0)

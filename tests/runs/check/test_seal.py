@@ -38,9 +38,9 @@ from tests.support.checked_runs import failed
 from tests.support.giving import deliver
 from wyner.cli.main import main
 from wyner.runs.check import check
-from wyner.runs.check.covered import KINDS
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.check.seal import broken, seal
+from wyner.runs.covered import KINDS
+from wyner.runs.seal import broken, seal
 
 OTHERS: dict[Path, dict[str, Any]] = {
     CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},

@@ -19,8 +19,8 @@ from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.journals import JournalState
 from wyner.runs.check.records import Walked
-from wyner.runs.check.seal import broken, went_on_in
 from wyner.runs.check.sides import Segments, SideReader
+from wyner.runs.seal import broken, went_on_in
 
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
 

@@ -1,10 +1,8 @@
-"""The key stores of a run: what stays in them after it, and that each holds what its end stored."""
+"""The key stores of a run: each holds what its end stored."""
 
-import hashlib
 import json
 from contextlib import ExitStack
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 from protocol.secret.records import Side, key_id
@@ -28,16 +26,6 @@ KEY_BYTES: Final = 32
 At = tuple[str, int]
 """A block: its session and number."""
 
-_STAYS: Final = (
-    "SELECT name, value FROM meta WHERE name <> 'given' ORDER BY name",
-    "SELECT session, number, transitions, steps, counted, rows, keys, state, tag "
-    "FROM block ORDER BY place",
-    "SELECT id, row, own FROM key ORDER BY place",
-    "SELECT origin, kind, session FROM pad ORDER BY place",
-    "SELECT id, hex(digest), key_ids, hex(cipher), tag FROM sealed ORDER BY number",
-    "SELECT id, hex(payload) FROM opened ORDER BY number",
-)
-
 _AFTER: Final = {
     "stored": ("stored", "delivered", "dropped"),
     "confirmed": ("confirmed", "delivered", "dropped"),
@@ -48,24 +36,6 @@ _AFTER: Final = {
 
 _JUDGED: Final = {"confirmed": "confirmed", "unequal": "dropped"}
 """What a block becomes by the partner's word."""
-
-
-def what_stays(path: Path, side: Side) -> str:
-    """A SHA-256 of what nobody changes in a key store once both ends have ended.
-
-    Of keys it is their names: a digest of a key would tell something of it after it was erased.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be read.
-    """
-    digest = hashlib.sha256()
-    with KeyStore.copy_of(path, side) as store:
-        for statement in _STAYS:
-            for row in (("",), *store.rows(statement)):
-                digest.update(json.dumps(row).encode() + b"\n")
-    return digest.hexdigest()
 
 
 @dataclass(slots=True)

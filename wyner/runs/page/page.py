@@ -18,7 +18,6 @@ from wyner.runs.check import check
 from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
 from wyner.runs.check.records import MissedLine, OtherLine, TracedTransition, Walked
-from wyner.runs.check.seal import FILES, ITSELF
 from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
 from wyner.runs.page.walk import STYLE as WALK_STYLE
 from wyner.runs.page.walk import Walk, shapes_legend
@@ -38,6 +37,7 @@ from wyner.runs.score.score import (
     score,
 )
 from wyner.runs.score.summary import in_short
+from wyner.runs.seal import FILES, ITSELF
 
 PAGE: Final = Path("report.html")
 

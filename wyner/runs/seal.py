@@ -14,10 +14,10 @@ from typing import Any, Final
 
 from protocol.secret.records import Side, StoreError
 from runtime.files import write_atomically
+from runtime.keys.store import KeyStore
 from runtime.recording import CONTINUED, decode
 from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
-from wyner.runs.check.covered import evidence_below
-from wyner.runs.check.stores import what_stays
+from wyner.runs.covered import evidence_below
 
 FILES: Final = "files"
 ITSELF: Final = "manifest"
@@ -30,6 +30,16 @@ NOT_SEALED: Final = (MANIFEST.name, CONTROLLER_KEYS.name + "-given")
 """Evidence that goes on after the run: the seal's own file, the count beside a key store."""
 
 STORES: Final[dict[str, Side]] = {str(CONTROLLER_KEYS): "controller", str(PLANT_KEYS): "plant"}
+
+_STAYS: Final = (
+    "SELECT name, value FROM meta WHERE name <> 'given' ORDER BY name",
+    "SELECT session, number, transitions, steps, counted, rows, keys, state, tag "
+    "FROM block ORDER BY place",
+    "SELECT id, row, own FROM key ORDER BY place",
+    "SELECT origin, kind, session FROM pad ORDER BY place",
+    "SELECT id, hex(digest), key_ids, hex(cipher), tag FROM sealed ORDER BY number",
+    "SELECT id, hex(payload) FROM opened ORDER BY number",
+)
 
 CHANGED: Final = "it is not as the run left it"
 
@@ -129,7 +139,7 @@ def _all_held(run_dir: Path) -> dict[str, Held]:
 def _held_by(name: str, path: Path) -> Held:
     if name in STORES:
         try:
-            return {"stays": what_stays(path, STORES[name])}
+            return {"stays": _what_stays(path, STORES[name])}
         except StoreError as error:
             return {"stays": str(error)}
     return _held(path)
@@ -154,3 +164,21 @@ def _digest(path: Path, size: object) -> str:
 def _digest_of(manifest: dict[str, Any]) -> str:
     without = {name: value for name, value in manifest.items() if name != ITSELF}
     return hashlib.sha256(json.dumps(without, sort_keys=True).encode()).hexdigest()
+
+
+def _what_stays(path: Path, side: Side) -> str:
+    """A SHA-256 of what nobody changes in a key store once both ends have ended.
+
+    Of keys it is their names: a digest of a key would tell something of it after it was erased.
+
+    Raises
+    ------
+    StoreError
+        When it cannot be read.
+    """
+    digest = hashlib.sha256()
+    with KeyStore.copy_of(path, side) as store:
+        for statement in _STAYS:
+            for row in (("",), *store.rows(statement)):
+                digest.update(json.dumps(row).encode() + b"\n")
+    return digest.hexdigest()
