@@ -12,11 +12,14 @@ from studies.secrecy.runs import Run, law_of, scenario_at, simulate
 from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.smoother import Smoother
+from tap_service.eavesdroppers import smoother
+from tap_service.eavesdroppers.smoother import FIRST, Smoother
+from tap_service.inference import offers_reader
 from tap_service.inference.from_measurements import infer_from_measurements
-from tap_service.inference.offers_reader import LEAST, OffersReader
+from tap_service.inference.offers_reader import LEAST, TRIAL, OffersReader
 from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
+from tests.support.size import size
 from wyner.runs.score.score import EavesdropperScore, TapOutput, score
 
 SEEDS = (1,)
@@ -40,17 +43,31 @@ Played = tuple[Run, Smoother, TapOutput, EavesdropperScore]
 
 
 def played(
-    seed: int, view: View = OFFERS, steps: int = 160, name: str = "sustained", alpha: float = 8.0
+    seed: int,
+    view: View = OFFERS,
+    steps: int = 160,
+    name: str = "sustained",
+    alpha: float = 8.0,
+    trial: int = size(64, TRIAL),
+    first: int = size(200, FIRST),
 ) -> Played:
-    """A run before a smoother who was told the policy; played once, for it takes long."""
-    return _played(seed, view, steps, name, alpha)
+    """A run before a smoother who was told the policy; played once, for it takes long.
+
+    She decodes ``first`` after so many steps, and tries scales on at most ``trial``.
+    """
+    return _played(seed, view, steps, name, alpha, trial, first)
 
 
 @cache
-def _played(seed: int, view: View, steps: int, name: str, alpha: float) -> Played:
+def _played(
+    seed: int, view: View, steps: int, name: str, alpha: float, trial: int, first: int
+) -> Played:
     run = simulate(steps, seed, name=name, alpha=alpha)
-    tap = Smoother(view.knowledge(run.scenario.knowledge()))
-    said = output_about(tap, heard_by(run, view))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(offers_reader, "TRIAL", trial)
+        patch.setattr(smoother, "FIRST", first)
+        tap = Smoother(view.knowledge(run.scenario.knowledge()))
+        said = output_about(tap, heard_by(run, view))
     return run, tap, said, score(run.truth, said)
 
 
@@ -205,7 +222,8 @@ def test_lost_offers_are_bridged() -> None:
 
 @pytest.mark.long
 def test_a_plant_of_four_states_and_two_inputs_is_read_too() -> None:
-    _, _, _, scored = played(0, steps=120, name="quadruple-tank")
+    """Scales are tried as she goes, and again at the end."""
+    _, _, _, scored = played(0, steps=120, name="quadruple-tank", trial=TRIAL, first=FIRST)
     assert scored.keys_reviewed.of > 15
     assert scored.keys_reviewed.right > 0.8 * scored.keys_reviewed.of
 
@@ -237,10 +255,11 @@ def test_too_few_offers_say_nothing() -> None:
     assert reader_for(run).infer([]) == []
 
 
-@pytest.mark.long
 def test_sessions_are_read_apart() -> None:
-    transitions = [t for seed in (4, 5) for t in heard_by(simulate(34, seed), OFFERS)]
-    steps = reader_for(simulate(34, 4)).infer(transitions)
+    """The second is heard whole, so that no scale need be tried."""
+    first, second = simulate(34, 4), simulate(34, 5)
+    transitions = [*heard_by(first, OFFERS), *heard_by(second, View())]
+    steps = reader_for(first).infer(transitions)
     assert [s.transition for s in steps] == transitions
     assert all(s.samples is not None for s in steps)
 
@@ -293,7 +312,8 @@ def test_a_law_that_the_transcript_contradicts_is_not_believed() -> None:
 
 @pytest.mark.long
 def test_noise_is_borne() -> None:
-    _, _, _, scored = played(0, View(noise=0.05, seed=0), 80)
+    view = View(noise=0.05, seed=0)
+    _, _, _, scored = played(0, view, 80, trial=size(40, TRIAL))
     assert scored.keys_reviewed.right > 0.85 * scored.keys_reviewed.of
 
 
