@@ -17,6 +17,7 @@ from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
 from studies.secrecy.runs import SENTENCES as SHORT
 from studies.secrecy.runs import simulate
+from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
@@ -658,8 +659,8 @@ def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
 @pytest.mark.long
 def test_a_message_that_another_follows_at_once_is_read() -> None:
     """Of 160 lengths the true one is likely for what comes after its text, and not before."""
-    payloads = [b"The auditors found two ledgers", b"Rinse the beakers twice"]
-    run = simulate(350, 6, name="packed", payloads=payloads)
+    payloads = [s.encode() for s in SENTENCES[:2]]
+    run = simulate(size(540, 700), 6, name="packed", payloads=payloads)
     view = View(seed=6, loss=0.3)
     tap = Text(view.knowledge(run.scenario.knowledge()), live=False, beam=FOLLOWED)
     said = output_about(tap, heard_by(run, view))
