@@ -229,7 +229,8 @@ def test_a_plant_of_four_states_and_two_inputs_is_read_too() -> None:
 
 
 @pytest.mark.parametrize("name", ["paper", "double-integrator", "batch-reactor"])
-def test_every_plant_can_be_listened_to(name: str) -> None:
+def test_every_plant_can_be_listened_to(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offers_reader, "TRIAL", size(12, TRIAL))
     run = simulate(LEAST + 8, 0, name=name)
     steps = reader_for(run).infer(heard_by(run, OFFERS))
     assert len(steps) == LEAST + 7  # the last offer is not known to have been applied
@@ -240,7 +241,8 @@ def test_every_plant_can_be_listened_to(name: str) -> None:
 
 
 @pytest.mark.long
-def test_noise_that_hides_the_law_is_no_reason_to_fail() -> None:
+def test_noise_that_hides_the_law_is_no_reason_to_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offers_reader, "TRIAL", size(12, TRIAL))
     run = simulate(LEAST + 2, 0)
     view = View(view="offers", quantise=0.5)
     steps = reader_for(run, noise=0.5 / np.sqrt(12)).infer(heard_by(run, view))
