@@ -174,16 +174,18 @@ def test_constrained_candidates_do_not_poison_what_follows() -> None:
 
 
 LOSING = View(view="offers", loss=0.1, seed=3)
+FEWER = size(48, TRIAL)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("alpha", "seed", "view", "steps"), [(3.0, 3, LOSING, 120), (8.0, 1, OFFERS, 160)]
+    ("alpha", "seed", "view", "steps", "trial"),
+    [(3.0, 3, LOSING, 120, FEWER), (8.0, 1, OFFERS, 160, size(64, TRIAL))],
 )
 def test_the_width_of_the_defenders_set_is_learned(
-    alpha: float, seed: int, view: View, steps: int
+    alpha: float, seed: int, view: View, steps: int, trial: int
 ) -> None:
-    _, tap, _, _ = played(seed, view, steps, alpha=alpha)
+    _, tap, _, _ = played(seed, view, steps, alpha=alpha, trial=trial)
     assert tap.reader.width is not None
     low, high = tap.reader.width
     assert 0.93 / alpha < low < high < 1.08 / alpha
@@ -212,7 +214,7 @@ def test_without_the_law_she_guesses_evenly() -> None:
 
 @pytest.mark.long
 def test_lost_offers_are_bridged() -> None:
-    run, tap, said, _ = played(3, LOSING, 120, alpha=3.0)
+    run, tap, said, _ = played(3, LOSING, 120, alpha=3.0, trial=FEWER)
     heard = {t.k for t in heard_by(run, LOSING) if t.candidates}
     assert len(heard) < 114
     keys = {at: key for at, key in run.truth.keys.items() if at[1] in heard}

@@ -546,7 +546,7 @@ def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not
     """From (4, -2) it takes some six steps until the facets of T_0 bound the input."""
     said: list[float] = []
     for seed in range(1000, 1006):
-        run = simulate(60, seed, name="packed", payloads=[b"x" * 20])
+        run = simulate(size(36, 60), seed, name="packed", payloads=[b"x" * 20])
         view = View(seed=seed, loss=0.5)
         heard = heard_by(run, view)
         inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
