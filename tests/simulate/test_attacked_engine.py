@@ -135,7 +135,7 @@ def test_an_honest_loop_never_alarms_at_the_corners_of_d_c() -> None:
             Coding(2, 4),
             Mac(2, 4),
             runs=size(200, 1000),
-            steps=size(200, 400),
+            steps=size(80, 400),
         )
         assert found.false_alarms == 0
 
