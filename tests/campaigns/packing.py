@@ -63,7 +63,7 @@ def _message_of(message: Message) -> tuple[Any, ...]:
     return _message, (type(message), message.wire())
 
 
-_SHARED: Final[dict[type, Callable[[Any], tuple[Any, ...]]]] = {
+_SHARED: Final[dict[type, Callable[[Any], Any]]] = {
     **copyreg.dispatch_table,
     End: lambda _: (_part, ("End",)),
     LineDevice: lambda _: (_part, ("device",)),

@@ -348,7 +348,7 @@ class Ends:
 
 
 SCHEMES: list[Scheme[Any]] = size(
-    [Switched(2), Switched(17), Pipelined(5)],
+    [Switched(16), Switched(17), Pipelined(2)],
     [Switched(2), Switched(16), Switched(17), Pipelined(2), Pipelined(5)],
 )
 
