@@ -95,6 +95,9 @@ class Operated:
         limits: tuple[tuple[float, float], ...] | None = None,
     ) -> None:
         self.adapter = adapter
+        core = _core(adapter)
+        self._resumable = core if isinstance(core, Resumable) else None
+        self._displaceable = core if isinstance(core, Displaceable) else None
         self.point = point
         self._inputs = inputs
         self._name = name
@@ -116,12 +119,12 @@ class Operated:
     @property
     def resumable(self) -> bool:
         """Whether the plant can go on from a reading."""
-        return isinstance(_core(self.adapter), Resumable)
+        return self._resumable is not None
 
     @property
     def displaceable(self) -> bool:
         """Whether a disturbance can be added to the state."""
-        return isinstance(_core(self.adapter), Displaceable)
+        return self._displaceable is not None
 
     def start(self, seed: int | None) -> Vector:
         """Reset or connect, settle; x(0).
@@ -144,8 +147,8 @@ class Operated:
 
     def resume(self, x: Vector, k: int) -> None:
         """Go on from x(k); only where :attr:`resumable`."""
-        core = _core(self.adapter)
-        assert isinstance(core, Resumable)
+        core = self._resumable
+        assert core is not None
         self._guarded("resume", lambda: core.resume(self.point.reading(x), k))
 
     def apply(self, u: Vector, d: Vector | None = None) -> Vector:
@@ -173,8 +176,8 @@ class Operated:
         """
         sample = self._guarded("sample", self.adapter.sample)
         if d is not None:
-            core = _core(self.adapter)
-            assert isinstance(core, Displaceable)
+            core = self._displaceable
+            assert core is not None
             rows = zip(d, self.point.state_scale, strict=True)
             physical = tuple([v * scale for v, scale in rows])
             sample = Sample(self._guarded("displace", lambda: core.displace(physical)), sample.t_ns)

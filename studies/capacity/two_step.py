@@ -92,11 +92,13 @@ def _window(grid: int) -> Integers:
     return np.stack(np.meshgrid(side, side, indexing="ij"), axis=2).reshape(-1, 2)
 
 
-def least_alpha(periods: Periods, shift: Integers, grid: int) -> float:
-    """From which alpha two keys that differ by a shift are together; infinite if not 2 apart."""
-    if _distance(periods, 2 * shift) < 2 * 2 * grid:
-        return math.inf
-    return float(_distance(periods, 2 * shift + _window(grid)).max()) / (2 * grid)
+def least_alphas(periods: Periods, shifts: Integers, grid: int) -> NDArray[np.float64]:
+    """From which alpha two keys that differ by each shift are together; inf where not 2 apart."""
+    apart = _distance(periods, 2 * shifts) >= 2 * 2 * grid
+    out = np.full(len(shifts), math.inf)
+    near = 2 * shifts[apart, None] + _window(grid)
+    out[apart] = _distance(periods, near).max(axis=1) / (2 * grid)
+    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,7 +113,7 @@ class _Torus:
     shifts : array, shape (a^2 + b^2, 2)
         One representative each.
     alphas : array
-        :func:`least_alpha` of each.
+        :func:`least_alphas` of them.
     """
 
     a: int
@@ -126,7 +128,7 @@ class _Torus:
         axes = np.arange((a * a + b * b) // common), np.arange(common)
         shifts = np.stack(np.meshgrid(*axes, indexing="ij"), axis=2).reshape(-1, 2)
         periods = ((a, b), (-b, a))
-        return cls(a, b, grid, shifts, np.array([least_alpha(periods, v, grid) for v in shifts]))
+        return cls(a, b, grid, shifts, least_alphas(periods, shifts, grid))
 
     def number(self, shifts: Integers) -> Integers:
         """The place of each shift's representative, shape (...)."""
@@ -196,12 +198,8 @@ def colourings(most: int, grid: int) -> Iterator[tuple[float, TwoStepCode]]:
                 along = (second[0] - k * first[0], second[1] - k * first[1])
                 periods = _reduced((q * first[0], q * first[1]), along)
                 shifts = np.array([(c * first[0], c * first[1]) for c in range(q)])
-                alpha = 0.0
-                for shift in shifts[1 : q // 2 + 1]:
-                    alpha = max(alpha, least_alpha(periods, shift, grid))
-                    if alpha == math.inf:
-                        break
-                else:
+                alpha = float(least_alphas(periods, shifts[1 : q // 2 + 1], grid).max())
+                if alpha < math.inf:
                     yield alpha, _code(periods, shifts, grid)
 
 

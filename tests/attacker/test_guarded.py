@@ -5,8 +5,10 @@ an attack begins in a state of the loop. One run of each kind is live.
 """
 
 import json
+import shutil
 import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -190,6 +192,26 @@ def law() -> CandidateLaw:
     return designed(scenario_of("keys"))
 
 
+@pytest.fixture(scope="module")
+def with_keys(tmp_path_factory: pytest.TempPathFactory) -> Callable[[Path, str], Loop]:
+    """A loop whose ends were killed when they held keys, and have begun anew."""
+
+    @cache
+    def killed(messages: str) -> Path:
+        folder = tmp_path_factory.mktemp("held")
+        loop = Loop(folder, {"messages": messages})
+        loop.until_keys_are_held()
+        for side in SIDES:
+            loop.kill(side)
+        return folder
+
+    def begun_anew(folder: Path, messages: str) -> Loop:
+        shutil.copytree(killed(messages), folder, dirs_exist_ok=True)
+        return Loop(folder, {"messages": messages})
+
+    return begun_anew
+
+
 def test_without_a_guard_covert_is_never_seen(tmp_path: Path) -> None:
     found = Loop(tmp_path, {"kind": "keyed-coin"}).attacked("covert@1", 60)
     assert not found["alarms"]
@@ -234,16 +256,10 @@ def test_an_honest_run_is_guarded_and_nothing_is_refused(messages: str, tmp_path
 
 @pytest.mark.parametrize("messages", ["mac", "coding"])
 def test_ends_that_begin_anew_are_bare_for_a_while_and_covert_is_seen_after(
-    messages: str, tmp_path: Path
+    messages: str, with_keys: Callable[[Path, str], Loop], tmp_path: Path
 ) -> None:
     """No process takes up a former one's keys: until new ones are marked the plant moves unseen."""
-    loop = Loop(tmp_path, {"messages": messages})
-    loop.until_keys_are_held()
-    for side in SIDES:
-        loop.kill(side)
-    for side in SIDES:
-        loop.start(side)
-    found = loop.rewritten("covert@1", 60)
+    found = with_keys(tmp_path, messages).rewritten("covert@1", 60)
     seen = [*found["alarms"], *[k for told in found["forged"].values() for k, _ in told]]
     assert MARGIN <= min(seen) - found["onset"] <= 2 * MARGIN
     assert found["away"] > 1
@@ -337,6 +353,7 @@ def test_an_attack_on_the_bus_is_seen_live(
     messages: str,
     attack: str,
     law: CandidateLaw,
+    with_keys: Callable[[Path, str], Loop],
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -344,8 +361,7 @@ def test_an_attack_on_the_bus_is_seen_live(
 
     The run goes on from a folder whose keys were made in virtual time.
     """
-    loop = Loop(tmp_path, {"messages": messages})
-    loop.until_keys_are_held()
+    loop = with_keys(tmp_path, messages)
     loop.stop()
     monkeypatch.setattr(host, "KeyWorker", KeysAtOnce)
     watch = Live(tags=messages == "mac")

@@ -44,6 +44,7 @@ def short_keys() -> Iterator[None]:
         yield
 
 
+@cache
 def _short(key: bytes, size: int) -> tuple[int, ...]:
     return key_digits.digits(key, size)[:DIGITS]
 

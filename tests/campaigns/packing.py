@@ -1,13 +1,15 @@
 """An end as bytes, the same for the same state, to be gone on from more than once."""
 
+import copyreg
 import io
 import pickle
+from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Final
 
 from plant_service.core import PlantCore
 from protocol.link.session import Rules
-from protocol.messages import Message
+from protocol.messages import FIELD, MANAGEMENT, Message
 from protocol.secret.blocks import Schedule
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from tests.campaigns.end import End
@@ -36,30 +38,6 @@ _whole: Final[dict[str, Any]] = {}
 """The end that is being unpacked and its journal, to which its parts refer."""
 
 
-class _Packer(pickle.Pickler):
-    """Writes each thing in one way only, and leaves out what is shared by all states."""
-
-    def __init__(self, file: io.BytesIO, protocol: int) -> None:
-        super().__init__(file, protocol)
-        self.fast = True  # no back references: they would tell one state apart from itself
-
-    def reducer_override(self, obj: Any) -> Any:
-        kind = type(obj)
-        if kind is End:
-            return _part, ("End",)
-        if kind is LineDevice:
-            return _part, ("device",)
-        if kind is MemoryControllerJournal or kind is MemoryPlantJournal:
-            return _part, ("journal",)
-        if kind is Rules:
-            return _rules, (obj.scheme.name, obj.schedule is not None, obj.keyed)
-        if kind is Schedule:
-            return _schedule, ()
-        if isinstance(obj, Message):
-            return _message, (kind, obj.wire())
-        return NotImplemented
-
-
 def _part(name: str) -> Any:
     return _whole[name]
 
@@ -75,6 +53,36 @@ def _schedule() -> Schedule:
 @lru_cache(maxsize=100_000)
 def _message(kind: type[Message], wire: bytes) -> Message:
     return kind.model_validate_json(wire)
+
+
+def _rules_of(rules: Rules) -> tuple[Any, ...]:
+    return _rules, (rules.scheme.name, rules.schedule is not None, rules.keyed)
+
+
+def _message_of(message: Message) -> tuple[Any, ...]:
+    return _message, (type(message), message.wire())
+
+
+_SHARED: Final[dict[type, Callable[[Any], Any]]] = {
+    **copyreg.dispatch_table,
+    End: lambda _: (_part, ("End",)),
+    LineDevice: lambda _: (_part, ("device",)),
+    MemoryControllerJournal: lambda _: (_part, ("journal",)),
+    MemoryPlantJournal: lambda _: (_part, ("journal",)),
+    Rules: _rules_of,
+    Schedule: lambda _: (_schedule, ()),
+    **dict.fromkeys((*FIELD, *MANAGEMENT), _message_of),
+}
+"""How what all states share is written."""
+
+
+class _Packer(pickle.Pickler):
+    """Writes each thing in one way only, and leaves out what is shared by all states."""
+
+    def __init__(self, file: io.BytesIO, protocol: int) -> None:
+        super().__init__(file, protocol)
+        self.fast = True  # no back references: they would tell one state apart from itself
+        self.dispatch_table = _SHARED
 
 
 def _acted(device: LineDevice | None) -> dict[str, Any] | None:

@@ -2,8 +2,7 @@
 
 import hashlib
 import zlib
-from collections.abc import Iterator
-from contextlib import contextmanager
+from functools import cache
 from unittest.mock import patch
 
 from protocol.secret.records import Key, Side
@@ -54,9 +53,10 @@ class Stores:
         """What a key maker makes of a task: the number of its store afterwards, and its answer."""
         known = self._worked.get((side, number, task))
         if known is None:
-            with self._opened(side, number) as store, patch.object(coins, "new_use", _use):
+            store = self._filled(side, number)
+            with patch.object(coins, "new_use", _use):
                 done = work(KeyMaker(store), task)
-                known = self._worked[side, number, task] = self.put(store), done
+            known = self._worked[side, number, task] = self.put(store), done
         return known
 
     def coin_keys(
@@ -65,28 +65,31 @@ class Stores:
         """What a new process finds for the coin of its session, and its store afterwards."""
         known = self._held.get((side, number, session))
         if known is None:
-            with self._opened(side, number) as store:
-                keys = coins.held(store, session)
-                known = self._held[side, number, session] = self.put(store), keys
+            store = self._filled(side, number)
+            keys = coins.held(store, session)
+            known = self._held[side, number, session] = self.put(store), keys
         return known
 
     def agreed(self, plant: int, controller: int) -> tuple[int, int]:
         """Both stores once each end has asked the other what may be given."""
         known = self._agreed.get((plant, controller))
         if known is None:
-            with (
-                self._opened("plant", plant) as theirs,
-                self._opened("controller", controller) as mine,
-            ):
-                agree(mine, theirs)
-                known = self._agreed[plant, controller] = self.put(theirs), self.put(mine)
+            theirs = self._filled("plant", plant)
+            mine = self._filled("controller", controller)
+            agree(mine, theirs)
+            known = self._agreed[plant, controller] = self.put(theirs), self.put(mine)
         return known
 
-    @contextmanager
-    def _opened(self, side: Side, number: int) -> Iterator[KeyStore]:
-        with KeyStore(None, side) as store:
-            store.db.deserialize(zlib.decompress(self._images[side][number]))
-            yield store
+    def _filled(self, side: Side, number: int) -> KeyStore:
+        """The one open store of a side, with what is in that number."""
+        store = _open(side)
+        store.db.deserialize(zlib.decompress(self._images[side][number]))
+        return store
+
+
+@cache
+def _open(side: Side) -> KeyStore:
+    return KeyStore(None, side)
 
 
 def _use(kind: str, name: str = "") -> str:

@@ -84,6 +84,7 @@ class Composition:
         base = base_image()
         if base is not None:
             self.environment["BASE_IMAGE"] = base
+        self._containers: dict[str, str] = {}
 
     def command(self, *arguments: str) -> list[str]:
         """The command line of one call."""
@@ -108,6 +109,7 @@ class Composition:
 
     def up(self, *arguments: str) -> None:
         """Start everything."""
+        self._containers.clear()  # what has changed is made anew
         started = self.compose("up", "--detach", "--no-build", *arguments, check=False)
         assert started.returncode == 0, started.stderr[-3000:]
 
@@ -116,6 +118,7 @@ class Composition:
 
         The containers go one by one, which keeps older engines from losing count (`miscounted`).
         """
+        self._containers.clear()
         every = Composition(self.project, "*", self.environment)
         for container in every.compose("ps", "--all", "--quiet").stdout.split():
             docker("rm", "--force", container)
@@ -124,20 +127,28 @@ class Composition:
 
     def container(self, service: str) -> str:
         """The id of a service's container, running or not."""
-        label = "label=com.docker.compose"
-        return docker(
-            "ps", "--all", "--quiet", "--filter", f"{label}.project={self.project}",
-            "--filter", f"{label}.service={service}", "--filter", f"{label}.oneoff=False",
-        ).split()[0]  # fmt: skip
+        if service not in self._containers:
+            label = "label=com.docker.compose"
+            self._containers[service] = docker(
+                "ps", "--all", "--quiet", "--filter", f"{label}.project={self.project}",
+                "--filter", f"{label}.service={service}", "--filter", f"{label}.oneoff=False",
+            ).split()[0]  # fmt: skip
+        return self._containers[service]
 
     def inspect(self, service: str) -> dict[str, Any]:
         """What the engine says of a service's container."""
-        found: list[dict[str, Any]] = json.loads(docker("inspect", self.container(service)))
-        return found[0]
+        return self.inspect_all([service])[0]
 
-    def health(self, service: str) -> str:
-        """``starting``, ``healthy`` or ``unhealthy``."""
-        return str(self.inspect(service)["State"]["Health"]["Status"])
+    def inspect_all(self, services: Sequence[str]) -> list[dict[str, Any]]:
+        """What the engine says of the services' containers, asked once."""
+        containers = map(self.container, services)
+        found: list[dict[str, Any]] = json.loads(docker("inspect", *containers))
+        return found
+
+    def healthy(self, services: Sequence[str]) -> bool:
+        """Whether the engine calls all of them so, and none starting or unhealthy."""
+        states = [container["State"] for container in self.inspect_all(services)]
+        return all(state["Health"]["Status"] == "healthy" for state in states)
 
     def told(self, service: str) -> str:
         """A service's state, its health and what its last check said, in a line."""
@@ -213,14 +224,16 @@ class Composition:
 
         (`docker kill` counts as a wish, which the restart policy respects.)
         """
-        victim = str(self.inspect(service)["State"]["Pid"])
+        victim = self.inspect(service)["State"]["Pid"]
         docker(
             "run", "--rm", "--network=none", "--pid=host", "--user=0", "--cap-drop=ALL",
             "--cap-add=KILL", "--entrypoint=sh", self.image, "-c", f"kill -9 {victim}",
         )  # fmt: skip
 
 
-def wait_for(condition: Callable[[], Any], what: str, told: Callable[[], str] = str) -> Any:
+def wait_for(
+    condition: Callable[[], Any], what: str, told: Callable[[], str] = str, every_s: float = 1.0
+) -> Any:
     """The condition's first true value; where there is none in time, it fails with what is told."""
     until = time.monotonic() + PATIENCE_S
     while True:
@@ -231,7 +244,7 @@ def wait_for(condition: Callable[[], Any], what: str, told: Callable[[], str] = 
         if value:
             return value
         assert time.monotonic() < until, f"not within {PATIENCE_S:g} s: {what}\n{told()}"
-        time.sleep(0.3)
+        time.sleep(every_s)  # each question starts programs
 
 
 def arrives(system: Composition, plant: str, text: str) -> None:
@@ -242,7 +255,7 @@ def arrives(system: Composition, plant: str, text: str) -> None:
 def all_healthy(system: Composition, services: Sequence[str]) -> None:
     """Wait until the engine calls every service healthy."""
     wait_for(
-        lambda: {system.health(service) for service in services} == {"healthy"},
+        lambda: system.healthy(services),
         f"{', '.join(services)} healthy",
         lambda: "\n".join(map(system.told, services)),
     )
@@ -279,6 +292,7 @@ def under_way(
             and s
         ),
         f"{text!r} under way",
+        every_s=0.2,
     )
     assert begun["queue"] == 0
     return begun

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.compose.composition import RUN, Composition, leftovers, wait_for
+from tests.compose.composition import RUN, Composition, all_healthy, leftovers, wait_for
 
 LOOPS = [f"loop-{n:04d}" for n in range(5)]
 
@@ -49,7 +49,7 @@ def test_every_message_arrives_on_its_own_loop(fleet: Composition) -> None:
 
 @pytest.mark.parametrize("service", ["fleet-controller", "fleet-plant", "fleet-tap"])
 def test_a_host_is_healthy(fleet: Composition, service: str) -> None:
-    wait_for(lambda: fleet.health(service) == "healthy", f"{service} is healthy")
+    all_healthy(fleet, [service])
 
 
 def test_the_tap_hears_every_loop(fleet: Composition) -> None:

@@ -18,6 +18,7 @@ from controller_service.sets.terminal import feedback_gain, terminal_set
 from protocol.convex import corners
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
+from tests.support.size import size
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
@@ -130,7 +131,7 @@ def test_rational_certificate_for_all_sets(paper: Scenario, design: Design) -> N
     B = [Fraction(v) for v in design.B[:, 0].tolist()]
     D = Fraction(0.12)
     exactly = 0
-    for i in range(design.horizon + 1):
+    for i in range(0, design.horizon + 1, size(5, 1)):
         H, h = design.set(i)
         j = max(i - 1, 0)
         G, g = design.set(j)
@@ -168,7 +169,7 @@ def test_rational_certificate_for_all_sets(paper: Scenario, design: Design) -> N
                 a1, a2, bound = before[n]
                 assert a1 * y[0] + a2 * y[1] <= bound, (i, k)
                 exactly += 1
-    assert exactly > 1000  # the filter leaves the touching rows to exact arithmetic
+    assert exactly > size(200, 1000)  # the filter leaves the touching rows to exact arithmetic
 
 
 @pytest.mark.slow

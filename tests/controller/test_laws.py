@@ -19,6 +19,7 @@ from protocol.agreement import predict
 from protocol.convex import Polytope, corners
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
+from tests.support.size import size
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 LAWS = ("paper", "sustained")
@@ -55,8 +56,8 @@ def bits(values: Any) -> bytes:
 
 @pytest.mark.slow
 def test_one_state_and_many_agree_to_the_last_bit(law: CandidateLaw, design: Design) -> None:
-    X = states(design, 100_000, 1)
-    assert len(X) > 90_000
+    X = states(design, size(30_000, 100_000), 1)
+    assert len(X) > size(27_000, 90_000)
     index = law.indices(X)
     C = law.candidates_many(X, index)
     assert [law.index(x) for x in X.tolist()] == index.tolist()

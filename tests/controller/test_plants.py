@@ -20,6 +20,7 @@ from protocol.convex import Polytope, corners
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
+from tests.support.size import size
 
 HEXAGON = [[1.0, 0.0], [0.5, 0.8], [-0.6, 0.9], [-1.0, -0.1], [-0.4, -1.0], [0.7, -0.8]]
 OCTAHEDRON = [list(signs) for signs in product((1.0, -1.0), repeat=3)]
@@ -144,7 +145,7 @@ def test_constraints_hold_and_the_index_falls(
 ) -> None:
     scenario = plant(n, m, kind, horizon, **tables)
     design = synthesise(scenario)
-    check_loop(scenario, design, make_law(scenario, design), 10_000)
+    check_loop(scenario, design, make_law(scenario, design), size(3_000, 10_000))
 
 
 def test_a_target_much_thinner_than_its_set() -> None:

@@ -21,6 +21,7 @@ from rich.text import Text
 
 from protocol.messages import PlantModel
 from tests.dashboard.states import USUAL, plant_of, state_after
+from tests.support.size import size
 from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
 from wyner.dashboard.keymap import KEYS, Action, action_of
@@ -147,7 +148,7 @@ def test_golden_screens(name: str) -> None:
 # --- every size --------------------------------------------------------------------------------
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=size(25, 60), deadline=None)
 @given(
     st.integers(1, 200),
     st.integers(1, 70),
@@ -169,7 +170,7 @@ WILD = st.text(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=size(25, 60), deadline=None)
 @given(st.integers(40, 130), st.integers(8, 45), WILD, WILD, WILD, st.booleans())
 def test_every_line_has_the_screens_width_whatever_the_texts(
     width: int, height: int, sent: str, guess: str, other: str, unicode: bool
@@ -184,7 +185,7 @@ def test_every_line_has_the_screens_width_whatever_the_texts(
         assert unicode or line.plain.isascii()
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=size(25, 60), deadline=None)
 @given(
     st.integers(40, 130),
     st.integers(8, 45),
@@ -321,8 +322,8 @@ def test_a_long_reason_is_cut_before_anything_that_tells_more(of: str) -> None:
 
 def test_what_the_plant_has_not_said_of_itself_yet_is_left_out() -> None:
     state = replace(state_after(700), model=None)
-    for size in ((80, 24), (120, 40), (60, 16)):
-        text = shown(state, *size)
+    for terminal in ((80, 24), (120, 40), (60, 16)):
+        text = shown(state, *terminal)
         assert "rehearsal" not in text
         assert "alpha" not in text.splitlines()[0]
         assert "message - bit/s" in text
@@ -386,8 +387,8 @@ def test_states_that_find_no_room_are_counted(states: int) -> None:
 def test_missed_steps_are_told_whatever_their_number(missed: int) -> None:
     """Once: beside them stood those whose input came after all, as if they were others."""
     state = with_plant(state_after(700), missed=missed, late=missed)
-    for size in ((80, 24), (40, 24), (120, 40)):
-        text = shown(state, *size)
+    for terminal in ((80, 24), (40, 24), (120, 40)):
+        text = shown(state, *terminal)
         assert re.search(rf" bit/s.*  missed {re.escape(count(missed))} steps?\b", text)
         assert "late" not in text
 
@@ -569,8 +570,8 @@ def test_no_text_of_any_status_moves_a_cursor(keys_made: int) -> None:
     ] + [replace(state, taps={s.name: replace(tap, status=s)}) for s in hostile(tap.status)]
     assert len(boards) > 12
     for told in boards:
-        for size in ((80, 24), (200, 60)):
-            for line in lines_of(told, *size, PLAIN, told.plant_seen_ns):
+        for terminal in ((80, 24), (200, 60)):
+            for line in lines_of(told, *terminal, PLAIN, told.plant_seen_ns):
                 assert line.plain.isprintable(), line.plain
 
 
@@ -907,8 +908,8 @@ def test_a_tap_that_failed_is_shown_to_have_failed_and_not_as_her_message() -> N
     why = "step 21: ValueError: no idea"
     state = with_tap(state_after(700), "list-decoder", failed=why)
     alone = replace(state, taps={"list-decoder": state.taps["list-decoder"]})
-    for size in ((80, 24), (120, 40)):
-        rows = shown(alone, *size).splitlines()
+    for terminal in ((80, 24), (120, 40)):
+        rows = shown(alone, *terminal).splitlines()
         assert any(row.startswith(" FAILED ") and why in row for row in rows)
         assert any("unknown" in row and "FAILED: list-decoder" in row for row in rows)
         assert any(row.startswith(" list-decoder") and " FAILED" in row for row in rows)

@@ -25,6 +25,7 @@ from protocol.schemes.pipelined import Pipelined
 from runtime.perform import CrashPoint
 from tests.support.line_ends import disowned, line_rules
 from tests.support.mail import Mail, mail
+from tests.support.size import size
 from tests.support.two_ends import MEMORY, LineEnds, Name
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
@@ -323,14 +324,14 @@ TestDeadlines = Deadlines.TestCase
 TestTwoControllers = pytest.mark.slow(TwoControllers.TestCase)
 TestPipelinedLink = pytest.mark.slow(PipelinedLink.TestCase)
 TestLink.settings = TestDeadlines.settings = TestTwoControllers.settings = settings(
-    max_examples=40,
+    max_examples=size(16, 40),
     stateful_step_count=60,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
 TestPipelinedLink.settings = TestLink.settings
 TestOnDisk = pytest.mark.slow(OnDisk.TestCase)
-TestOnDisk.settings = settings(TestLink.settings, max_examples=12)
+TestOnDisk.settings = settings(TestLink.settings, max_examples=size(6, 12))
 TestActing = Acting.TestCase
 TestActingAtOnce = pytest.mark.slow(ActingAtOnce.TestCase)
 TestActing.settings = TestActingAtOnce.settings = TestLink.settings

@@ -22,6 +22,7 @@ from protocol.statistics import (
     stated_left,
     wilson,
 )
+from tests.support.size import size
 
 
 @pytest.mark.parametrize(
@@ -132,7 +133,7 @@ DRAWS = 1500
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("runs", [5, 10, 40])
+@pytest.mark.parametrize("runs", size([5], [5, 10, 40]))
 def test_a_share_over_runs_covers_where_the_steps_of_a_run_depend(runs: int) -> None:
     """Each run has a share of its own: intervals over its steps would be far too narrow."""
     rng = np.random.default_rng(5)
@@ -220,7 +221,7 @@ def test_whoever_is_always_right_is_found_out_within_eight_keys() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("p", [0.02, 0.5, 0.9])
 def test_a_confidence_sequence_holds_at_all_looks_together(p: float) -> None:
-    runs, trials = 2000, 300
+    runs, trials = 2000, size(150, 300)
     rng = np.random.default_rng(13)
     counts = np.cumsum(rng.random((runs, trials)) < p, axis=1)
     limits = {

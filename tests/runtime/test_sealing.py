@@ -24,6 +24,7 @@ from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import OpeningEnd, SealingEnd
 from runtime.keys.store import KeyStore
 from tests.support.mail import mail
+from tests.support.size import size
 
 TEXTS = {f"m{i}": f"message {i}".encode() * (i + 1) for i in range(5)}
 
@@ -122,7 +123,7 @@ class World:
         return sealed
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(size(3, 6)))
 def test_exactly_once_through_losses_repeats_and_deaths(seed: int, tmp_path: Path) -> None:
     world = World(tmp_path, seed)
     world.run(dies=0.0 if seed == 0 else 0.15)

@@ -21,6 +21,7 @@ from runtime.keys.store import KeyStore
 from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.giving import agree, deliver, deliver_named
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.size import size
 from tests.support.two_ends import SIDES
 
 KEYED = keyed_rules(keyed=True)
@@ -42,7 +43,7 @@ class KeyedCoinLink(KeyedLink):
 
 TestKeyedCoinLink = KeyedCoinLink.TestCase
 TestKeyedCoinLink.settings = settings(
-    max_examples=20,
+    max_examples=size(8, 20),
     stateful_step_count=40,
     deadline=None,
     suppress_health_check=list(HealthCheck),

@@ -24,6 +24,7 @@ from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.size import size
 from tests.support.two_ends import SIDES
 
 SIDE = st.sampled_from(SIDES)
@@ -102,13 +103,13 @@ class KeyedLinkOnDisk(KeyedLink):
 
 TestKeyedLink = KeyedLink.TestCase
 TestKeyedLink.settings = settings(
-    max_examples=30,
+    max_examples=size(12, 30),
     stateful_step_count=40,
     deadline=None,
     suppress_health_check=list(HealthCheck),
 )
 TestKeyedLinkOnDisk = pytest.mark.slow(KeyedLinkOnDisk.TestCase)
-TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=10)
+TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=size(4, 10))
 
 
 def test_keys_are_made_and_served_once_all_is_well() -> None:
@@ -260,7 +261,7 @@ def test_an_end_that_gives_what_is_not_its_own_is_refused_by_the_other(
 ) -> None:
     """Keys are marked at the partner before they are given: nothing comes of either fault."""
     wrong(monkeypatch)
-    for seed in range(20):
+    for seed in range(size(10, 20)):
         with suppress(StoreError):  # a row whose check does not hold any more is not given either
             wander(seed)
 
@@ -298,5 +299,5 @@ def test_saving_before_sending_answers_the_same_step_once() -> None:
 
 @pytest.mark.slow
 def test_the_right_ends_pass_such_schedules() -> None:
-    for seed in range(60):
+    for seed in range(size(20, 60)):
         wander(seed)

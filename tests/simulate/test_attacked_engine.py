@@ -23,6 +23,7 @@ from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
 from studies.attacks.learner import rotation_learner
 from studies.signalling import changed
+from tests.support.size import size
 from wyner.simulate.engine.attacks import Attacked, Keys, Kind, attack_runs
 from wyner.simulate.engine.loop import SimulationError
 
@@ -78,9 +79,10 @@ def test_a_fabricator_passes_one_step_in_m(size: int) -> None:
 @pytest.mark.long
 def test_the_tank_has_sixteen_candidates_in_two_inputs() -> None:
     loop = of(changed("packed-quadruple-tank"))
-    found = run(loop, making(loop[0], "ghost"), KeyedCoin(4, 16), runs=3000, steps=2, onset=4)
-    assert holds(int(found.undetected()[1]), 3000, 1 / 16)
-    assert holds(int(found.undetected()[2]), 3000, 1 / 256)
+    runs = size(1000, 3000)
+    found = run(loop, making(loop[0], "ghost"), KeyedCoin(4, 16), runs=runs, steps=2, onset=4)
+    assert holds(int(found.undetected()[1]), runs, 1 / 16)
+    assert holds(int(found.undetected()[2]), runs, 1 / 256)
 
 
 class Cunning(SensorAttack):
@@ -126,7 +128,15 @@ def test_an_honest_loop_never_alarms_at_the_corners_of_d_c() -> None:
     for kind in ("corners", "constant"):
         disturbance = {"kind": kind, "half_widths": [0.12, 0.12]}
         loop = of(changed("packed", plant={"disturbance": disturbance}))
-        found = run(loop, None, KeyedCoin(2, 4), Coding(2, 4), Mac(2, 4), runs=1000, steps=400)
+        found = run(
+            loop,
+            None,
+            KeyedCoin(2, 4),
+            Coding(2, 4),
+            Mac(2, 4),
+            runs=size(200, 1000),
+            steps=size(80, 400),
+        )
         assert found.false_alarms == 0
 
 

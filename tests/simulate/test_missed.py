@@ -14,6 +14,7 @@ from protocol.statistics import share_over_runs
 from runtime.errors import UsageError
 from runtime.network import check_delays, round_trip_s
 from runtime.shipped import SCENARIOS
+from tests.support.size import size
 from tests.support.small_run import law_of
 from wyner.advice.missed_share import expected_missed_share
 from wyner.api import design, run
@@ -130,11 +131,11 @@ def _has_two(both: Simulation) -> bool:
 
 
 def test_delays_up_to_three_periods_lose_nothing_and_lock_nothing() -> None:
-    """Both messages arrive, at most four measurements leave a step; 6 seeds."""
+    """Both messages arrive, at most four measurements leave a step."""
     late = {"delay": "uniform", "delay_s": 0.15, "jitter_s": 0.15, "loss": 0.1}
     scenario = networked({"to_plant": late, "to_controller": {"loss": 0.1}})
     _, law = law_of("sustained")
-    for seed in range(6):
+    for seed in range(size(3, 6)):
         both = Simulation(scenario, law, seed=seed, payloads=(b"a", b"b"), step_s=0.1)
         history = both.run(until=partial(_has_two, both), seconds=2000.0)
         assert history.inbox == [b"a", b"b"], seed

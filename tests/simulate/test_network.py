@@ -15,6 +15,7 @@ from protocol.link.records import Step
 from protocol.scenario import Scenario
 from runtime.journal import PlantJournal
 from tests.support.safety import violations
+from tests.support.size import size
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation, simulate
 
@@ -33,7 +34,7 @@ NETWORKS = {
 
 @pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
 @pytest.mark.parametrize("network", NETWORKS)
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.long)])
+@pytest.mark.parametrize("seed", size([0], [0, 1]))
 def test_safety_always_and_delivery_once_all_is_well(
     network: str, seed: int, step_s: float | None, sustained: Scenario, sustained_law: CandidateLaw
 ) -> None:
@@ -102,7 +103,7 @@ def test_at_alpha_one_nothing_is_ever_agreed(
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("seed", range(100, 135))
+@pytest.mark.parametrize("seed", range(100, size(112, 135)))
 def test_many_seeds(seed: int, sustained: Scenario, sustained_law: CandidateLaw) -> None:
     faults = Faults(
         loss=(seed % 5) / 10,

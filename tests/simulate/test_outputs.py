@@ -10,6 +10,7 @@ from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.safety import violations
+from tests.support.size import size
 from tests.support.small_run import law_of
 from wyner import api
 from wyner.simulate.engine import simulate_runs, transfer
@@ -50,7 +51,7 @@ def test_the_engine_is_the_two_ends_to_the_last_bit(
     scenario = encoder(**(changes if network is None else changes | {"network": network}))
     _, law = law_of("encoder")
     step_s = None if network is None else 0.1
-    assert all(held(t) for t in beside_the_engine(scenario, law, 150, step_s))
+    assert all(held(t) for t in beside_the_engine(scenario, law, size(60, 150), step_s))
 
 
 @pytest.mark.parametrize("network", [None, LOSSES])

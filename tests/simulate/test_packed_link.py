@@ -18,13 +18,14 @@ from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.smoother import Smoother
 from tests.support.safety import violations
+from tests.support.size import size
 from wyner.runs.score.score import score
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
-RUNS, STEPS = range(20), 500
+RUNS, STEPS = range(20), size(150, 500)
 D, D_C = (0.1, 0.1), (0.12, 0.12)
 SEVEN: dict[str, dict[str, Any]] = {
     "uniform D": {"kind": "uniform", "half_widths": D},
@@ -89,8 +90,8 @@ def test_the_law_of_the_disturbance_is_all_one(kind: str, alpha: float, size: in
 def test_at_odd_alphas_one_symbol_less() -> None:
     """alpha is compared sharply: at 3 exactly two candidates cannot both stay within alpha."""
     loop = system("packed", 2, 3.01, SEVEN["corners of D_c"])
-    runs = simulate_runs(*loop, seed=1, runs=RUNS, steps=STEPS)
-    agreed = follow(runs, [3.0, 3.01]).agreements.sum(axis=1) / (len(RUNS) * STEPS)
+    runs = simulate_runs(*loop, seed=1, runs=RUNS, steps=500)
+    agreed = follow(runs, [3.0, 3.01]).agreements.sum(axis=1) / (len(RUNS) * 500)
     assert agreed.tolist() == [pytest.approx(0.5, abs=0.02), 1.0]
 
 
@@ -182,13 +183,15 @@ PAYLOADS = (b"first", b"second message", b"3")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("size", [2, 3, 4])
+@pytest.mark.parametrize("candidates", size([3], [2, 3, 4]))
 @pytest.mark.parametrize("network", FAULTS)
 @pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
-def test_exactly_once_on_a_bad_network(network: str, size: int, step_s: float | None) -> None:
-    scenario, law = system("packed", size, 8.0)
+def test_exactly_once_on_a_bad_network(network: str, candidates: int, step_s: float | None) -> None:
+    scenario, law = system("packed", candidates, 8.0)
     faults = FAULTS[network]
-    sim = Simulation(scenario, law, seed=size, payloads=PAYLOADS, faults=faults, step_s=step_s)
+    sim = Simulation(
+        scenario, law, seed=candidates, payloads=PAYLOADS, faults=faults, step_s=step_s
+    )
     history = sim.run(seconds=300, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
     assert list(violations(history, PAYLOADS)) == []
     assert len(history.delivered) >= len(PAYLOADS)
@@ -242,7 +245,7 @@ def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bit
 @pytest.mark.long
 def test_offers_alone_show_v_and_so_most_keys() -> None:
     """No state is heard, and one key in four would be chance."""
-    run = study_run(120, 0, name="packed")
+    run = study_run(size(60, 120), 0, name="packed")
     view = View(view="offers")
     tap = Smoother(knowledge_for(run, Smoother, view))
     scored = score(run.truth, output_about(tap, heard_by(run, view)))

@@ -33,6 +33,7 @@ from studies.measurements import (
 )
 from studies.secrecy.tables import PAGE
 from tests.support.patience import PATIENCE_S
+from tests.support.size import size
 from wyner.drawing.style import drawing, save
 from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.grid import ROOT, Row, load_sweep, points_of
@@ -229,7 +230,9 @@ def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price", "plants"])
+@pytest.mark.parametrize(
+    "name", size(["price", "plants"], ["sustained-long", "disturbances", "price", "plants"])
+)
 def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
     MEASUREMENTS[name](tmp_path / "now.csv")
     now, shipped = read_rows(tmp_path / "now.csv"), read_rows(DATA / f"{name}.csv")
@@ -363,14 +366,15 @@ def test_the_closed_form_at_its_limits() -> None:
 
 @pytest.mark.long
 def test_taps_get_what_the_scheme_claims_to_hide(tmp_path: Path) -> None:
-    measure_taps(tmp_path / "taps.csv", runs=3, steps=1200)
+    runs = size(1, 3)
+    measure_taps(tmp_path / "taps.csv", runs=runs, steps=1200)
     lines = (tmp_path / "taps.csv").read_text(encoding="utf-8").splitlines()
     rows = [line.rsplit(",", 4) for line in lines[1:]]
     assert len(rows) == 8
     for _, agreements, right, delivered, read in rows:
         assert int(right) == int(agreements) > 0
         assert int(read) <= int(delivered)
-    assert rows[0][3:] == ["3", "3"], "uniform: every message is read"
+    assert rows[0][3:] == [str(runs)] * 2, "uniform: every message is read"
 
 
 def test_a_figure_is_never_drawn_through_a_link(tmp_path: Path) -> None:
