@@ -30,8 +30,10 @@ from tests.campaigns.resumable import Results
 from tests.campaigns.traffic import Traffic
 
 KILLS_A_RUN: Final = 60
-BYTES_A_KILL: Final = 12
-"""Bytes of a short run's message, so that it lasts as long as the kills."""
+BYTES_A_KILL: Final = 30
+RELAYED_BYTES_A_KILL: Final = 12
+"""Bytes of a short run's message, so that it lasts as long as the kills; fewer through the relay,
+where the loop is the slower."""
 
 FROZEN_S: Final = 6.0
 RELAY: Final = (0.02, 0.05, 0.001)
@@ -114,7 +116,8 @@ def one_run(
     """Kill and freeze; how often, and what was wrong. ``kind`` is one of :data:`KINDS`."""
     draw = random.Random(seed)
     keys = kind == "keys"
-    text = plain_text(draw, min(200, BYTES_A_KILL * kills))
+    bytes_a_kill = RELAYED_BYTES_A_KILL if keys else BYTES_A_KILL
+    text = plain_text(draw, min(200, bytes_a_kill * kills))
     watched = kind == "watched"
     guard = ("mac", "coding")[seed % 2] if kind == "guarded" else None
     pace = "fast" if watched else RELAYED_PACE if keys else "x20" if guard else draw.choice(PACES)
