@@ -5,6 +5,9 @@ import re
 import runpy
 import shutil
 import sys
+from contextlib import redirect_stdout
+from functools import cache
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +16,8 @@ import pytest
 from wyner.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
-ELSEWHERE = {"rotate_keys"}
-"""Runs beside two key servers (`tests/kme/test_recipes.py`)."""
+ELSEWHERE = {"rotate_keys", "lesson"}
+"""Run beside two key servers (`tests/kme/test_recipes.py`), and a page (`test_lesson.py`)."""
 PROGRAMS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.stem not in ELSEWHERE)
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
@@ -28,7 +31,6 @@ SAYS = {
     "data_frame": "True",
     "certificate": "confidence 0.999: 688 sessions",
     "gymnasium_plant": "recovered [b'gym']",
-    "lesson": "631 thresholds, messages found: {b'Hi'}",
     "lossy_network": "the plant has [b'first', b'second']",
     "modbus_plant": "150 of 150 tested steps agreed; recovered [b'tank']",
     "own_plant": "250 of 250 tested steps agreed, 10.0 bit/s",
@@ -65,13 +67,21 @@ def needs(text: str) -> None:
         pytest.importorskip("pandas")
 
 
+@cache
+def printed(path: Path) -> str:
+    """What a program prints."""
+    with redirect_stdout(StringIO()) as out:
+        runpy.run_path(str(path), run_name="__main__")
+    return out.getvalue()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", PROGRAMS, ids=lambda path: path.stem)
-def test_a_program(path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_program(path: Path) -> None:
     needs(path.read_text(encoding="utf-8"))
-    runpy.run_path(str(path), run_name="__main__")
+    said = printed(path)
     close_figures()
-    assert SAYS[path.stem] in capsys.readouterr().out
+    assert SAYS[path.stem] in said
 
 
 @pytest.mark.slow
@@ -108,11 +118,8 @@ def test_there_are_a_dozen_programs_and_three_notebooks() -> None:
     assert len(NOTEBOOKS) == 3
 
 
-def test_the_readme_has_the_numbers_of_the_papers_example(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    runpy.run_path(str(ROOT / "examples" / "paper_scheme.py"), run_name="__main__")
-    out = capsys.readouterr().out
+def test_the_readme_has_the_numbers_of_the_papers_example() -> None:
+    out = printed(ROOT / "examples" / "paper_scheme.py")
     rates = re.findall(r": (\S+ \[\S+, \S+\]) bit/s", out)
     named = re.findall(r"nearest-centre names (\d+ of \d+)", out)
     readme = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -16,7 +16,7 @@ def test_the_exercises_have_solutions_that_hold(capsys: pytest.CaptureFixture[st
     text = LESSON.read_text(encoding="utf-8")
     assert f"../examples/{SOLUTIONS.name}" in text
     assert text.count("<summary>Solution</summary>") == 3
-    runpy.run_path(str(SOLUTIONS))
+    runpy.run_path(str(SOLUTIONS), run_name="__main__")
     told = re.findall(r"```text\n(.*?)```", text, re.DOTALL)
     assert capsys.readouterr().out == "".join(told), "the page prints what comes"
     assert len(told) == 3

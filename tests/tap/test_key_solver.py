@@ -20,6 +20,7 @@ from tests.support.giving import sealed_by
 from tests.support.held_memory import kept
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
+from tests.support.size import size
 from tests.support.two_ends import Name
 
 CLAIM = Assumption(0.5)
@@ -131,7 +132,8 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     listener = Listener.of(named("key-solver"), KNOWLEDGE.model_copy(update={"keys": claim}))
     transcript = Transcript()
     most = list[tuple[int, int]]()
-    for blocks in (10, 11, 20, 60):
+    last = size(36, 60)
+    for blocks in (10, 11, 20, last):
         while world.journals["plant"].load().transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
             world.well(20)
         for message in without(world.field, loss, blocks):
@@ -144,7 +146,7 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
         most.append(kept([listener, transcript]))
     world.close()
     assert keys is not None
-    assert keys.blocks >= 58
+    assert keys.blocks >= last - 2
     assert keys.bits > 0
     for now, before in zip(most[-1], map(max, zip(*most[:-1], strict=True)), strict=True):
         assert now < 1.15 * before

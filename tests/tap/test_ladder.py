@@ -29,6 +29,7 @@ from tap_service.eavesdroppers import (
 )
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import Listener, belief_record, beliefs_json, status_of
+from tests.support.size import size
 from wyner.runs.score.replay import COUNTS
 from wyner.runs.score.score import SILENT, EavesdropperScore, TapOutput, score
 
@@ -98,7 +99,7 @@ def test_raw_english_without_a_frame_check() -> None:
 @pytest.mark.long
 def test_the_learner_starts_from_nothing() -> None:
     exact = right = of = 0
-    for seed in range(3):
+    for seed in range(size(2, 3)):
         run = simulate(1200, seed)
         said, scored = play(run, "learning")
         exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
@@ -114,7 +115,7 @@ def test_the_learner_starts_from_nothing() -> None:
 @pytest.mark.parametrize("error", [0.1, 0.3, 0.5])
 def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     exact = 0
-    for seed in range(2):
+    for seed in range(size(1, 2)):
         run = simulate(1200, 100 + seed)
         said, _ = play(run, "learning", View(model_error=error, seed=seed))
         exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
@@ -122,7 +123,11 @@ def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
 
 
 @pytest.mark.long
-def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> None:
+def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """She decodes when enough was heard whole, and need try no scale."""
+    monkeypatch.setattr(smoother, "FIRST", size(400, smoother.FIRST))
     view = View(loss=0.3, seed=3)
     run = simulate(400, 3)
     plain, smooth = (play(run, name, view)[1] for name in ("list-decoder", "smoother"))

@@ -12,11 +12,14 @@ from studies.secrecy.runs import Run, law_of, scenario_at, simulate
 from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.smoother import Smoother
+from tap_service.eavesdroppers import smoother
+from tap_service.eavesdroppers.smoother import FIRST, Smoother
+from tap_service.inference import offers_reader
 from tap_service.inference.from_measurements import infer_from_measurements
-from tap_service.inference.offers_reader import LEAST, OffersReader
+from tap_service.inference.offers_reader import LEAST, TRIAL, OffersReader
 from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
+from tests.support.size import size
 from wyner.runs.score.score import EavesdropperScore, TapOutput, score
 
 SEEDS = (1,)
@@ -40,17 +43,31 @@ Played = tuple[Run, Smoother, TapOutput, EavesdropperScore]
 
 
 def played(
-    seed: int, view: View = OFFERS, steps: int = 160, name: str = "sustained", alpha: float = 8.0
+    seed: int,
+    view: View = OFFERS,
+    steps: int = 160,
+    name: str = "sustained",
+    alpha: float = 8.0,
+    trial: int = size(64, TRIAL),
+    first: int = size(200, FIRST),
 ) -> Played:
-    """A run before a smoother who was told the policy; played once, for it takes long."""
-    return _played(seed, view, steps, name, alpha)
+    """A run before a smoother who was told the policy; played once, for it takes long.
+
+    She decodes ``first`` after so many steps, and tries scales on at most ``trial``.
+    """
+    return _played(seed, view, steps, name, alpha, trial, first)
 
 
 @cache
-def _played(seed: int, view: View, steps: int, name: str, alpha: float) -> Played:
+def _played(
+    seed: int, view: View, steps: int, name: str, alpha: float, trial: int, first: int
+) -> Played:
     run = simulate(steps, seed, name=name, alpha=alpha)
-    tap = Smoother(view.knowledge(run.scenario.knowledge()))
-    said = output_about(tap, heard_by(run, view))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(offers_reader, "TRIAL", trial)
+        patch.setattr(smoother, "FIRST", first)
+        tap = Smoother(view.knowledge(run.scenario.knowledge()))
+        said = output_about(tap, heard_by(run, view))
     return run, tap, said, score(run.truth, said)
 
 
@@ -157,16 +174,18 @@ def test_constrained_candidates_do_not_poison_what_follows() -> None:
 
 
 LOSING = View(view="offers", loss=0.1, seed=3)
+FEWER = size(48, TRIAL)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("alpha", "seed", "view", "steps"), [(3.0, 3, LOSING, 120), (8.0, 1, OFFERS, 160)]
+    ("alpha", "seed", "view", "steps", "trial"),
+    [(3.0, 3, LOSING, 120, FEWER), (8.0, 1, OFFERS, 160, size(64, TRIAL))],
 )
 def test_the_width_of_the_defenders_set_is_learned(
-    alpha: float, seed: int, view: View, steps: int
+    alpha: float, seed: int, view: View, steps: int, trial: int
 ) -> None:
-    _, tap, _, _ = played(seed, view, steps, alpha=alpha)
+    _, tap, _, _ = played(seed, view, steps, alpha=alpha, trial=trial)
     assert tap.reader.width is not None
     low, high = tap.reader.width
     assert 0.93 / alpha < low < high < 1.08 / alpha
@@ -195,7 +214,7 @@ def test_without_the_law_she_guesses_evenly() -> None:
 
 @pytest.mark.long
 def test_lost_offers_are_bridged() -> None:
-    run, tap, said, _ = played(3, LOSING, 120, alpha=3.0)
+    run, tap, said, _ = played(3, LOSING, 120, alpha=3.0, trial=FEWER)
     heard = {t.k for t in heard_by(run, LOSING) if t.candidates}
     assert len(heard) < 114
     keys = {at: key for at, key in run.truth.keys.items() if at[1] in heard}
@@ -205,13 +224,15 @@ def test_lost_offers_are_bridged() -> None:
 
 @pytest.mark.long
 def test_a_plant_of_four_states_and_two_inputs_is_read_too() -> None:
-    _, _, _, scored = played(0, steps=120, name="quadruple-tank")
+    """Scales are tried as she goes, and again at the end."""
+    _, _, _, scored = played(0, steps=120, name="quadruple-tank", trial=TRIAL, first=FIRST)
     assert scored.keys_reviewed.of > 15
     assert scored.keys_reviewed.right > 0.8 * scored.keys_reviewed.of
 
 
 @pytest.mark.parametrize("name", ["paper", "double-integrator", "batch-reactor"])
-def test_every_plant_can_be_listened_to(name: str) -> None:
+def test_every_plant_can_be_listened_to(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offers_reader, "TRIAL", size(12, TRIAL))
     run = simulate(LEAST + 8, 0, name=name)
     steps = reader_for(run).infer(heard_by(run, OFFERS))
     assert len(steps) == LEAST + 7  # the last offer is not known to have been applied
@@ -222,7 +243,8 @@ def test_every_plant_can_be_listened_to(name: str) -> None:
 
 
 @pytest.mark.long
-def test_noise_that_hides_the_law_is_no_reason_to_fail() -> None:
+def test_noise_that_hides_the_law_is_no_reason_to_fail(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(offers_reader, "TRIAL", size(12, TRIAL))
     run = simulate(LEAST + 2, 0)
     view = View(view="offers", quantise=0.5)
     steps = reader_for(run, noise=0.5 / np.sqrt(12)).infer(heard_by(run, view))
@@ -237,10 +259,11 @@ def test_too_few_offers_say_nothing() -> None:
     assert reader_for(run).infer([]) == []
 
 
-@pytest.mark.long
 def test_sessions_are_read_apart() -> None:
-    transitions = [t for seed in (4, 5) for t in heard_by(simulate(34, seed), OFFERS)]
-    steps = reader_for(simulate(34, 4)).infer(transitions)
+    """The second is heard whole, so that no scale need be tried."""
+    first, second = simulate(34, 4), simulate(34, 5)
+    transitions = [*heard_by(first, OFFERS), *heard_by(second, View())]
+    steps = reader_for(first).infer(transitions)
     assert [s.transition for s in steps] == transitions
     assert all(s.samples is not None for s in steps)
 
@@ -293,7 +316,8 @@ def test_a_law_that_the_transcript_contradicts_is_not_believed() -> None:
 
 @pytest.mark.long
 def test_noise_is_borne() -> None:
-    _, _, _, scored = played(0, View(noise=0.05, seed=0), 80)
+    view = View(noise=0.05, seed=0)
+    _, _, _, scored = played(0, view, 80, trial=size(40, TRIAL))
     assert scored.keys_reviewed.right > 0.85 * scored.keys_reviewed.of
 
 

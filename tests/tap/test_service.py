@@ -230,8 +230,8 @@ def test_a_wrong_choice_is_told_before_anything_starts(
 def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     import tracemalloc
 
-    run = simulate(1200, 4)
-    limits = Limits(part_bytes=50_000, total_bytes=200_000, free_bytes=0)
+    run = simulate(600, 4)
+    limits = Limits(part_bytes=25_000, total_bytes=100_000, free_bytes=0)
     wire = Wire(config(run, tmp_path, limits=limits))
     sizes = []
     logging.disable()  # pytest keeps every record, and a part that is dropped is told of
@@ -248,9 +248,9 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
         tracemalloc.stop()
         logging.disable(logging.NOTSET)
     wire.finish()
-    # message symbols are kept up to a bound that is not reached here: 9 kB a turn
-    assert sizes[3] - sizes[2] < 20_000
-    assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 200_000
+    # message symbols are kept up to a bound that is not reached here: 5 kB a turn
+    assert sizes[3] - sizes[2] < 10_000
+    assert sum(p.stat().st_size for p in (tmp_path / "tap").glob("capture*")) <= 100_000
 
 
 @pytest.mark.slow

@@ -21,8 +21,7 @@ from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import text
-from tap_service.eavesdroppers.smoother import Smoother
+from tap_service.eavesdroppers import smoother, text
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.alignment import align
 from tap_service.inference.english import (
@@ -36,7 +35,7 @@ from tap_service.inference.gap_smoother import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_halves import first_of_each
 from tap_service.inference.message_reader import Message, MessageReader
-from tap_service.inference.message_search import Found, MessageSearch
+from tap_service.inference.message_search import BEAM, Found, MessageSearch
 from tap_service.inference.message_sets import SharedSearch
 from tap_service.inference.verdicts import made_of, verdicts_of
 from tests.support.held_memory import kept
@@ -224,7 +223,7 @@ def stretch(
 def test_a_message_in_any_alphabet_is_read_through_missed_symbols(
     size: int, scheme: str, agree: float
 ) -> None:
-    payload = b"Send the spare keys by noon"
+    payload = b"Send the keys"
     reader = MessageReader(make_scheme(scheme, size), english(), certain=agree == 1.0, beam=400)
     steps = stretch(payload, size, scheme, 1, missed=0.1, agree=agree)
     (message,) = reader.read(steps, (0.19, 0.21), {})
@@ -249,7 +248,7 @@ def with_missed_steps(steps: Sequence[InferredStep], seed: int) -> list[Inferred
     return out
 
 
-@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("seed", size([0], [0, 1]))
 def test_steps_that_the_plant_missed_and_she_did_not_hear_so_hide_no_message(seed: int) -> None:
     payload = b"Send the spare keys by noon"
     steps = with_missed_steps(stretch(payload, 4, "pipelined", seed, missed=0.1, agree=1.0), seed)
@@ -306,7 +305,7 @@ def left_of(payload: bytes, missed: float, seed: int) -> tuple[list[int], Array]
     return [len(m.payload) for m in told[0]], np.array([*left, 2 * unheard - 32])
 
 
-@pytest.mark.parametrize("seed", [3, 9])
+@pytest.mark.parametrize("seed", size([3], [3, 9]))
 def test_random_bytes_are_reported_as_such(seed: int) -> None:
     """No claim, one message of its length; two bits a symbol missed are left, less the check."""
     payload = random.Random(seed).randbytes(20)
@@ -346,13 +345,17 @@ def test_two_messages_and_one_under_way() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("size", "short"), [(4, 2), (4, 9), (4, 15), (3, 2), (3, 9)])
-def test_a_message_of_which_the_check_alone_is_not_over_is_under_way(size: int, short: int) -> None:
+@pytest.mark.parametrize(
+    ("alphabet", "short"), size([(4, 15), (3, 2)], [(4, 2), (4, 9), (4, 15), (3, 2), (3, 9)])
+)
+def test_a_message_of_which_the_check_alone_is_not_over_is_under_way(
+    alphabet: int, short: int
+) -> None:
     """She has its text, and waits for the check: she neither refutes it nor takes it for whole."""
     payload = b"Send the spare keys by noon"
-    steps = stretch(payload, size, "pipelined", 2, missed=0.1, agree=1.0)
-    over = 9 + len(encode_frame(payload, size))
-    reader = MessageReader(make_scheme("pipelined", size), english(), certain=True, beam=400)
+    steps = stretch(payload, alphabet, "pipelined", 2, missed=0.1, agree=1.0)
+    over = 9 + len(encode_frame(payload, alphabet))
+    reader = MessageReader(make_scheme("pipelined", alphabet), english(), certain=True, beam=400)
     (message,) = reader.read(steps[: over + 1 - short], (0.0, 1.0), {})
     assert (message.payload, message.whole, message.refuted) == (payload, False, False)
     assert abs(message.due_k - over) <= 2
@@ -451,8 +454,12 @@ def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
     assert not SharedSearch([lattice], 32).silent(begin[None])
 
 
+FOLLOWED = size(600, BEAM)
+"""Beginnings of a message that are followed at once."""
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("seed", [1003, 1012])
+@pytest.mark.parametrize("seed", size([1003], [1003, 1012]))
 def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_not_hold(
     seed: int,
 ) -> None:
@@ -477,7 +484,7 @@ def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_stat
     ``loss`` is in bits a step. Without the law it is .26 and 1.3, for then the set is anything from
     as wide as the disturbance to three times that; with all verdicts as likely it is 1.6.
     """
-    run = simulate(400, 0)
+    run = simulate(size(240, 400), 0)
     view = View(seed=0, noise=noise)
     steps = heard_by(run, view)
     inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(steps)
@@ -493,15 +500,16 @@ def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_stat
 
 
 @pytest.mark.long
-def test_through_noise_she_is_not_below_the_smoother() -> None:
-    """The smoother's 135 keys of 160 are no floor that she only just reaches."""
+def test_through_noise_she_is_not_below_the_smoother(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The smoother's 135 keys of 160, asked at the end, are no floor that she only just reaches."""
+    monkeypatch.setattr(smoother, "FIRST", 160)
     run = simulate(160, 5, name="packed", payloads=[b"Go on now."])
     view = View(seed=5, noise=0.05)
     heard = heard_by(run, view)
     told = view.knowledge(run.scenario.knowledge())
     best, rung = (
         score(run.truth, output_about(tap, heard))
-        for tap in (Text(told, live=False), Smoother(told))
+        for tap in (Text(told, live=False, beam=FOLLOWED), smoother.Smoother(told))
     )
     assert best.messages.right == 1
     assert best.keys_reviewed.right >= rung.keys_reviewed.right
@@ -538,7 +546,7 @@ def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not
     """From (4, -2) it takes some six steps until the facets of T_0 bound the input."""
     said: list[float] = []
     for seed in range(1000, 1006):
-        run = simulate(60, seed, name="packed", payloads=[b"x" * 20])
+        run = simulate(size(36, 60), seed, name="packed", payloads=[b"x" * 20])
         view = View(seed=seed, loss=0.5)
         heard = heard_by(run, view)
         inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
@@ -600,11 +608,12 @@ def test_what_she_states_comes_true() -> None:
 @pytest.mark.long
 def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant() -> None:
     """What a step costs her is `wyner bench text`'s."""
-    payload = b"Nobody may enter the control room without a red badge"
-    run = simulate(320, 3, name="packed", payloads=[payload])
+    payload = b"Nobody may enter the room"
+    run = simulate(190, 3, name="packed", payloads=[payload])
     (over, _), *_ = run.truth.whole
     view = View(seed=3, loss=0.3)
-    tap, heard = Text(view.knowledge(run.scenario.knowledge())), heard_by(run, view)
+    tap = Text(view.knowledge(run.scenario.knowledge()), beam=FOLLOWED)
+    heard = heard_by(run, view)
     said = output_about(tap, heard)
     assert over < said.belief.solved_k < over + 40
     assert said.belief.whole == (payload,)
@@ -615,14 +624,24 @@ def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant()
     assert scored.keys_reviewed.right > 0.9 * scored.keys_reviewed.of
 
 
+PACKED = (
+    ("packed", 160, b"Go on now."),
+    ("packed-double-integrator", 160, b"Go on now."),
+    ("packed-quadruple-tank", 120, b"Go on now."),
+    ("packed-batch-reactor", 120, b"Go on now."),
+)
+SWITCHED = ("sustained", 420, b"Go.")
+"""Read live in the gate where an encoder alone is read: `test_text_reads_it_and_is_sure`."""
+
+
 @pytest.mark.long
-@pytest.mark.parametrize("live", [True, False])
 @pytest.mark.parametrize(
-    ("plant", "steps", "payload"),
-    [("packed", 160, b"Go on now."), ("packed-double-integrator", 160, b"Go on now."),
-     ("packed-quadruple-tank", 120, b"Go on now."), ("packed-batch-reactor", 120, b"Go on now."),
-     ("sustained", 420, b"Go.")],
-)  # fmt: skip
+    ("plant", "steps", "payload", "live"),
+    [
+        *((*plant, live) for plant in PACKED for live in (True, False)),
+        *((*SWITCHED, live) for live in size([False], [True, False])),
+    ],
+)
 def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
     plant: str, steps: int, payload: bytes, live: bool
 ) -> None:
@@ -630,7 +649,7 @@ def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
     run = simulate(steps, 5, name=plant, payloads=[payload])
     assert [text for _, text in run.truth.whole] == [payload]
     view = View(seed=5, loss=0.1)
-    tap = Text(view.knowledge(run.scenario.knowledge()), live=live)
+    tap = Text(view.knowledge(run.scenario.knowledge()), live=live, beam=FOLLOWED)
     said = output_about(tap, heard_by(run, view))
     assert said.belief.whole == (payload,)
     assert said.belief.bits_left is not None
@@ -641,9 +660,9 @@ def test_every_plant_that_carries_a_message_is_read_live_and_from_a_capture(
 def test_a_message_that_another_follows_at_once_is_read() -> None:
     """Of 160 lengths the true one is likely for what comes after its text, and not before."""
     payloads = [s.encode() for s in SENTENCES[:2]]
-    run = simulate(700, 6, name="packed", payloads=payloads)
+    run = simulate(size(540, 700), 6, name="packed", payloads=payloads)
     view = View(seed=6, loss=0.3)
-    tap = Text(view.knowledge(run.scenario.knowledge()), live=False)
+    tap = Text(view.knowledge(run.scenario.knowledge()), live=False, beam=FOLLOWED)
     said = output_about(tap, heard_by(run, view))
     assert said.belief.whole == tuple(payloads)
 
@@ -653,15 +672,15 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Sixteen random bytes, a third missed: searched as long as later steps may say more."""
-    monkeypatch.setattr(text, "SETTLED", 100)
+    monkeypatch.setattr(text, "SETTLED", 60)
     payload = random.Random(2).randbytes(16)
-    run = simulate(320, 2, name="packed", payloads=[payload])
+    run = simulate(200, 2, name="packed", payloads=[payload])
     view = View(seed=2, loss=0.3)
     tap = Text(view.knowledge(run.scenario.knowledge()), beam=100)
     told = []
     for t in heard_by(run, view):
         tap.observe(t)
-        if t.k in (150, 290, 319):
+        if t.k in (110, 180, 199):
             tap.decode()
             told.append((tap.belief().bits_left, tap.belief().whole))
     assert told[1] == told[2], "what is given up is not looked at again"
@@ -674,9 +693,10 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
 
 @pytest.mark.long
 def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
-    """She keeps twice as many at most."""
+    """She keeps twice as many at most; half as many take a quarter."""
     rng, key, table, steps = random.Random(1), 0, np.array([0.05, 0.5, 0.5, 0.5]), []
-    for k in range(text.KEPT // 2):
+    share = size(0.5, 1)
+    for k in range(int(share * text.KEPT / 2)):
         cipher = None if rng.random() < 0.3 else encrypt(0, key, 4)
         t = Transition("s", k, (0.0,), None, cipher, (0.0,), start=k == 0)
         key = rng.randrange(4)
@@ -688,7 +708,7 @@ def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
         left, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()
-    assert peak < 200e6
+    assert peak < share**2 * 200e6
     assert left < 10e6
 
 
