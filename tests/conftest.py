@@ -18,6 +18,7 @@ from controller_service.laws.registry import make_law
 from controller_service.sets.design import synthesise
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
+from tests.support.size import WHOLE
 
 TESTS = Path(__file__).parent
 
@@ -115,6 +116,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
         if item.get_closest_marker("long"):
             item.add_marker("slow")
+        if WHOLE and not item.get_closest_marker("timeout"):
+            item.add_marker(pytest.mark.timeout(1800))
     if "PYTEST_XDIST_WORKER" not in os.environ:
         return
     places = {TESTS / name: place for place, name in enumerate(LONGEST)}
