@@ -10,6 +10,7 @@ from uuid import uuid4
 import pytest
 
 from runtime.run_folder import CAPTURE
+from runtime.shipped import SCENARIOS
 from wyner.cli.demo import SealedMessage
 from wyner.cli.up import run_session
 from wyner.deployment.one_machine import RunOptions
@@ -17,6 +18,8 @@ from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 
 SEALED: Final = b"The old mill, at nine."
+EAVESDROPPERS: Final = ["nearest-centre", "smoother", "key-solver"]
+"""One that guesses at once, one that thinks, and the one that solves for keys."""
 
 
 def failed(folder: Path) -> set[str]:
@@ -53,13 +56,15 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 
 def _run_with_keys(folder: Path) -> None:
+    scenario = folder.with_suffix(".toml")
+    keys = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
+    scenario.write_text(keys.replace("[tap]\n", f"[tap]\neavesdroppers = {EAVESDROPPERS}\n", 1))
     options = RunOptions(
-        scenario="keys",
+        scenario=str(scenario),
         message="hi",
         pace="x10",
         steps=100_000,
         until_delivered=True,
-        eavesdropper="nearest-centre,smoother,key-solver",
         headless=True,
         json=True,
         run_dir=str(folder),
