@@ -4,7 +4,7 @@ import os
 from typing import Final, TypeVar
 
 WHOLE: Final = os.environ.get("WYNER_TESTS") == "whole"
-"""``WYNER_TESTS=whole make test ALL=1`` takes hours; its result stands in docs/reliability.md."""
+"""As with ``WYNER_TESTS=whole make test ALL=1``, the last part of ``make campaign``: hours."""
 
 T = TypeVar("T")
 
