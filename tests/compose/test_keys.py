@@ -47,7 +47,9 @@ def in_use(system: Composition, application: str) -> list[str]:
 
 def test_both_applications_use_the_same_fresh_keys(keys: Composition) -> None:
     all_healthy(keys, SERVICES)
-    both = wait_for(lambda: ids if len(ids := in_use(keys, "alice")) >= 3 else None, "three keys")
+    both = wait_for(
+        lambda: ids if len(ids := in_use(keys, "alice")) >= 3 else None, "three keys", every_s=4.0
+    )
     assert len(set(both)) == len(both)
     assert in_use(keys, "bob")[:3] == both[:3]
     for service, side in (("kme-controller", "controller"), ("kme-plant", "plant")):
