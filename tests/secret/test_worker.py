@@ -124,18 +124,23 @@ def test_killed_at_any_instant_it_makes_the_same_keys_once(tmp_path: Path) -> No
             worker.put(at, told.put, closed(number))
             worker.put(at, told.put, verdict(number))
 
-        for number in blocks[:-6]:
-            put(number)
-        crashing = sorted(draw.sample(range(1, 2 * len(blocks[:-6])), 6))
+        put(0)
+        put(1)
+        crashing = draw.sample(range(2, len(blocks)), 6)
         answers: list[Done] = []
         while len(answers) < 2 * len(blocks):
             answers.append(told.get(timeout=PATIENCE_S))
-            if len(answers) in crashing:
+            if len(answers) % 2:
+                continue
+            following = len(answers) // 2 + 1
+            if following in crashing:
                 time.sleep(draw.uniform(0.0, 0.006))  # a block takes as long, with its commit
                 pid = another(pids)
                 pids.add(pid)
                 os.kill(pid, signal.SIGKILL)
-                put(blocks[len(pids) - 7])  # had it done all before, none would come after it
+            if following < len(blocks):
+                put(following)  # so whoever was killed with nothing left to do has a successor
+    assert len(pids) == 6
     assert not any(isinstance(answer, Broken) for answer in answers)
     with KeyStore(at.path, "plant") as store:
         assert store.compare() == expected(blocks)
