@@ -38,7 +38,7 @@ from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.runs.check import CHECKS
-from wyner.runs.covered import KINDS
+from wyner.runs.evidence_files import KINDS
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
 PROTOCOL: Final = DOCUMENT.with_name("protocol.md")

@@ -13,7 +13,6 @@ from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extract, words
 from protocol.secret.galois import product
 from tap_service.inference.key_solver import bits_held, held
-from tests.support.size import size
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
 
@@ -26,10 +25,7 @@ def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("eps_E", "unheard_bits", "first_s", "rate", "blocks"),
-    size(
-        [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5)],
-        [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5), (0.3, 128, 6.0, 500.0, 5)],
-    ),
+    [(0.3, 256, 5.0, 800.0, 6), (0.1, 256, 15.0, 280.0, 5), (0.3, 128, 6.0, 500.0, 5)],
 )
 def test_the_first_key_comes_early_and_the_rate_after_it(
     eps_E: float, unheard_bits: int, first_s: float, rate: float, blocks: int,

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def _table() -> str:
     """Which files are evidence, for people."""
-    from wyner.runs.covered import KINDS
+    from wyner.runs.evidence_files import KINDS
 
     wide = max(len(kind.pattern) for kind in KINDS)
     lines = ["evidence, and what holds it (the seal: that of a run that wyner up has ended):"]
@@ -102,7 +102,7 @@ def results_of(folder: Path) -> "list[Result]":
 
 def summary_of(folder: Path, results: "Sequence[Result]") -> dict[str, Any]:
     """The results of a run, for machines."""
-    from wyner.runs.covered import KINDS
+    from wyner.runs.evidence_files import KINDS
     from wyner.runs.run import Run
     from wyner.runs.seal import is_sealed
 

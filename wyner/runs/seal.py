@@ -17,7 +17,7 @@ from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
 from runtime.recording import CONTINUED, decode
 from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
-from wyner.runs.covered import evidence_below
+from wyner.runs.evidence_files import evidence_below
 
 FILES: Final = "files"
 ITSELF: Final = "manifest"

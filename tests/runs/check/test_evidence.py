@@ -11,7 +11,7 @@ import pytest
 
 from runtime.run_folder import MANIFEST, SUMMARY
 from tests.support.checked_runs import failed
-from wyner.runs.covered import KINDS, OTHER, evidence_below, kind_of
+from wyner.runs.evidence_files import KINDS, OTHER, evidence_below, kind_of
 from wyner.runs.seal import broken
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]

@@ -39,7 +39,7 @@ from tests.support.giving import deliver
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.covered import KINDS
+from wyner.runs.evidence_files import KINDS
 from wyner.runs.seal import broken, seal
 
 OTHERS: dict[Path, dict[str, Any]] = {
