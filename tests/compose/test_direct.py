@@ -202,7 +202,7 @@ def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
 ) -> None:
     """What the profile `secure` prevents. Here it is counted as malformed, and harms nothing."""
     all_healthy(direct, SERVICES)
-    text = "she forges meanwhile, all the time"
+    text = "she forges"
     forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v2/loop/offer")
     wait_for(lambda: direct.status("plant", "plant")["malformed"] >= 10, "malformed counted")
     forged_under_way(direct, forger, text, "controller")

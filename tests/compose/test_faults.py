@@ -25,7 +25,7 @@ SERVICES = ("controller", "plant", "tap")
 @pytest.mark.parametrize("service", SERVICES)
 def test_a_service_killed_in_the_middle_comes_back(direct: Composition, service: str) -> None:
     advancing(direct)
-    text = f"{service} killed midway"
+    text = f"{service} killed"
     under_way(direct, text)
     before = direct.inspect(service)
     direct.kill(service)
@@ -39,7 +39,7 @@ def test_a_service_killed_in_the_middle_comes_back(direct: Composition, service:
 def test_a_paused_service_is_waited_for(direct: Composition, service: str) -> None:
     advancing(direct)
     partner = "plant" if service == "controller" else "controller"
-    text = f"{service} paused midway"
+    text = f"{service} paused"
     under_way(direct, text)
     docker("pause", direct.container(service))
     try:
@@ -68,7 +68,7 @@ def test_a_frozen_tap_holds_nobody_up(direct: Composition) -> None:
 
 def test_the_plant_cut_off_its_networks_comes_back(direct: Composition) -> None:
     advancing(direct)
-    text = "plant cut off midway"
+    text = "plant cut off"
     under_way(direct, text)
     plant = direct.container("plant")
     missed = direct.status("plant", "plant")["missed"]

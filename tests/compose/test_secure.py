@@ -91,7 +91,7 @@ def test_the_router_passes_on_what_names_allow_and_drops_the_rest(secure: Compos
 
 def test_forged_publications_from_the_tap_change_nothing(secure: Composition) -> None:
     """On the live loop, while a message is under way. (test_direct.py shows them arriving.)"""
-    text = "she forges meanwhile"
+    text = "she forges"
     all_healthy(secure, SERVICES)
     keys = ("wyner/v2/loop/offer", "wyner/v2/loop/measurement")
     forger = Beside(secure, "secure-tap", FORGE, ROUTER, certificates("tap"), *keys)
