@@ -99,7 +99,7 @@ def test_raw_english_without_a_frame_check() -> None:
 @pytest.mark.long
 def test_the_learner_starts_from_nothing() -> None:
     exact = right = of = 0
-    for seed in range(size(2, 3)):
+    for seed in range(size(1, 3)):
         run = simulate(1200, seed)
         said, scored = play(run, "learning")
         exact += said.belief.whole == tuple(p for _, p in run.truth.whole)
@@ -107,12 +107,12 @@ def test_the_learner_starts_from_nothing() -> None:
         right += sum(said.reviewed.get(at) == v for at, v in early.items())
         of += len(early)
         assert scored.keys_reviewed.right >= 0.99 * scored.keys_reviewed.of
-    assert exact >= 2
+    assert exact >= size(1, 2)
     assert right >= 0.95 * of
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("error", [0.1, 0.3, 0.5])
+@pytest.mark.parametrize("error", size([0.1, 0.5], [0.1, 0.3, 0.5]))
 def test_the_learner_starts_from_a_wrong_model(error: float) -> None:
     exact = 0
     for seed in range(size(1, 2)):
@@ -156,21 +156,22 @@ def test_a_run_longer_than_she_keeps_loses_no_message(
 ) -> None:
     """Messages one after the other, across the steps at which she lets go of the older half."""
     keeping(1024, monkeypatch)
-    payloads = [b"message number %02d" % i for i in range(10)]
-    run = simulate(3000, 1, payloads=payloads)
+    payloads = [size(b"no. %02d", b"message number %02d") % i for i in range(10)]
+    run = simulate(size(1700, 3000), 1, payloads=payloads)
     said, scored = play(run, name)
     assert len(run.truth.whole) >= 3
     assert said.belief.whole == tuple(p for _, p in run.truth.whole)
     assert scored.keys_reviewed.right == scored.keys_reviewed.of
-    assert (scored.bits.share or 0) > 0.998
+    assert scored.bits.right >= scored.bits.of - 1
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["learning", "smoother"])
 def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
     keeping(1024, monkeypatch)
-    text = b"It was a quiet night at the harbour and nobody saw the boats leave."
-    run = simulate(3300, 1, payloads=[text])
+    long = b"It was a quiet night at the harbour and nobody saw the boats leave."
+    text = size(long[:40], long)
+    run = simulate(size(2100, 3300), 1, payloads=[text])
     assert [p for _, p in run.truth.whole] == [text]
     assert play(run, name)[0].belief.whole == (text,)
 
@@ -178,7 +179,7 @@ def test_a_message_longer_than_she_keeps_is_had(name: str, monkeypatch: pytest.M
 @pytest.mark.long
 def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     keeping(128, monkeypatch)
-    run = simulate(200, 3, payloads=[b"let go"])
+    run = simulate(size(132, 200), 3, payloads=[b"let go"])
     view = View(loss=0.02, seed=1)
     said, scored = play(run, "smoother", view)
     oldest = [at for at in said.live if at[1] < 60]

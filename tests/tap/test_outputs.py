@@ -93,7 +93,7 @@ def test_what_was_missed_is_given_out_as_unknown_and_the_rest_goes_on(
 
 def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Transfer) -> None:
     names = ["nearest-centre", "list-decoder"]
-    for place in range(8):
+    for place in range(size(4, 8)):
         for found in listen(runs, link, names, place):
             assert (found.delivered, found.read) == (1, 1)
             assert found.right > 0.97 * found.agreements
@@ -104,7 +104,7 @@ def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Tr
 def test_who_fits_how_far_sensors_scatter_reads_it_too(
     runs: Runs, link: Transfer, name: str
 ) -> None:
-    for place in range(2):
+    for place in range(size(1, 2)):
         (found,) = listen(runs, link, [name], place)
         assert (found.delivered, found.read) == (1, 1)
         assert found.right > 0.97 * found.agreements
@@ -210,7 +210,7 @@ def test_verdicts_that_the_ends_lost_after_missed_steps_break_no_message() -> No
     runs = simulate_runs(scenario, law, seed=2, runs=range(7), steps=500, record=True)
     link = transfer(runs, payloads=[b"We sail at dawn."])
     assert runs.missed is not None
-    for place in (0, 3, 6):
+    for place in size((0, 6), (0, 3, 6)):
         lost = (runs.symbol[:, place] == NO_SYMBOL) & ~runs.missed[:, place]
         assert lost[LOST:].sum() > 3
         takes, tries = listen(runs, link, ["nearest-centre", "list-decoder"], place)

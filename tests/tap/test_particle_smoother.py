@@ -48,7 +48,7 @@ def played(
     steps: int = 160,
     name: str = "sustained",
     alpha: float = 8.0,
-    trial: int = size(64, TRIAL),
+    trial: int = size(40, TRIAL),
     first: int = size(200, FIRST),
 ) -> Played:
     """A run before a smoother who was told the policy; played once, for it takes long.
@@ -174,18 +174,17 @@ def test_constrained_candidates_do_not_poison_what_follows() -> None:
 
 
 LOSING = View(view="offers", loss=0.1, seed=3)
-FEWER = size(48, TRIAL)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("alpha", "seed", "view", "steps", "trial"),
-    [(3.0, 3, LOSING, 120, FEWER), (8.0, 1, OFFERS, 160, size(64, TRIAL))],
+    ("alpha", "seed", "view", "steps"),
+    [(3.0, 3, LOSING, 120), (8.0, 1, OFFERS, 160)],
 )
 def test_the_width_of_the_defenders_set_is_learned(
-    alpha: float, seed: int, view: View, steps: int, trial: int
+    alpha: float, seed: int, view: View, steps: int
 ) -> None:
-    _, tap, _, _ = played(seed, view, steps, alpha=alpha, trial=trial)
+    _, tap, _, _ = played(seed, view, steps, alpha=alpha)
     assert tap.reader.width is not None
     low, high = tap.reader.width
     assert 0.93 / alpha < low < high < 1.08 / alpha
@@ -214,7 +213,7 @@ def test_without_the_law_she_guesses_evenly() -> None:
 
 @pytest.mark.long
 def test_lost_offers_are_bridged() -> None:
-    run, tap, said, _ = played(3, LOSING, 120, alpha=3.0, trial=FEWER)
+    run, tap, said, _ = played(3, LOSING, 120, alpha=3.0)
     heard = {t.k for t in heard_by(run, LOSING) if t.candidates}
     assert len(heard) < 114
     keys = {at: key for at, key in run.truth.keys.items() if at[1] in heard}
@@ -317,7 +316,7 @@ def test_a_law_that_the_transcript_contradicts_is_not_believed() -> None:
 @pytest.mark.long
 def test_noise_is_borne() -> None:
     view = View(noise=0.05, seed=0)
-    _, _, _, scored = played(0, view, 80, trial=size(40, TRIAL))
+    _, _, _, scored = played(0, view, size(64, 80))
     assert scored.keys_reviewed.right > 0.85 * scored.keys_reviewed.of
 
 
