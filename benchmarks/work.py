@@ -35,13 +35,16 @@ def work(side: str, scenario: str, life: Life) -> dict[bool, Counter[int]]:
     with tempfile.TemporaryDirectory() as folder:
         end = LivingEnd(side, scenario, Path(folder), life, again=True)
         for number, heard in enumerate(life.heard):
-            carries, count = end.carries, 0
-            before = sys.gettrace()
-            sys.settrace(trace)
-            answered = end.take(heard)
-            sys.settrace(before)
+            if number <= WARM_UP * len(life.heard):  # tables are made, modules are loaded
+                end.take(heard)
+            else:
+                carries, count = end.carries, 0
+                before = sys.gettrace()
+                sys.settrace(trace)
+                answered = end.take(heard)
+                sys.settrace(before)
+                if answered:
+                    counts[carries][count] += 1
             end.ports.mail.clear()
-            if answered and number > WARM_UP * len(life.heard):
-                counts[carries][count] += 1
         end.close()
     return counts

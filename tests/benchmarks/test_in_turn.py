@@ -24,7 +24,7 @@ def test_the_ratio_of_two_loops_that_are_one_is_about_one(
     monkeypatch.setattr(module, "WARM_UP_S", 1.0)
     monkeypatch.setattr(module, "BLOCK", 1)
     lines: list[str] = []
-    told = in_turn({"one": shipped, "other": shipped}, blocks=5, seconds=0.5, progress=lines.append)
+    told = in_turn({"one": shipped, "other": shipped}, blocks=5, seconds=0.3, progress=lines.append)
     assert 0.5 < told["ratio"] < 2
     assert told["low"] < told["ratio"] < told["high"]
     assert len(told["ratios"]) == len(lines) == 5

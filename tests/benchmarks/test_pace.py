@@ -84,8 +84,9 @@ def test_what_goes_on_is_said_beside_the_result(
 
 @pytest.mark.long
 @pytest.mark.integration
-def test_a_small_fleet_is_measured() -> None:
-    result = fleet.measure(loops=2, seconds=5.0)
+def test_a_small_fleet_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleet, "SETTLE_S", 1.0)
+    result = fleet.measure(loops=2, seconds=3.0)
     assert result["running"] == 2
     assert result["steps"] > 0
     assert 0 <= result["missed"] <= result["steps"]
@@ -116,7 +117,8 @@ def test_a_rate_that_missed_a_step_is_not_run_to_its_end() -> None:
 
 @pytest.mark.long
 @pytest.mark.integration
-def test_a_small_overload_is_measured() -> None:
+def test_a_small_overload_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(overload, "SETTLE_S", 1.0)
     result = overload.measure(loops=10, seconds=1.0, pace="x40", recover_s=0.5, calm_s=1.0)
     assert result["made"] + result["missed"] == result["asked"]
     assert result["least"] <= result["median"] <= result["most"]
