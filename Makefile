@@ -8,14 +8,15 @@ NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-studies test-house
 .PHONY: $(ROOM_TARGETS)
-.PHONY: demo dev test tests test-long test-fast test-compose test-pythons coverage mutants lint docs figures bench campaign lock clean help
+.PHONY: demo dev test tests test-long test-fast test-compose test-pythons coverage mutants lint docs figures paper bench campaign lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
 	@echo "make test          the tests but for the long ones, with ruff and mypy; ALL=1: the long ones too"
 	@echo "make test-long     the long ones: many runs, benchmarks, the campaigns' short forms"
 	@echo "make test-fast     the tests without the slow ones"
-	@echo "make test-ROOM     the tests of one room: protocol, controller, plant, tap, attacker, wyner, studies, house"
+	@echo "make test-ROOM     the tests of one room: protocol, runtime, controller, plant,"
+	@echo "                   tap, attacker, wyner, studies, house"
 	@echo "make test-pythons  a part of the tests on every other Python at hand"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
 	@echo "make coverage      branch coverage of each room; protocol/ at 95 % or more"
@@ -122,6 +123,7 @@ figures: $(STAMPS)/dev
 
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper
+
 # Hours, and resumable: stop it with Ctrl-C, and it goes on where it was. See docs/reliability.md.
 CAMPAIGN := $(BIN)/python -m tests.campaigns
 campaign: $(STAMPS)/dev

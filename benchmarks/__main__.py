@@ -44,7 +44,7 @@ def build_parser() -> Parser:
     )
     lines = "; ".join(f"{name}: {bench.text}" for name, bench in BENCHMARKS.items())
     lines += "; all; record: the watched ratios into benchmarks/record.json; compare: with it"
-    parser.add_argument("name", choices=(*BENCHMARKS, "all", *WATCHES), help=lines)
+    parser.add_argument("name", choices=(*BENCHMARKS, "all", *WATCHES), metavar="NAME", help=lines)
     parser.add_argument("--of", metavar="NAME,...", help="record, compare: these benchmarks only")
     parser.add_argument("--loops", type=int, metavar="N", help="fleet: loops (default 50)")
     parser.add_argument("--seconds", type=float, metavar="S", help="fleet: measured (default 10)")

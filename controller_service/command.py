@@ -5,7 +5,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.bus_options import ServiceOptions, add_end_arguments, buses_of, fleet_of, loop_of
+from runtime.bus_options import (
+    ServiceOptions,
+    add_end_arguments,
+    buses_of,
+    check_addresses,
+    fleet_of,
+    loop_of,
+)
 from runtime.errors import DONE, UsageError
 from runtime.options import (
     add_message_arguments,
@@ -86,6 +93,7 @@ def run_controller(options: ControllerOptions) -> int:
     from runtime.shipped import scenario_file_of
 
     at_least("--seed", options.seed, 0)
+    check_addresses(options, "controller")
     bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
     message = message_of(options.message, options.message_file)
     fleet = fleet_of(options, message)

@@ -4,7 +4,14 @@ import argparse
 from dataclasses import dataclass
 from pathlib import Path
 
-from runtime.bus_options import ServiceOptions, add_end_arguments, buses_of, fleet_of, loop_of
+from runtime.bus_options import (
+    ServiceOptions,
+    add_end_arguments,
+    buses_of,
+    check_addresses,
+    fleet_of,
+    loop_of,
+)
 from runtime.errors import DONE, UsageError
 from runtime.options import at_least, checked, folder_of, pace_of, picked, run_dir_of
 from runtime.recording import Bounds
@@ -75,6 +82,7 @@ def run_plant(options: PlantOptions) -> int:
 
     at_least("--steps", options.steps, 1)
     at_least("--seed", options.seed, 0)
+    check_addresses(options, "plant")
     bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
     fleet = fleet_of(options)
     if fleet is not None:

@@ -161,6 +161,23 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
     )
 
 
+def check_addresses(options: ServiceOptions, service: str) -> None:
+    """Look at the loop's id and at all addresses, before anything is started.
+
+    Raises
+    ------
+    UsageError
+        When one of them is none.
+    """
+    loop_of(options)
+    for bus in SERVICES[service].ends:
+        endpoints_of(options, service, bus)
+    if options.metrics is not None:
+        from runtime.metrics import host_and_port
+
+        host_and_port(options.metrics)
+
+
 @contextmanager
 def noted(metrics: str | None, bus: "Bus") -> "Iterator[Bus]":
     """The bus on which statuses are published; at ``metrics`` Prometheus is answered too.

@@ -185,6 +185,20 @@ class StatusCollector:
         latency.add_metric([loop], buckets, sum_value=None)
 
 
+def host_and_port(address: str) -> tuple[str, int]:
+    """What ``--metrics`` names.
+
+    Raises
+    ------
+    UsageError
+        When it is no ``HOST:PORT``.
+    """
+    host, _, port = address.rpartition(":")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise UsageError(f"--metrics: got {address!r}, expected HOST:PORT")
+    return host.strip("[]"), int(port)
+
+
 @contextmanager
 def served(address: str, statuses: Statuses) -> Iterator[int]:
     """Answer Prometheus at ``HOST:PORT`` (port 0: any free one); gives the port.
@@ -194,9 +208,7 @@ def served(address: str, statuses: Statuses) -> Iterator[int]:
     UsageError
         When the address is none or in use, or the client is not installed.
     """
-    host, _, port = address.rpartition(":")
-    if not host or not port.isdecimal() or int(port) > 65535:
-        raise UsageError(f"--metrics: got {address!r}, expected HOST:PORT")
+    host, port = host_and_port(address)
     try:
         from prometheus_client import CollectorRegistry, start_http_server
     except ImportError:
@@ -204,7 +216,7 @@ def served(address: str, statuses: Statuses) -> Iterator[int]:
     registry = CollectorRegistry()
     registry.register(StatusCollector(statuses))
     try:
-        server, thread = start_http_server(int(port), host.strip("[]"), registry=registry)
+        server, thread = start_http_server(port, host, registry=registry)
     except OSError as error:
         raise UsageError(f"--metrics: {address}: {error.strerror or error}") from None
     try:

@@ -11,6 +11,7 @@ from runtime.bus_options import (
     ServiceOptions,
     add_endpoint_arguments,
     add_metrics_argument,
+    check_addresses,
     endpoints_of,
     fleet_of,
     loop_of,
@@ -271,6 +272,7 @@ def run_with_knowledge(
     )
     if options.finish is not None and not 0 <= options.finish <= 3600:
         raise UsageError(f"--finish: got {options.finish}, expected 0 to 3600 seconds")
+    check_addresses(options, "tap")
     field, adversary = (
         endpoints_of(options, "tap", "field"),
         endpoints_of(options, "tap", "adversary"),

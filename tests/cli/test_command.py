@@ -51,9 +51,10 @@ def python(*args: str, **more: Any) -> subprocess.CompletedProcess[bytes]:
 
 def test_the_benchmarks_are_a_program_of_their_own_and_have_help() -> None:
     """In a process of its own: the command becomes that program."""
-    done = python("-m", "wyner", "bench", "--help")
+    done = python("-m", "wyner", "bench", "--help", env=os.environ | {"COLUMNS": "80"})
     assert done.returncode == 0
     assert b"wyner bench" in done.stdout
+    assert max(map(len, done.stdout.splitlines())) <= 80
     assert len(done.stdout.splitlines()) > 3
 
 
@@ -141,6 +142,16 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["plant", "--listen", "adversary=tcp/127.0.0.1:1"], "with BUS one of field, management"),
         (["plant", "--listen", "field=nowhere"], "got 'nowhere', expected tcp/HOST:PORT"),
         (["controller", "--connect", "management=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),
+        (["controller", "--check", "--listen", "field=foo"], "--listen field: got 'foo'"),
+        (["controller", "--check", "--metrics", "here"], "--metrics: got 'here', expected HOST:"),
+        (["plant", "--check", "--loop", "a/b"], "--loop: got 'a/b'"),
+        (["plant", "--check", "--loops", "2", "--metrics", "x:y"], "--metrics: got 'x:y'"),
+        (["tap", "--scenario", "paper", "--run-dir", "d", "--metrics", "x"], "--metrics: got 'x'"),
+        (["design", "packed", "--alphas", "--noise"], "--noise: expected without --alphas"),
+        (["design", "packed", "--outputs", "1:1", "--alphas"], "--alphas: expected without --out"),
+        (["design", "packed", "--alphas", "--coins", "9"], "--coins: got 9, expected --noise"),
+        (["fit", "sustained", "-o", "."], "--output: got '.', expected a file in a folder"),
+        (["fit", "sustained", "-o", "none/f.toml"], "--output: got 'none/f.toml', expected"),
         (["controller", "--client", "adversary"], "--client: got 'adversary'"),
         (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
         (["dashboard", "--connect", "intel=tcp/127.0.0.1:1"], "intel is called adversary now"),

@@ -569,7 +569,7 @@ def test_what_happens_while_no_step_is_made_is_said_once() -> None:
     assert said == [
         "plant refused: another model",
         "2 wrong keys at step 20: not the input that the plant applied",
-        "1 frames refused by their check at step 20",
+        "1 frame refused by the check at step 20",
         'message 1 recovered at step 20: "Hello"',
     ]
     back, _ = reporter.report(with_plant(trouble, phase="running", detail=""), 0)

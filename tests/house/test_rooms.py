@@ -17,5 +17,14 @@ def test_each_folder_of_tests_is_run_by_one_room() -> None:
     assert sorted(named) == sorted(folders - APART)
 
 
+def test_a_target_that_is_also_a_folder_is_always_made() -> None:
+    """`make paper` found the folder paper, called it up to date, and made nothing."""
+    text = (ROOT / "Makefile").read_text(encoding="utf-8")
+    phony = " ".join(re.findall(r"^\.PHONY: (.*)$", text, re.MULTILINE)).split()
+    targets = re.findall(r"^([a-z-]+):", text, re.MULTILINE)
+    assert "paper" in targets
+    assert not {name for name in targets if name not in phony}
+
+
 def test_the_files_that_go_first_are_there() -> None:
     assert all((TESTS / name).is_file() for name in LONGEST)

@@ -74,14 +74,18 @@ def run(args: argparse.Namespace) -> int:
     from runtime.shipped import scenario_file_of
 
     scenario = scenario_of(args.scenario)
+    asked = picked(NoiseOptions, vars(args))
+    tables = {"--outputs": args.outputs, "--alphas": args.alphas, "--noise": asked.noise}
+    given = [option for option, value in tables.items() if value is not None]
+    if len(given) > 1:
+        raise UsageError(f"{given[1]}: expected without {given[0]}, which is another table")
+    if asked.noise is None:
+        refuse_alone(asked)
     if args.outputs is not None:
         return show_outputs(scenario, args.outputs, as_json=args.json)
     if args.alphas is not None:
         return show_alphas(scenario, args.alphas, as_json=args.json, figure=args.plot)
-    asked = picked(NoiseOptions, vars(args))
-    if asked.noise is None:
-        refuse_alone(asked)
-    else:
+    if asked.noise is not None:
         return show_noise(scenario, asked, as_json=args.json, figure=args.plot)
     if not args.patience > 0:
         raise UsageError(f"--patience: got {args.patience:g}, expected more than 0")

@@ -66,6 +66,8 @@ def run(args: argparse.Namespace) -> int:
     from wyner.simulate.engine import SimulationError
 
     plan = _plan(args)
+    if args.output.is_dir() or not args.output.parent.is_dir():
+        raise UsageError(f"--output: got {str(args.output)!r}, expected a file in a folder")
     path = scenario_file_of(args.scenario)
 
     def opened(scenario: Scenario) -> Operated:

@@ -279,9 +279,9 @@ def _rows(matrix: list[list[float]]) -> str:
     )
 
 
-BY_WEIGHTS: Final = """
+BY_WEIGHTS: Final = """\
 [control.regulator]              # weights of u = K x near the origin; a larger input weight makes
-next_state = {next_state}        # a softer K, a wider T_0, and more room between the candidates
+next_state = {next_state:<19} # a softer K, a wider T_0, and more room between the candidates
 input = {input}
 """
 
@@ -313,7 +313,7 @@ half_widths = {D_c}
 
 [control]
 law = "sustained"                # or paper (quiet inside T_0), packed (predictions kept apart)
-horizon = {horizon}              # sets T_1 to T_N: more states to start from, more time to compute
+horizon = {horizon:<22} # sets T_1 to T_N: more states to start from, more time to compute
 
 {gain}
 [control.inputs]                 # U: no input leaves it

@@ -161,10 +161,12 @@ def _events(before: State, state: State) -> Iterator[str]:
             yield f"attack: {plant.attack}"
         if was is not None and plant.symbol_errors > was.symbol_errors:
             more = plant.symbol_errors - was.symbol_errors
-            yield f"{more} wrong keys at step {plant.k}: not the input that the plant applied"
+            keys = "key" if more == 1 else "keys"
+            yield f"{more} wrong {keys} at step {plant.k}: not the input that the plant applied"
         if was is not None and plant.frames_refused > was.frames_refused:
             more = plant.frames_refused - was.frames_refused
-            yield f"{more} frames refused by their check at step {plant.k}"
+            frames = "frame" if more == 1 else "frames"
+            yield f"{more} {frames} refused by the check at step {plant.k}"
         if plant.messages > (was.messages if was is not None else 0):
             how = (
                 "is the last recovered" if was is None else f"recovered at step {_whole_at(plant)}"

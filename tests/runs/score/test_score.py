@@ -272,6 +272,22 @@ def test_the_strongest_is_the_one_who_leaves_least() -> None:
     assert r.strongest.name == "b"
 
 
+def test_she_leaves_all_of_a_run_in_which_she_did_not_listen() -> None:
+    """One who broke the only run she heard was said to leave nothing of the other's keys."""
+    t = truth(400)
+    heard = score(t, said(400, 400, whole=True, name="late"))
+    good = score(t, said(400, 400, name="always"))
+    r = report([RunScore("one", t, (good,)), RunScore("two", t, (good, heard))])
+    always, late = r.taps
+    assert r.claimed_bits == 800
+    assert late.left is not None
+    assert always.left is not None
+    assert (late.left.low, late.left.high) == (400, 400)
+    assert always.left.high < 40
+    assert r.strongest is always
+    assert "always leaves at most" in r.verdict()
+
+
 def test_json_and_rows_hold_every_figure() -> None:
     r = report([run_score(7), run_score(9, whole=True)])
     value = json.loads(json.dumps(reporting.as_json(r)))

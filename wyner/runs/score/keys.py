@@ -293,7 +293,7 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
     made = f"{keys['made']} {'key' if keys['made'] == 1 else 'keys'}"
     lines = [
         f"Keys       {made} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s, "
-        f"counted. Eve holds {held} bits of them.",
+        f"counted. Eve holds {held} bits of their blocks.",
         f"           {keys['assumption']}",
     ]
     if keys["waiting"]:

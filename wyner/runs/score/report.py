@@ -59,7 +59,8 @@ class TapReport:
     left : Interval, optional
         Bits that she leaves of all that the paper's rule counts; None where ``why_unscored``. Of a
         run in which she had every message none, where she gives an account of her own that one,
-        else -log2 P_g of each key symbol. Whoever is not shown to be better than chance leaves all.
+        else -log2 P_g of each key symbol. Whoever is not shown to be better than chance leaves all,
+        and so does she of a run in which she did not listen.
     why_unscored : str
         Why nobody knows what she leaves, with the runs of which it is so.
     leads : bool
@@ -179,7 +180,8 @@ def report(scores: Sequence[RunScore]) -> Report:
     taps = []
     for name in names:
         mine = [(s, t) for s in scores for t in s.taps if t.name == name]
-        taps.append(_tap(name, mine, (1 - CONFIDENCE) / len(names)))
+        unheard = claimed - sum(s.truth.claimed_bits for s, _ in mine)
+        taps.append(_tap(name, mine, unheard, (1 - CONFIDENCE) / len(names)))
     return Report(
         tuple(s.run for s in scores),
         sum(s.truth.transitions for s in scores),
@@ -195,7 +197,13 @@ def hidden_bits(truth: Truth) -> float:
     return truth.hidden_widths * math.log2(cuts * truth.transitions + 1)
 
 
-def _tap(name: str, mine: Sequence[tuple[RunScore, EavesdropperScore]], alpha: float) -> TapReport:
+def _tap(
+    name: str,
+    mine: Sequence[tuple[RunScore, EavesdropperScore]],
+    unheard: float,
+    alpha: float,
+) -> TapReport:
+    """Her report; ``unheard`` bits were agreed in runs in which she did not listen."""
     scores = [t for _, t in mine if not t.why_unscored]
     size = mine[0][1].size
     keys = Proportion(
@@ -214,7 +222,7 @@ def _tap(name: str, mine: Sequence[tuple[RunScore, EavesdropperScore]], alpha: f
         exact=over_runs([t.messages for t in scores]),
         agreed_steps=keys.of,
         guessing=guessing,
-        left=_left(mine, guessing),
+        left=_left(mine, unheard, guessing),
         why_unscored=_why_unscored(every),
         leads=any(t.messages.right for t in every)
         or better_than(1.0 / size, keys.right, keys.of, alpha),
@@ -236,7 +244,7 @@ def _why_unscored(scores: Sequence[EavesdropperScore]) -> str:
 
 
 def _left(
-    mine: Sequence[tuple[RunScore, EavesdropperScore]], guessing: Interval
+    mine: Sequence[tuple[RunScore, EavesdropperScore]], unheard: float, guessing: Interval
 ) -> Interval | None:
     """Bits that she leaves of all runs; None where nobody knows it of one of them."""
     if any(t.why_unscored for _, t in mine):
@@ -251,7 +259,7 @@ def _left(
         len(s.truth.keys) for s, t in mine if not t.messages.every and t.stated_left is None
     )
     parts = [*told, bits_left(guessed, mine[0][1].size, guessing)] if guessed else told
-    value, low, high = (sum(ends) for ends in zip((0.0,) * 3, *parts, strict=True))
+    value, low, high = (sum(ends) for ends in zip((unheard,) * 3, *parts, strict=True))
     return Interval(value, low, high)
 
 
@@ -305,7 +313,7 @@ HEADINGS: Final = (
 NOTE: Final = (
     f"Rates have 95 % intervals over runs; fewer than {FEWEST_RUNS} runs have none. P_g and the "
     "bits left have limits that hold however often one looks; whoever is not shown to be better "
-    "than chance leaves all."
+    "than chance leaves all, as does she of a run in which she did not listen."
 )
 """What the table's intervals are."""
 
