@@ -14,9 +14,9 @@ from wyner.runs.run import Run
 
 pytestmark = pytest.mark.long
 
-SHORT, LONG = 4_000, 14_000
-GROWN = 10 * 2**20
-"""Bytes that 10,000 steps more may take: the lines of a trace, as Python has them, would be 25 MB.
+SHORT, LONG = 4_000, 10_000
+GROWN = 6 * 2**20
+"""Bytes that 6,000 steps more may take: the lines of a trace, as Python has them, would be 15 MB.
 What is bounded (points of a chart, a part of each file) is filling up meanwhile."""
 
 SUMMARY = """
