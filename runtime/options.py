@@ -223,6 +223,31 @@ def alone_in(folder: Path) -> Iterator[None]:
         yield
 
 
+def refuse_running(run_dir: Path) -> None:
+    """Refuse a run whose services still write.
+
+    Raises
+    ------
+    UsageError
+        When a process holds an end's journal, or a tap's folder as :func:`alone_in` does.
+    """
+    kept = (*run_dir.glob("*/journal.sqlite3"), *run_dir.glob("*/lock"))
+    if running := sorted({file.parent.name for file in kept if _is_held(file)}):
+        names = ", ".join(running)
+        raise UsageError(f"{run_dir}: {names} still at work, expected a run that has ended")
+
+
+def _is_held(file: Path) -> bool:
+    try:
+        with file.open("rb") as opened:
+            fcntl.lockf(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # whoever may not read it is told so by what reads it
+        pass
+    return False
+
+
 def at_least(option: str, value: int | None, least: int) -> None:
     """Check a whole number that an option may give.
 

@@ -99,6 +99,10 @@ def test_a_run_that_does_not_answer_yet_is_named(capsys: pytest.CaptureFixture[s
     said = capsys.readouterr().err
     assert "mine: the run /runs/a/run did not answer within 0.2 s" in said
     assert "(--timeout)" in said
+    assert "[keys]" not in said
+    with announced(RUN):
+        assert main(["send", "--sealed", "--timeout", "0.2", "hi"]) == 1
+    assert "without a table [keys] it seals nothing" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -102,9 +102,10 @@ def run(args: argparse.Namespace) -> int:
         raise Failure(
             f"{command.id}: the run {where} did not answer within {args.timeout:g} s; where it is "
             "only being started, try again or give it longer (--timeout)"
+            + ("; without a table [keys] it seals nothing" if args.sealed else "")
         )
     at = ", ".join((*ends.connect, *ends.listen))
-    start = "wyner up --scenario keys" if args.sealed else "wyner up"
+    start = "with a table [keys]: wyner up --scenario keys" if args.sealed else "wyner up"
     raise Failure(
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
         f"start one ({start}), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"

@@ -4,6 +4,8 @@ import contextlib
 import json
 import os
 import shutil
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -247,6 +249,34 @@ def flip(path: Path) -> None:
 def test_every_other_file(run: Path, name: Path, how: Callable[[Path], None]) -> None:
     how(run / name)
     assert str(name) in wrong(run)
+
+
+def test_a_run_that_goes_on_is_refused_in_a_line(
+    run: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Read while it was written, an honest run failed eight checks."""
+    code = (
+        "import sys, pathlib\n"
+        "from runtime.journal import PlantJournal\n"
+        "journal = PlantJournal(pathlib.Path(sys.argv[1]), 'sustained')\n"
+        "print('held', flush=True); sys.stdin.read()\n"
+    )
+    held = run / "again" / "plant" / "journal.sqlite3"
+    held.parent.mkdir(parents=True)
+    with subprocess.Popen(
+        [sys.executable, "-c", code, str(held)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as writer:
+        assert writer.stdout is not None
+        assert writer.stdout.readline() == b"held\n"
+        refused = main(["check", str(held.parent.parent)])
+        writer.kill()
+        writer.wait()
+    assert refused == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1)
+    assert "plant still at work, expected a run that has ended" in said.err
+    main(["check", str(held.parent.parent)])
+    assert "at work" not in capsys.readouterr().err
 
 
 def test_the_check_names_the_file(run: Path) -> None:
