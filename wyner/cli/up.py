@@ -175,6 +175,10 @@ def run_session(
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
+    if options.secret and scenario.keys is None:
+        raise UsageError(
+            f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
+        )
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
