@@ -23,12 +23,21 @@ from tap_service.eavesdroppers import (
     Eavesdropper,
     Guess,
     KnowledgeError,
+    fitted_box,
     learning,
     named,
     smoother,
+    text,
 )
 from tap_service.eavesdroppers.list_decoder import ListDecoder
-from tap_service.status import Listener, belief_record, beliefs_json, status_of
+from tap_service.status import (
+    Listener,
+    belief_record,
+    beliefs_json,
+    sound_belief,
+    sound_guess,
+    status_of,
+)
 from tests.support.size import size
 from wyner.runs.score.replay import COUNTS
 from wyner.runs.score.score import SILENT, EavesdropperScore, TapOutput, score
@@ -216,6 +225,27 @@ def test_who_sees_nothing_guesses_like_a_coin(name: str) -> None:
     assert max(max(g.symbol) for g in guesses) == 0.5
     right = score(run.truth, said).keys
     assert 0.35 < (right.share or 0) < 0.65  # the first of two equals, on some 65 keys
+
+
+@pytest.mark.parametrize("view", [CLEAR, View(loss=0.3, seed=1)], ids=["clear", "lossy"])
+@pytest.mark.parametrize("name", LADDER)
+def test_all_that_she_says_is_probabilities_and_no_step_is_thought_of_twice(
+    name: str, view: View, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """On the way she lets go of steps: their second thoughts are told, and then no more."""
+    for module in (fitted_box, learning, smoother, text):
+        monkeypatch.setattr(module, "KEPT", 48)
+    run = simulate(60, 6)
+    heard = heard_by(run, view)
+    tap = named(name)(knowing(run, name))
+    live = [tap.observe(t) for t in heard]
+    second = [*tap.final_guesses, *tap.review()]
+    for guess in (*live, *second):
+        assert sound_guess(guess, tap.size).agreed <= 1.0
+    assert sound_belief(tap.belief()).confidence <= 1.0
+    steps = [t.k for t in heard]
+    assert [guess.k for guess in live] == steps
+    assert [guess.k for guess in second] in ([], steps)
 
 
 @pytest.mark.parametrize("name", LADDER)
