@@ -38,6 +38,7 @@ SOURCES: Final[Mapping[str, tuple[str, ...]]] = {
     "schemes": ("protocol/schemes",),
     "link": ("protocol/link", "controller_service/core.py", "plant_service/core.py"),
     "check": ("wyner/runs/check",),
+    "tap": ("tap_service/capture", "tap_service/eavesdroppers", "tap_service/inference"),
 }
 """A room's folders and files: the link's rules stand at both ends' cores."""
 
@@ -60,6 +61,13 @@ ROOMS: Final[Mapping[str, tuple[str, ...]]] = {
     "check": _files(
         "runs/check",
         "paper key_blocks sealed rare_runs words seal parts deaths outputs guarded check",
+    ),
+    "tap": (
+        *_files("tap", "transcript channel capture thresholds list_decoding message_halves"),
+        *_files("tap", "message_graph gap_smoother miss_rate identification fitted_shape english"),
+        *_files("tap", "key_solver analysis ladder mixture_smoother particle_smoother outputs"),
+        *_files("cli", "tap"),
+        *_files("tap", "text"),
     ),
 }
 """A room, and the tests that have to notice; those that notice much in little time come first."""

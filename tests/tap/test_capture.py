@@ -109,7 +109,7 @@ def test_a_malformed_message_is_kept_byte_for_byte(tmp_path: Path) -> None:
     log.write(malformed_line(5, "wyner/v2/loop/offer", b"\x00\xff{\n"))
     log.close()
     (event,) = read_trace(tmp_path / CAPTURE).of("malformed")
-    assert event["base64"] == "AP97Cg=="
+    assert (event["key"], event["base64"]) == ("wyner/v2/loop/offer", "AP97Cg==")
     reader, messages = read(tmp_path)
     assert not messages
     assert reader.malformed == 1

@@ -48,7 +48,7 @@ def test_what_was_tried_is_told_with_its_interval_and_the_survivors() -> None:
     assert told("room", 50, MUTANTS[20:], fate) == "room: none of 50 tried"
 
 
-@pytest.mark.parametrize("room", ["link", "runs/check"])
+@pytest.mark.parametrize("room", ["link", "runs/check", "tap"])
 def test_every_quick_test_file_of_a_room_judges_it(room: str) -> None:
     judges = {Path(name).name for names in ROOMS.values() for name in names}
     there = {path.name for path in Path(f"tests/{room}").glob("test_*.py")}
@@ -57,6 +57,9 @@ def test_every_quick_test_file_of_a_room_judges_it(room: str) -> None:
         "test_mutants.py",
         "test_key_checks.py",
         "test_evidence.py",
+        "test_fleet.py",
+        "test_guests.py",
+        "test_service.py",
     }
     assert there - judges <= slow
 
