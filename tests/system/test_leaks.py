@@ -194,7 +194,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
         return min(int(status(run, end).get("keys_made", 0)) for end in ("controller", "plant"))
 
     try:
-        wait_for(lambda: keys_made() > 5)
+        wait_for(lambda: keys_made() > 10)
         process.send_signal(signal.SIGINT)
         assert process.wait(PATIENCE_S) == 130
     finally:
