@@ -24,6 +24,7 @@ from runtime.run_folder import (
     MANIFEST,
     PLANT_TRACE,
 )
+from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
 from tests.system.test_integration import status
@@ -176,10 +177,15 @@ TEXT = f"{SECRET}-{os.getpid()}-nobody-may-see-this"
 
 @pytest.mark.long
 def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
-    run, file = tmp_path / "run", tmp_path / "message"
+    """The only eavesdropper reads no message: what another one has read stands in her beliefs."""
+    run, file, scenario = tmp_path / "run", tmp_path / "message", tmp_path / "keys.toml"
     file.write_text(TEXT)
-    arguments = ["--scenario", "keys", "--secret", "--message-file", str(file), "--pace", "fast"]
-    arguments += ["--eavesdropper", "nearest-centre", "--run-dir", str(run)]
+    shipped = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
+    blind = shipped.replace("[tap]\n", '[tap]\neavesdroppers = ["set-membership"]\n', 1)
+    assert blind != shipped
+    scenario.write_text(blind)
+    arguments = ["--scenario", str(scenario), "--secret", "--message-file", str(file)]
+    arguments += ["--pace", "fast", "--run-dir", str(run)]
     process = subprocess.Popen(
         [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
         stdout=subprocess.DEVNULL,
