@@ -12,8 +12,8 @@ def check(run_dir: str | Path) -> "list[Result]":
 
     Raises
     ------
-    FileNotFoundError, ScenarioError, TraceError
-        When there is no run, or it cannot be read.
+    FileNotFoundError, ScenarioError, TraceError, UsageError
+        When there is no run, it cannot be read, or it goes on.
     """
     from wyner.runs.check import check as judge
     from wyner.runs.check.evidence import read_evidence
@@ -26,8 +26,8 @@ def report(run_dir: str | Path, output: str | Path | None = None) -> Path:
 
     Raises
     ------
-    FileNotFoundError, ScenarioError, TraceError
-        When there is no run, or it cannot be read.
+    FileNotFoundError, ScenarioError, TraceError, UsageError
+        When there is no run, it cannot be read, or it goes on.
     """
     from wyner.runs.page import write_report
 

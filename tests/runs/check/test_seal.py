@@ -251,8 +251,9 @@ def test_every_other_file(run: Path, name: Path, how: Callable[[Path], None]) ->
     assert str(name) in wrong(run)
 
 
+@pytest.mark.parametrize("command", ["check", "report"])
 def test_a_run_that_goes_on_is_refused_in_a_line(
-    run: Path, capsys: pytest.CaptureFixture[str]
+    command: str, run: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """Read while it was written, an honest run failed eight checks."""
     code = (
@@ -268,14 +269,14 @@ def test_a_run_that_goes_on_is_refused_in_a_line(
     ) as writer:
         assert writer.stdout is not None
         assert writer.stdout.readline() == b"held\n"
-        refused = main(["check", str(held.parent.parent)])
+        refused = main([command, str(held.parent.parent)])
         writer.kill()
         writer.wait()
     assert refused == 2
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)
     assert "plant still at work, expected a run that has ended" in said.err
-    main(["check", str(held.parent.parent)])
+    main([command, str(held.parent.parent)])
     assert "at work" not in capsys.readouterr().err
 
 

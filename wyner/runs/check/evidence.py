@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 from protocol.link.session import Rules, rules_of
 from protocol.messages import Sealed
 from protocol.scenario import Scenario
+from runtime.options import refuse_running
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from wyner.runs.check.capture import CapturedMessage, CaptureLines
@@ -231,7 +232,10 @@ def read_evidence(run_dir: Path) -> Evidence:
         When there is no run: no scenario, or neither end's trace.
     protocol.scenario.ScenarioError, OSError
         When one of them cannot be read.
+    runtime.errors.UsageError
+        When the run goes on: what one end has written, the other may not have yet.
     """
+    refuse_running(run_dir)
     if not (run_dir / SCENARIO).is_file():
         raise FileNotFoundError(f"{run_dir}: no run here, expected {SCENARIO}")
     run = Run.load(run_dir)
