@@ -13,12 +13,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, TypeVar
 
-from protocol.link.records import Step
+from protocol.link.events import lines
 from runtime.host import FIELD
 
 if TYPE_CHECKING:
     from protocol.link.events import Event
-    from protocol.link.peer import Notice, Peer, Write
+    from protocol.link.peer import Actions, Notice, Peer
     from protocol.messages import Message, Status
     from protocol.scenario import Scenario
     from protocol.secret.tasks import Task
@@ -101,12 +101,12 @@ class TimedPorts:
         self._partner = partner
         self._watch = watch
 
-    def write(self, write: "Write") -> None:
+    def save(self, actions: "Actions") -> None:
         """Keep it in the journal."""
-        if isinstance(write, Step):
-            self._watch.time(f"{self._side}: journal", lambda: self.files.journal.write(write))
+        if actions.offer is not None:
+            self._watch.time(f"{self._side}: journal", lambda: self.files.journal.save(actions))
         else:
-            self.files.journal.write(write)
+            self.files.journal.save(actions)
 
     def publish(self, message: "Message") -> None:
         """Leave it for the partner."""
@@ -118,7 +118,7 @@ class TimedPorts:
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""
-        self.files.trace.write(event.as_event())
+        self.files.trace.write(*lines(event))
 
     def log_notice(self, notice: "Notice") -> None:
         """Nobody reads the log."""

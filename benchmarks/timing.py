@@ -34,13 +34,14 @@ from unittest.mock import patch
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.events import lines
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 
 if TYPE_CHECKING:
     from controller_service.core import ControllerCore
     from plant_service.core import PlantCore
     from protocol.link.events import Event
-    from protocol.link.peer import Notice, Peer, Write
+    from protocol.link.peer import Actions, Notice, Peer
     from protocol.messages import Message, Status
     from protocol.secret.tasks import Done, Task
     from runtime.ports import Files
@@ -133,9 +134,9 @@ class TimingPorts:
         self.kept: list[Done] = []
         self.said = hashlib.sha256()
 
-    def write(self, write: "Write") -> None:
+    def save(self, actions: "Actions") -> None:
         """Keep it in the journal."""
-        self.files.journal.write(write)
+        self.files.journal.save(actions)
 
     def publish(self, message: "Message") -> None:
         """Leave it for the partner."""
@@ -154,7 +155,7 @@ class TimingPorts:
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""
-        self.files.trace.write(event.as_event())
+        self.files.trace.write(*lines(event))
 
     def log_notice(self, notice: "Notice") -> None:
         """Nobody reads the log."""

@@ -19,12 +19,12 @@ from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phas
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
-from protocol.link.events import Alarm, Milestone, SessionBegan
+from protocol.link.events import Alarm, Event, SessionBegan
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
-from protocol.link.records import SenderRecord, Step
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
+from protocol.link.records import SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
     LARGEST_COUNT,
@@ -106,7 +106,8 @@ class ControllerCore:
         The plant's; one that has been silent for several of them is away.
     record : SenderRecord, optional
         As read back from the journal.
-    step : Step, optional
+    measurement : Measurement, optional
+    offer : Offer, optional
         The step after that record, as read back: to be counted first.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
@@ -150,7 +151,8 @@ class ControllerCore:
         instance: str,
         period_s: float,
         record: SenderRecord | None = None,
-        step: Step | None = None,
+        measurement: Measurement | None = None,
+        offer: Offer | None = None,
         contributions: Iterable[Contribution] = (),
         coin_keys: Iterable[Key] = (),
         predict: Predict | None = None,
@@ -171,7 +173,7 @@ class ControllerCore:
         # the step
         self._propose = propose
         self._predict = predict
-        self._under_way: tuple[Step, SenderRecord, _Judged | None] | None = None
+        self._under_way: tuple[Measurement, Offer, SenderRecord, _Judged | None] | None = None
         """The step that waits to be counted, with what :meth:`_report` made of its measurement."""
         self._stale = 0
         # the frame under way
@@ -180,13 +182,13 @@ class ControllerCore:
         # keys
         self.keying = Keying(rules.schedule, nonces)
         if self.record.session is not None:
-            said = self.record if step is None else step.offer
+            said = offer or self.record
             self.keying.begin(self.record.session, said.block, said.tag, contributions)
         self.coins = OfferedCoins(rules.size, on=rules.keyed)
         self.coins.begin(
             read.session,
             coin_keys,
-            *((read.coin_key, read.coin_from) if step is None else _newest_coin(read, step.offer)),
+            *_newest_coin(read, offer),
             applied="" if read.offer is None else read.offer.coin_key or "",
         )
         # the session
@@ -205,9 +207,9 @@ class ControllerCore:
         self._status_at = inf
         self._health_at = self.now = -inf
         self._aim()
-        if step is not None:
-            assert step.measurement is not None
-            self._under_way = (step, *self._report(step.measurement, step.offer.cipher))
+        if offer is not None:
+            assert measurement is not None
+            self._under_way = (measurement, offer, *self._report(measurement, offer.cipher))
 
     @property
     def plant(self) -> str | None:
@@ -232,7 +234,7 @@ class ControllerCore:
     @property
     def reported(self) -> int:
         """Transitions that the plant has reported, the one that waits to be counted included."""
-        counts = self._under_way is not None and self._under_way[2] is not None
+        counts = self._under_way is not None and self._under_way[3] is not None
         return self.record.transitions + counts
 
     # --- what the shell calls ---------------------------------------------------------------------
@@ -278,23 +280,22 @@ class ControllerCore:
     def finish_step(self) -> Actions:
         """Count the step under way; what else waited for that comes after it, one at a time."""
         if self._under_way is not None:
-            (step, following, judged), self._under_way = self._under_way, None
-            assert step.measurement is not None
-            actions = self._count(step.measurement, step.offer, following, judged)
+            step, self._under_way = self._under_way, None
+            actions = self._count(*step)
         elif self._blocks_differ:
             self._blocks_differ = False
             actions = self._end_session(
                 "blocks differ", "a key block differs from the plant's; session ended"
             )
         elif self._first_message is not None:
-            actions = self._queue(INITIAL_ID, self._first_message)
+            actions = self._queue(SendCommand(id=INITIAL_ID, payload=self._first_message))
             self._first_message = None
         else:
             assert self._starting, "nothing waits to be finished"
             self._starting = False
             # Saved first: no other process may greet as this incarnation.
             actions = Actions(
-                write=Save(self.record),
+                record=self.record,
                 publish=(self._greeting(),),
                 keys=self._key_tasks(),
                 notices=(self._refusal(HALTED),) if self.record.halted else (),
@@ -309,7 +310,7 @@ class ControllerCore:
             return NOTHING_TO_DO
         if isinstance(done, BlockResult) and done.what == "confirmed":
             self.coins.confirmed()
-        return key_actions(self.keying, done)._replace(write=self._erase_rows())
+        return self._erasing_rows(key_actions(self.keying, done))
 
     def halt(self) -> Actions:
         """A message was forged: where an alarm ends the offers, so does this."""
@@ -318,7 +319,7 @@ class ControllerCore:
         self.record = self.record._replace(halted=True)
         if self._telemetry is not None:
             self._telemetry.phase = "alarmed"
-        return Actions(write=Save(self.record), notices=(self._refusal(HALTED),))
+        return Actions(record=self.record, notices=(self._refusal(HALTED),))
 
     def end_session(self, why: str) -> Actions:
         """Keys that its messages are under are gone: nothing that the plant says can be read."""
@@ -334,9 +335,7 @@ class ControllerCore:
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         self._health_at = now
-        return self._status()._replace(
-            write=self._erase_rows(), notices=waiting_notice(self.keying)
-        )
+        return self._erasing_rows(self._status())._replace(notices=waiting_notice(self.keying))
 
     # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
 
@@ -396,9 +395,8 @@ class ControllerCore:
             coin_from=coin_from,
             coin_last=coin_last,
         )
-        step = Step(offer, measurement=measurement)
-        self._under_way = step, following, judged
-        return self._offers(offer, step)
+        self._under_way = measurement, offer, following, judged
+        return self._offers(offer, measurement)
 
     def _malformed_states(self, measurement: Measurement) -> str:
         """What is wrong with a measurement's vectors; nothing where they are the plant's."""
@@ -412,11 +410,13 @@ class ControllerCore:
             return f"measurement: got a state beyond {LARGEST_STATE:g}"
         return self.rules.malformed_coin("measurement.applied_key", measurement.applied_key)
 
-    def _offers(self, offer: Offer, step: Step | None = None) -> Actions:
-        """Publish an offer; with the ``step`` that it is the answer of, which is saved before."""
+    def _offers(self, offer: Offer, measurement: Measurement | None = None) -> Actions:
+        """Publish an offer; one that was not saved before goes with what it answers."""
         if self._telemetry is not None:
             self._telemetry.phase, self._telemetry.detail = "running", ""
-        return Actions(write=step, publish=(offer,), finish_step=step is not None)
+        if measurement is None:
+            return Actions(publish=(offer,))
+        return Actions(offer=offer, measurement=measurement, publish=(offer,), finish_step=True)
 
     def _without_offer(
         self,
@@ -430,9 +430,8 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = phase
         actions = self._count(measurement, None, following, judged)
-        assert isinstance(actions.write, Save)
         return actions._replace(
-            write=actions.write._replace(later=False),
+            later=False,
             notices=(self._refusal(why), *actions.notices),
             finish_step=self._blocks_differ,
         )
@@ -563,8 +562,9 @@ class ControllerCore:
             )
         results = self.keying.heard(measurement)
         self._blocks_differ = _unequal(results)
-        actions = NOTHING_TO_DO
-        contribution, delivered, alarm = None, False, None
+        events: tuple[Event, ...] = ()
+        notices: tuple[Notice, ...] = ()
+        contribution, delivered = None, None
         if judged is None:  # no transition: the state, and the arrows from it, stay
             self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
         else:
@@ -577,6 +577,8 @@ class ControllerCore:
                 measurement.applied_copy,
                 before.nonce,
             )
+            if following.message != before.message:
+                delivered = self._queued(before.message)
             transition = CountedTransition.of(
                 self.rules.scheme,
                 before,
@@ -589,6 +591,7 @@ class ControllerCore:
                 contribution,
                 coin_key=measurement.applied_key,
                 expected=judged.expected,
+                delivered=delivered,
             )
             self.record = following._replace(
                 k=measurement.k,
@@ -600,26 +603,27 @@ class ControllerCore:
                 offer=offer,
             )
             self._aim()
-            if judged.alarm:
-                alarm = self._alarm(transition, applied)
+            alarm = self._alarm(transition, applied) if judged.alarm else None
             if self._telemetry is not None:
                 self._telemetry.counted(transition, alarm)
-            delivered = following.message != before.message
-            actions = Actions((transition,))
-            if delivered:
-                actions = self._delivered(transition, before.message)
+            events = (transition,)
+            if delivered is not None:
+                self._status_soon()
+                notices = (Notice(f"message {delivered.id} delivered"),)
+            if alarm is not None:
+                events = (transition, alarm)
+                notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
         obsolete_rows = self.keying.obsolete_rows()
-        # Rows that go cost a rare write: now, and not when a step hangs on it.
-        later = not (delivered or obsolete_rows)
-        write = Save(
-            self.record, later=later, contribution=contribution, obsolete_rows=obsolete_rows
+        return Actions(
+            events,
+            self.record,
+            # Rows that go cost a rare write: now, and not when a step hangs on it.
+            later=delivered is None and not obsolete_rows,
+            contribution=contribution,
+            obsolete_rows=obsolete_rows,
+            notices=notices,
+            keys=self._key_tasks(results),
         )
-        if alarm is not None:
-            actions = actions._replace(
-                events=(*actions.events, alarm),
-                notices=(*actions.notices, Notice(alarm.sentence(), "error", "alarms")),
-            )
-        return actions._replace(write=write, keys=self._key_tasks(results))
 
     def _key_tasks(self, results: tuple[BlockResult, ...] = ()) -> tuple[Task, ...]:
         """What the keeper of keys must do now."""
@@ -642,14 +646,11 @@ class ControllerCore:
             gauges[candidate],
         )
 
-    def _delivered(self, transition: CountedTransition, number: int) -> Actions:
-        """The last symbol of a message's frame has been counted."""
+    def _queued(self, number: int) -> SendCommand:
+        """Message ``number``, as it was handed over."""
         payload = self.messages.payload(number)
         assert payload is not None
-        event = Milestone("delivered", payload, self.messages.identifier(number))
-        self._status_soon()
-        notice = Notice(f"message {event.identifier} delivered")
-        return Actions((transition, event), notices=(notice,))
+        return SendCommand(id=self.messages.identifier(number), payload=payload)
 
     # --- sessions ---------------------------------------------------------------------------------
 
@@ -671,7 +672,7 @@ class ControllerCore:
             return Actions(publish=(self._greeting(),))
         if answer == "catch up and greet":
             self.record = record._replace(incarnation=_after(hello.incarnation))
-            return Actions(write=Save(self.record), publish=(self._greeting(),))
+            return Actions(record=self.record, publish=(self._greeting(),))
         if answer == "remind":
             return self._remind()
         if answer in ("serve", "adopt and serve"):
@@ -700,7 +701,7 @@ class ControllerCore:
         if hello.session != self.record.session:
             self._adopt(hello.session)
             began = SessionBegan(hello.session, "the plant began it")
-            actions = Actions(events=(began,), write=Save(self.record))
+            actions = Actions((began,), self.record)
         self._plant = hello.instance
         if (hello.instance, hello.session) != known:
             if self._telemetry is not None:
@@ -750,7 +751,7 @@ class ControllerCore:
         self._drop_session()
         events = (SessionBegan(None, why),)
         return self._remind()._replace(
-            events=events, write=Save(self.record), notices=(self._refusal(why),)
+            events=events, record=self.record, notices=(self._refusal(why),)
         )
 
     def _diverged(self, measurement: Measurement) -> Actions:
@@ -766,7 +767,7 @@ class ControllerCore:
         actions = Actions(notices=(self._refusal(why),))
         if ends:
             self._drop_session()
-            actions = actions._replace(events=(SessionBegan(None, why),), write=Save(self.record))
+            actions = actions._replace(events=(SessionBegan(None, why),), record=self.record)
         self._plant = None
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
@@ -825,10 +826,12 @@ class ControllerCore:
 
     # --- keys -------------------------------------------------------------------------------------
 
-    def _erase_rows(self) -> Save | None:
-        """A save that erases the rows of confirmed blocks; None where there are none."""
+    def _erasing_rows(self, actions: Actions) -> Actions:
+        """``actions``, which save nothing yet, and the rows of confirmed blocks go."""
         obsolete_rows = self.keying.obsolete_rows()
-        return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
+        if not obsolete_rows:
+            return actions
+        return actions._replace(record=self.record, obsolete_rows=obsolete_rows)
 
     def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
         """The plant has made its last step, and waits for its last blocks."""
@@ -840,11 +843,8 @@ class ControllerCore:
             self._blocks_differ = True
             return Actions(keys=keying.tasks(results), finish_step=True)
         answer = keying.block_announcement("controller", session)
-        return Actions(
-            write=self._erase_rows(),
-            publish=(answer,),
-            keys=keying.tasks(results),
-        )
+        erasing = self._erasing_rows(Actions(publish=(answer,)))
+        return erasing._replace(keys=keying.tasks(results))
 
     # --- commands ---------------------------------------------------------------------------------
 
@@ -858,7 +858,7 @@ class ControllerCore:
         elif size > MAX_PAYLOAD:
             detail = f"message: got {size} bytes, expected at most {MAX_PAYLOAD}"
         elif queued is None:
-            actions, accepted = self._queue(command.id, command.payload), True
+            actions, accepted = self._queue(command), True
             waiting += 1
         elif queued == command.payload:
             accepted, detail = True, "already queued"
@@ -867,15 +867,13 @@ class ControllerCore:
         reply = SendReply(id=command.id, accepted=accepted, queued=waiting, detail=detail)
         return actions._replace(publish=(reply,))
 
-    def _queue(self, identifier: str, payload: bytes) -> Actions:
+    def _queue(self, command: SendCommand) -> Actions:
         """Traced first: what is queued in the journal must not be missing from the trace.
 
         The record goes with it. The step under way was decided without this message: should it be
         counted again, then so too.
         """
-        write = Save(self.record, queued=(identifier, payload))
-        event = Milestone("sent", payload, identifier)
-        return Actions(events=(event,), write=write)
+        return Actions((command,), self.record, queued=command)
 
     # --- the status -------------------------------------------------------------------------------
 
@@ -902,9 +900,9 @@ class ControllerCore:
             self._status_at = self._health_at = self.now
 
 
-def _newest_coin(record: SenderRecord, offer: Offer) -> tuple[str, int]:
+def _newest_coin(record: SenderRecord, offer: Offer | None) -> tuple[str, int]:
     """The newest key that the offers of a session named up to this one, and its first step."""
-    if offer.coin_key and offer.coin_from is not None:
+    if offer is not None and offer.coin_key and offer.coin_from is not None:
         return offer.coin_key, offer.coin_from
     return record.coin_key, record.coin_from
 

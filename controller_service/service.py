@@ -80,7 +80,7 @@ def open_controller(
     scenario = config.scenario
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
-        record, step = journal.load(), journal.step()
+        record = journal.load()
         if record is not None and config.clear_alarm:
             record = record._replace(halted=False)
         contributions = journal.contributions(None if record is None else record.session)
@@ -114,7 +114,8 @@ def open_controller(
         instance=new_id(),
         period_s=scenario.plant.period_s,
         record=record,
-        step=step,
+        measurement=journal.measurement,
+        offer=journal.offer,
         contributions=contributions,
         coin_keys=for_coin,
         predict=predict,

@@ -25,18 +25,16 @@ from protocol.link.coins import AppliedCoins
 from protocol.link.events import (
     NEW_JOURNAL,
     AttackBegan,
-    FrameRefused,
     Interrupted,
-    Milestone,
     Missed,
     SessionBegan,
 )
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
-from protocol.link.records import ReceiverRecord, Step
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -108,8 +106,11 @@ class PlantCore:
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key
         That the key store holds for the session's coin, in order.
-    step : Step, optional
-        The journal's step that was not counted, or begun and not read.
+    offer : Offer, optional
+    tossed : int
+    report : Measurement, optional
+        The journal's step that was not counted, or, without a report, was begun and not read; and
+        its b_r.
     back : tuple of float, optional
         What a plant that acts has read first, where it is back with a journal; else None.
     fresh : bool
@@ -162,7 +163,9 @@ class PlantCore:
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
         coin_keys: Iterable[Key] = (),
-        step: Step | None = None,
+        offer: Offer | None = None,
+        tossed: int = NO_SYMBOL,
+        report: Measurement | None = None,
         back: Vector | None = None,
         fresh: bool = False,
         steps: int | None = None,
@@ -186,16 +189,13 @@ class PlantCore:
         self.coin = coin
         self._fallback = fallback
         self._steps = steps
-        self._step: Step | None = None
+        self._offer = offer  # which it takes, from its coin until it is counted
+        self._tossed = tossed  # its b_r
+        self._said = report  # of its end, once that was read
         self._keyed = False  # whether a key chose its coin
-        self._truth: Truth | None = None if step is None else plant.truth  # of its end
-        self._begun: Step | None = None
-        if step is not None and step.measurement is not None:
-            self._step = step
-        else:
-            self._begun = step
+        self._truth: Truth | None = None if offer is None else plant.truth  # of its end
         self._back = back
-        self._moved = record.k > 0 or step is not None
+        self._moved = record.k > 0 or offer is not None
         self._left = True  # copy 0 of the newest measurement may have left
         self._latest_late_k = self.measured_k = -1
         self.measured_at = now
@@ -208,15 +208,14 @@ class PlantCore:
             self.deframer.push(int(kept[i : i + self._digits], 16))
         # keys
         self.keying = Keying(rules.schedule, nonces)
-        said = record if self._step is None else self._step.measurement or record
+        said = report or record
         self.keying.begin(record.session, said.block, said.tag, contributions)
         self.coins = AppliedCoins(rules.size, on=rules.keyed)
-        self.coins.begin(record.session, coin_keys, *_newest_coin(record, step))
+        self.coins.begin(record.session, coin_keys, *_newest_coin(record, offer, report))
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
             tag=record.tag or self.keying.no_tag,
-            begun=None,
         )
         self.controller: str | None = None
         """The controller process that this process asked last, if any."""
@@ -241,7 +240,7 @@ class PlantCore:
     @property
     def under_way(self) -> Offer | None:
         """The offer whose step is not counted yet, if any."""
-        return None if self._step is None else self._step.offer
+        return self._offer
 
     @property
     def accepted(self) -> bool:
@@ -275,9 +274,9 @@ class PlantCore:
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
             events=(SessionBegan(record.session, reason), *self._attack),
-            write=Save(record) if self._fresh else None,
+            record=record if self._fresh else None,
             keys=self.keying.tasks(),
-            finish_step=self._step is not None,
+            finish_step=self._said is not None,
         )
         return actions if actions.finish_step else self._came_back(actions)
 
@@ -342,7 +341,7 @@ class PlantCore:
             self._telemetry.punctuality.ticked(pacing.late_s, pacing.overruns)
         if over == "missed":
             actions = self._miss()
-        elif over == "ended" and self._step is not None:
+        elif over == "ended" and self._offer is not None:
             actions = self._end()
         status = NOTHING_TO_DO
         if self._telemetry is not None and now >= self._status_at:
@@ -357,12 +356,10 @@ class PlantCore:
 
     def finish_step(self) -> Actions:
         """Go on with the step that was saved: begin it where it acts, or else count it."""
-        step = self._step
-        assert step is not None
-        if step.measurement is not None:
-            actions = self._count(step, step.measurement)
+        if self._said is not None:
+            actions = self._count()
             return actions if self._back is None else self._came_back(actions)
-        self._apply(step.u)
+        self._apply()
         return NOTHING_TO_DO if self.pacing.waiting else self._end()
 
     def key_task_done(self, done: Done, now: float) -> Actions:
@@ -371,7 +368,7 @@ class PlantCore:
         if isinstance(done, CoinKeys):
             self.coins.done(done, now)
             return NOTHING_TO_DO
-        return key_actions(self.keying, done)._replace(write=self._erase_rows())
+        return self._erasing_rows(key_actions(self.keying, done))
 
     def end_session(self, why: str) -> Actions:
         """Keys that its messages are under are gone: no offer can be read."""
@@ -398,10 +395,8 @@ class PlantCore:
         notices = waiting_notice(self.keying)
         if failed:
             notices = (*notices, Notice(failed, "error"))
-        return self._status()._replace(
-            events=() if timing is None else (timing,),
-            write=self._erase_rows(),
-            notices=notices,
+        return self._erasing_rows(self._status())._replace(
+            events=() if timing is None else (timing,), notices=notices
         )
 
     # --- a step: offer, check, coin, begin --------------------------------------------------------
@@ -434,7 +429,7 @@ class PlantCore:
         # tossed in any case: whether a key chose is not to show in the time that it takes
         coin, digit = self.coin.toss(record.transitions), self.coins.digit(offer)
         self._keyed = digit is not None
-        return self._begin(Step(offer, coin if digit is None else digit))
+        return self._begin(offer, coin if digit is None else digit)
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -465,17 +460,18 @@ class PlantCore:
             return "foreign"
         return "current" if offer.k == self.record.k else "stale"
 
-    def _begin(self, step: Step) -> Actions:
+    def _begin(self, offer: Offer, tossed: int) -> Actions:
         """Apply the input that the coin chose; where that cannot be undone, save the coin first."""
-        self._step = step
+        self._offer, self._tossed = offer, tossed
         self._moved = True
         if self.plant.acts:
-            return Actions(write=step, finish_step=True)
-        self._apply(step.u)
+            return Actions(offer=offer, coin=tossed, finish_step=True)
+        self._apply()
         return self._end()
 
-    def _apply(self, u: Vector) -> None:
-        self.plant.begin(self.record.k, self.record.x, u)
+    def _apply(self) -> None:
+        assert self._offer is not None
+        self.plant.begin(self.record.k, self.record.x, self._offer.candidates[self._tossed])
         if self._telemetry is not None and self.pacing.timed:
             self._telemetry.punctuality.acted(self.pacing.since_tick_s(self.now))
         self.pacing.applied()
@@ -488,22 +484,22 @@ class PlantCore:
 
         A step whose session has ended while the plant acted counts in neither, and is missed.
         """
-        step, record = self._step, self.record
-        assert step is not None
+        offer, record = self._offer, self.record
+        assert offer is not None
         x_next = self.plant.end(record.k)
-        if step.offer.session != record.session:
-            self._step = None
-            interrupted = self._interrupted(step, x_next, sure=True)
-            return Actions((interrupted,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+        if offer.session != record.session:
+            interrupted = self._interrupted(x_next, sure=True)
+            return Actions((interrupted,), self.record, obsolete_rows=self.keying.obsolete_rows())
         self._truth = self.plant.truth
-        report = self._report(step.offer, x_next)
-        self._step = step._replace(measurement=report)
+        self._said = report = self._report(offer, x_next)
         due = self.accepted and self.pacing.measurement_due(self.now)
         if due:
             self._left = True
             self.measured_k, self.measured_at = record.k + 1, self.now
         return Actions(
-            write=self._step,
+            offer=offer,
+            coin=self._tossed,
+            measurement=report,
             publish=(report,) if due else (),
             finish_step=True,
         )
@@ -557,14 +553,17 @@ class PlantCore:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def _count(self, step: Step, report: Measurement) -> Actions:
+    def _count(self) -> Actions:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
         A cover symbol is decoded as a message symbol is, and dropped: work after a step delays the
         next one, and a tap would see it.
         """
-        offer, coin, u, x_next, record = step.offer, step.coin, step.u, report.x, self.record
+        record, offer, coin, report = self.record, self._offer, self._tossed, self._said
+        assert offer is not None
+        assert report is not None
+        u, x_next = offer.candidates[coin], report.x
         scheme = self.rules.scheme
         box = self.rules.box(record.estimate, record.k - record.applied_k - 1, record.x)
         verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next, box)
@@ -605,6 +604,8 @@ class PlantCore:
             u,
             self._truth,
             report.applied_key,
+            recovered=payload,
+            refused=refusal,
         )
         self.record = record._replace(
             k=record.k + 1,
@@ -631,38 +632,38 @@ class PlantCore:
             estimate=verdict.estimate,
             true_x=self._state_of(self._truth),
         )
-        self._step = None
+        self._offer, self._tossed, self._said = None, NO_SYMBOL, None
         self.state = TABLE[self.state, "offer applied"].next
         judged = self.keying.heard(offer)
         self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
         contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
-        write = Save(self.record, chunk=chunk, later=not chunk)
-        actions = Actions((transition,), write)
-        if payload is not None or refusal:
-            actions = self._frame_ended(actions, transition.k, payload)
+        ended = payload is not None or refusal
+        notices = self._frame_ended(transition) if ended else ()
         if contradicted is not None:
-            notice = Notice(contradicted, "warning")
-            actions = actions._replace(notices=(*actions.notices, notice))
+            notices = (*notices, Notice(contradicted, "warning"))
+        actions = Actions(
+            (transition,),
+            self.record,
+            later=not (chunk or ended),
+            received=payload,
+            chunk="" if ended else chunk,
+            drop_chunks=ended,
+            notices=notices,
+        )
         return self._with_keys(actions, contribution, judged) if self.keying.on else actions
 
-    def _frame_ended(self, actions: Actions, k: int, payload: bytes | None) -> Actions:
-        """``actions``, and what comes of a frame that is whole, or (None) failed its check."""
-        write = Save(self.record, drop_chunks=True, received=payload)
+    def _frame_ended(self, transition: CountedTransition) -> tuple[Notice, ...]:
+        """What is told of a frame that is whole, or failed its check."""
+        payload, k = transition.recovered, transition.k
         if payload is None:
-            refused = FrameRefused(self.record.session, self.record.p)
-            notice = Notice("a frame failed its check and was refused", "error")
-            return actions._replace(
-                events=(*actions.events, refused), write=write, notices=(notice,)
-            )
+            return (Notice("a frame failed its check and was refused", "error"),)
         if self._telemetry is not None:
             self._telemetry.last_message, self._telemetry.message_k = payload, k
         if self._finished:
             self._report_stopped()
         self._status_soon()
-        notice = Notice(f"message recovered at step {k}: {len(payload)} bytes")
-        recovered = Milestone("recovered", payload)
-        return actions._replace(events=(*actions.events, recovered), write=write, notices=(notice,))
+        return (Notice(f"message recovered at step {k}: {len(payload)} bytes"),)
 
     def _with_keys(
         self,
@@ -678,14 +679,14 @@ class PlantCore:
             text = "a key block differs from the controller's"
             notice = Notice(f"{text}; new session {self.record.session}", "error")
             return self._anew(text, notice, actions)._replace(keys=tasks)
-        assert isinstance(actions.write, Save)
-        obsolete_rows = self._obsolete_rows()
-        # Rows that go cost a rare write: now, and not when a step hangs on it.
-        later = actions.write.later and not obsolete_rows
-        write = actions.write._replace(
-            contribution=contribution, obsolete_rows=obsolete_rows, later=later
+        obsolete_rows = self.keying.obsolete_rows()
+        return actions._replace(
+            # Rows that go cost a rare write: now, and not when a step hangs on it.
+            later=actions.later and not obsolete_rows,
+            contribution=contribution,
+            obsolete_rows=obsolete_rows,
+            keys=tasks,
         )
-        return actions._replace(write=write, keys=tasks)
 
     # --- steps without an offer -------------------------------------------------------------------
 
@@ -707,7 +708,7 @@ class PlantCore:
             self._moved = True
             self._watchdog_at = min(self._watchdog_at, self.now + self._patience_s)
         missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
-        return Actions((missed,), Save(self.record, obsolete_rows=self._obsolete_rows()))
+        return Actions((missed,), self.record, obsolete_rows=self.keying.obsolete_rows())
 
     def _instead(self) -> Vector:
         """The fallback's input for this step."""
@@ -748,27 +749,21 @@ class PlantCore:
             self.plant.begin(record.k, record.x, following)
             self.record = record._replace(u=following)
 
-    def _interrupted(
-        self, begun: Step | None, x_next: Vector, *, sure: bool = False
-    ) -> Interrupted:
-        """Count a step that ends at ``x_next`` as a missed one.
+    def _interrupted(self, x_next: Vector, *, sure: bool = False) -> Interrupted:
+        """Count the step under way, which ends at ``x_next``, as a missed one.
 
         Parameters
         ----------
-        begun : Step, optional
-            What it had begun; None where nothing is known of it.
         x_next : tuple of float, shape (n,)
         sure : bool
             Whether the input chosen was applied; nobody knows after a death.
         """
-        record = self.record
-        candidates: tuple[Vector, ...] = ()
-        u, coin = record.u, NO_SYMBOL
-        if begun is not None:
-            candidates, coin = begun.offer.candidates, begun.coin
-            u = begun.u
+        record, offer, coin = self.record, self._offer, self._tossed
+        candidates = () if offer is None else offer.candidates
+        u = record.u if offer is None else offer.candidates[coin]
+        self._offer, self._tossed = None, NO_SYMBOL
         self._missed(u, x_next)
-        self._fall_back(sure=sure or begun is None)
+        self._fall_back(sure=sure or offer is None)
         truth = self.plant.truth
         return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin, truth)
 
@@ -776,12 +771,9 @@ class PlantCore:
         """After ``actions``: the step in which the process of a plant that acts died is missed."""
         if self._back is None:
             return actions
-        event = self._interrupted(self._begun, self._back)
-        self._begun = self._back = None
-        write = Save(self.record)
-        if isinstance(actions.write, Save):
-            write = actions.write._replace(record=self.record, later=False)
-        return actions._replace(events=(*actions.events, event), write=write)
+        event = self._interrupted(self._back)
+        self._back = None
+        return actions._replace(events=(*actions.events, event), record=self.record, later=False)
 
     # --- sessions ---------------------------------------------------------------------------------
 
@@ -806,7 +798,9 @@ class PlantCore:
         if hello.instance == self.controller:
             self.answered_at = self.now
         if answer == "ask":
-            return Actions(write=Save(self._to_save()), publish=(self._hello(),))
+            return Actions(
+                record=self.record, offer=self._offer, coin=self._tossed, publish=(self._hello(),)
+            )
         if answer in ("begin anew", "begin and ask"):
             self._begin_session()
             notice = Notice(f"session ended; new session {self.record.session}", "warning")
@@ -887,21 +881,18 @@ class PlantCore:
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """The actions of a new session, added to those of ``before``."""
         self._set_phase("greeting")
-        record = self._to_save()
-        write = before.write if isinstance(before.write, Save) else Save(record)
+        record = self.record
         return before._replace(
             events=(*before.events, SessionBegan(record.session, why)),
-            write=write._replace(record=record, later=False, chunk="", drop_chunks=True),
+            record=record,
+            later=False,
+            offer=self._offer,
+            coin=self._tossed,
+            chunk="",
+            drop_chunks=True,
             publish=(*before.publish, self._hello()),
             notices=(*before.notices, notice),
         )
-
-    def _to_save(self) -> ReceiverRecord:
-        """The record, with the step under way of a plant that acts."""
-        step = self._step
-        if step is None:
-            return self.record
-        return self.record._replace(begun=step._replace(measurement=None))
 
     def _malformed(self, text: str) -> Actions:
         self.malformed += 1
@@ -909,16 +900,15 @@ class PlantCore:
 
     # --- keys -------------------------------------------------------------------------------------
 
-    def _obsolete_rows(self) -> tuple[range, ...]:
-        return self.keying.obsolete_rows()
-
-    def _erase_rows(self) -> Save | None:
-        """A save that erases the rows of confirmed blocks; None where there are none.
+    def _erasing_rows(self, actions: Actions) -> Actions:
+        """``actions``, which save nothing yet, and the rows of confirmed blocks go.
 
         Between steps only, when the record is all that the journal must hold.
         """
-        obsolete_rows = self._obsolete_rows() if self._step is None else ()
-        return Save(self.record, obsolete_rows=obsolete_rows) if obsolete_rows else None
+        obsolete_rows = () if self._offer is not None else self.keying.obsolete_rows()
+        if not obsolete_rows:
+            return actions
+        return actions._replace(record=self.record, obsolete_rows=obsolete_rows)
 
     def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
         """The controller's announcement of blocks, after the last step."""
@@ -1009,13 +999,14 @@ class PlantCore:
             self._telemetry.phase = "stopped"
 
 
-def _newest_coin(record: ReceiverRecord, step: Step | None) -> tuple[str, int]:
+def _newest_coin(
+    record: ReceiverRecord, offer: Offer | None, report: Measurement | None
+) -> tuple[str, int]:
     """The newest key of the session that a coin may have come from, and its first step.
 
     Of a step that was begun and not read nobody knows whether it did.
     """
-    if step is not None and step.offer.session == record.session:
-        offer, report = step.offer, step.measurement
+    if offer is not None and offer.session == record.session:
         may = report is None or bool(report.applied_key)
         if may and offer.coin_key and offer.coin_from is not None:
             return offer.coin_key, offer.coin_from

@@ -94,7 +94,9 @@ def open_core(
     UsageError
         When a device is to run at another pace than its own, or the attack cannot be made.
     """
-    record, step = journal.load(), journal.step()
+    record = journal.load()
+    offer, report = journal.offer, journal.measurement
+    u = () if offer is None else offer.candidates[journal.coin]
     attacker = None if attack is None else Attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
@@ -126,15 +128,15 @@ def open_core(
             if record is not None and not plant.acts:
                 state = record.true_x or state
             read = OutputPlant(plant, observer, spec, draws, state)
-            if step is not None and step.measurement is not None and not plant.acts:
-                read.begin(step.offer.k, (), step.u)
-                read.end(step.offer.k)
+            if report is not None and not plant.acts:
+                read.begin(report.applied_k, (), u)
+                read.end(report.applied_k)
             plant, x = read, read.read(0 if record is None else record.k + 1)
         elif spec is not None and not plant.device:
             noisy = NoisyPlant(plant, spec, draws)
             k = 0 if record is None else record.k + 1  # of a step that was cut short
-            if step is not None and step.measurement is not None:
-                noisy.recall(step.measurement.k, step.measurement.x, step.u)
+            if report is not None:
+                noisy.recall(report.k, report.x, u)
             plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
         if attacker is not None and attacker.at == "bus":
             attacker.close()
@@ -159,7 +161,9 @@ def open_core(
             chunks=journal.chunks(),
             contributions=journal.contributions(first.session),
             coin_keys=coin_keys,
-            step=step,
+            offer=offer,
+            tossed=journal.coin,
+            report=report,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,
             steps=steps,

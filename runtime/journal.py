@@ -10,8 +10,9 @@ from typing import Any, Protocol
 
 from pydantic import TypeAdapter
 
-from protocol.link.peer import Save
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
 from runtime.journal_files import JournalError, JournalFiles
 from runtime.keys.store_file import check_of
@@ -21,16 +22,16 @@ from runtime.ports import Journal
 class SenderJournal(Journal, Protocol):
     """The controller's journal, with the queue of messages that it has to deliver.
 
-    ``queued`` counts them; they are numbered from 0.
+    ``queued`` counts them; they are numbered from 0. ``offer`` and the ``measurement`` that it
+    answers are the step that followed the record, to be counted again; None where none did.
     """
 
     queued: int
+    offer: Offer | None
+    measurement: Measurement | None
 
     def load(self) -> SenderRecord | None:
-        """The record as last written; None in a new journal."""
-
-    def step(self) -> Step | None:
-        """The step that followed the record, to be counted again; None where none did."""
+        """The record as last written, and what followed it; None in a new journal."""
 
     def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are still needed, in order."""
@@ -46,13 +47,18 @@ class SenderJournal(Journal, Protocol):
 
 
 class ReceiverJournal(Journal, Protocol):
-    """The plant's journal, with the symbols of the frame under way and the messages received."""
+    """The plant's journal, with the symbols of the frame under way and the messages received.
+
+    ``offer``, ``coin`` and ``measurement`` are the step that followed the record, to be counted
+    again, or, with no measurement, one that was begun and not read; no offer: none.
+    """
+
+    offer: Offer | None
+    coin: int
+    measurement: Measurement | None
 
     def load(self) -> ReceiverRecord | None:
-        """The record as last written; None in a new journal."""
-
-    def step(self) -> Step | None:
-        """The step after the record, or the one that the record says was begun; None: none."""
+        """The record as last written, and what followed it; None in a new journal."""
 
     def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are still needed, in order."""
@@ -79,23 +85,13 @@ class ControllerJournal(JournalFiles[SenderRecord], SenderJournal):
         super().__init__(path, scenario)
         self.queued: int = self._execute("SELECT COUNT(*) FROM outbox")[0][0]
 
-    def step(self) -> Step | None:
-        """The step that followed the record, to be counted again; None where none did.
+    def _add_to_tables(self, actions: Actions) -> None:
+        if actions.queued is not None:
+            self.enqueue(actions.queued)
 
-        Raises
-        ------
-        JournalError
-            When it is not one.
-        """
-        return self._step()
-
-    def _add_to_tables(self, save: Save) -> None:
-        if save.queued is not None:
-            self.enqueue(*save.queued)
-
-    def enqueue(self, identifier: str, payload: bytes) -> bool:
+    def enqueue(self, command: SendCommand) -> bool:
         """Queue a message; False when one of this identifier is there already."""
-        row = (self.queued, identifier, payload)
+        row = (self.queued, command.id, command.payload)
         added = self._execute(
             "INSERT OR IGNORE INTO outbox VALUES (?, ?, ?, ?) RETURNING number",
             (*row, check_of(*row)),
@@ -144,21 +140,6 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
         "check_ INTEGER)"
     )
 
-    def step(self) -> Step | None:
-        """The step after the record, or the one that the record says was begun; None: none.
-
-        Raises
-        ------
-        JournalError
-            When it is not one.
-        """
-        step = self._step()
-        if step is not None or self._found is None:
-            return step
-        with self._readable():
-            record: ReceiverRecord = self.adapter.validate_json(self._found.record)
-        return record.begun
-
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
         rows = self._rows_kept("SELECT symbols, check_ FROM chunk ORDER BY place")
@@ -171,12 +152,12 @@ class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
         )
         return [payload for (payload,) in reversed(rows)]
 
-    def _add_to_tables(self, save: Save) -> None:
-        if save.drop_chunks:
+    def _add_to_tables(self, actions: Actions) -> None:
+        if actions.drop_chunks:
             self._execute("DELETE FROM chunk")
-        if save.chunk:
-            row = (save.chunk, check_of(save.chunk))
+        if actions.chunk:
+            row = (actions.chunk, check_of(actions.chunk))
             self._execute("INSERT INTO chunk (symbols, check_) VALUES (?, ?)", row)
-        if save.received is not None:
-            message = (save.received, check_of(save.received))
+        if actions.received is not None:
+            message = (actions.received, check_of(actions.received))
             self._execute("INSERT INTO inbox (payload, check_) VALUES (?, ?)", message)

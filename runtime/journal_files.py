@@ -21,8 +21,9 @@ from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 
 from pydantic import TypeAdapter, ValidationError
 
-from protocol.link.peer import Save, Write
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.agreement import NO_SYMBOL
+from protocol.link.peer import NOTHING_TO_DO, Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.errors import Failure
@@ -30,7 +31,7 @@ from runtime.files import make_folder, open_private
 from runtime.keys.store_file import check_of
 from runtime.step_log import LARGEST_STEP, STEPS, TAG_BYTES, Damaged, Entry, StepLog
 
-JOURNAL_VERSION: Final = 10
+JOURNAL_VERSION: Final = 11
 
 R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
 
@@ -55,6 +56,11 @@ class JournalFiles(ABC, Generic[R]):
     scenario : str
         Fingerprint of the scenario that the journal belongs to.
 
+    Attributes
+    ----------
+    offer, coin, measurement
+        The step that followed the record, once that was read (:meth:`load`).
+
     Raises
     ------
     JournalError
@@ -68,8 +74,11 @@ class JournalFiles(ABC, Generic[R]):
     def __init__(self, path: Path, scenario: str) -> None:
         self.path = path
         self._beside = path.with_name(path.name + STEPS)
+        self.offer: Offer | None = None
+        self.coin = NO_SYMBOL
+        self.measurement: Measurement | None = None
         self._body: bytes | None = None
-        self._rows: list[Save] = []
+        self._rows: list[Actions] = []
         self._rows_of: str | None = None
         self._forget = True
         try:
@@ -119,7 +128,8 @@ class JournalFiles(ABC, Generic[R]):
         db.executemany("INSERT OR IGNORE INTO meta VALUES (?, ?)", found.items())
         db.execute(
             "CREATE TABLE IF NOT EXISTS record "
-            "(id INTEGER PRIMARY KEY, number INTEGER, body BLOB, check_ INTEGER)"
+            "(id INTEGER PRIMARY KEY, number INTEGER, body BLOB, offer BLOB, coin INTEGER, "
+            "check_ INTEGER)"
         )
         for table in (_RAW, *self.tables.split(";")):
             db.execute(table)
@@ -133,10 +143,13 @@ class JournalFiles(ABC, Generic[R]):
 
     def _read(self) -> None:
         """Find the last write: in the database, or among the steps that follow it."""
-        rows = self._rows_kept("SELECT number, body, check_ FROM record")
-        self._found = Entry(*rows[0]) if rows else None
+        self._found: Entry | None = None
+        for number, body, offer, coin in self._rows_kept(
+            "SELECT number, body, offer, coin, check_ FROM record"
+        ):
+            self._found = Entry(number, body, offer, coin=coin)
         try:
-            entries = self._steps.read(rows[0][0] if rows else 0)
+            entries = self._steps.read(0 if self._found is None else self._found.number)
         except Damaged as error:
             self._steps.close()
             raise JournalError(f"{self._beside}: {error}") from None
@@ -164,35 +177,28 @@ class JournalFiles(ABC, Generic[R]):
     def load(self) -> R | None:
         """The record as last saved when the journal was opened, or None in a new one.
 
+        The step that followed it is in :attr:`offer`, :attr:`coin` and :attr:`measurement`.
+
         Raises
         ------
         JournalError
-            When it is not one.
+            When they are none.
         """
-        if self._found is None:
-            return None
-        self._body = self._found.record
-        with self._readable():
-            record: R = self.adapter.validate_json(self._body)
-        return record
-
-    def _step(self) -> Step | None:
-        """The step that was written last before the journal was opened, if nothing followed it."""
         found = self._found
-        if found is None or not found.offer:
+        if found is None:
             return None
-        with self._readable():
-            said = Measurement.from_wire(found.measurement) if found.measurement else None
-            return Step(Offer.from_wire(found.offer), found.coin, said)
-
-    @contextmanager
-    def _readable(self) -> Iterator[None]:
+        self._body = found.record
         try:
-            yield
+            record: R = self.adapter.validate_json(self._body)
+            if found.offer:
+                self.offer, self.coin = Offer.from_wire(found.offer), found.coin
+            if found.measurement:
+                self.measurement = Measurement.from_wire(found.measurement)
         except ValidationError as error:
             raise JournalError(
                 f"{self.path}: record: {error.error_count()} fields are not as expected"
             ) from None
+        return record
 
     def contributions(self, session: str | None) -> list[Contribution]:
         """Rows of the session's key blocks that are still needed, in order."""
@@ -202,63 +208,72 @@ class JournalFiles(ABC, Generic[R]):
         found |= {contribution.j: contribution for contribution in self._logged}
         return [found[j] for j in sorted(found)]
 
-    def write(self, write: Write) -> None:
-        """Keep what the endpoint asks for; only a ``later`` record waits for the next step."""
-        if isinstance(write, Step):
+    def save(self, actions: Actions) -> None:
+        """Keep what they save; only a ``later`` record waits for the next step."""
+        record = actions.record
+        if record is None:
             if self._rare and not self._begun:
-                self._save()
-            self._log(write)
-            if write.measurement is not None:
+                self._write(NOTHING_TO_DO)
+            self._log(actions)
+            if actions.measurement is not None:
                 self._body = None
             return
-        self._body = self.adapter.dump_json(write.record)
-        session = write.record.session
-        if session != self._rows_of:
-            self._rows_of, self._forget = session, True
+        self._body = self.adapter.dump_json(record)
+        if record.session != self._rows_of:
+            self._rows_of, self._forget = record.session, True
             self._logged.clear()
-        if write.contribution is not None or write.obsolete_rows:
-            self._rows.append(write)
-        if write.for_tables:
-            with self._transaction():
-                self._add_to_tables(write)
-        elif not write.later:
-            self._save()
+        if actions.contribution is not None or actions.obsolete_rows:
+            self._rows.append(actions)
+        if _for_tables(actions):
+            with self._transaction(actions):
+                self._add_to_tables(actions)
+        elif not actions.later:
+            self._write(actions)
         self._steps.make_ready()
 
     @abstractmethod
-    def _add_to_tables(self, save: Save) -> None:
-        """Put what ``save`` has beside its record into this side's own tables."""
+    def _add_to_tables(self, actions: Actions) -> None:
+        """Put what comes along with a record into this side's own tables."""
 
     def _write_rows(self) -> None:
         """Within a transaction."""
         if self._forget:
             self._execute("DELETE FROM raw WHERE session IS NOT ?", (self._rows_of,))
-        staged = [save for save in self._rows if save.record.session == self._rows_of]
+        staged = [
+            actions
+            for actions in self._rows
+            if actions.record is not None and actions.record.session == self._rows_of
+        ]
         for contribution in (
             *self._logged,
-            *(save.contribution for save in staged if save.contribution is not None),
+            *(actions.contribution for actions in staged if actions.contribution is not None),
         ):
             row = (self._rows_of, *contribution)
             self._execute(
                 "INSERT OR REPLACE INTO raw VALUES (?, ?, ?, ?, ?, ?)", (*row, check_of(*row))
             )
-        for over in (over for save in staged for over in save.obsolete_rows):
+        for over in (over for actions in staged for over in actions.obsolete_rows):
             self._execute(
                 "DELETE FROM raw WHERE session = ? AND j >= ? AND j < ?",
                 (self._rows_of, over.start, over.stop),
             )
 
     @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        """A rare write: all or nothing; the staged record is in it, and no step is left."""
-        record = (self._number + 1, self._staged)
+    def _transaction(self, actions: Actions) -> Iterator[None]:
+        """A rare write: all or nothing, of the staged record and the step begun; the log is empty.
+
+        A step that was read is always logged: it is what a message waits for.
+        """
+        offer = b"" if actions.offer is None else actions.offer.wire()
+        row = (self._number + 1, self._staged, offer, actions.coin)
         self._execute("BEGIN IMMEDIATE")
         yield
         self._write_rows()
-        row = (*record, check_of(*record))
-        self._execute("INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?)", row)
+        self._execute(
+            "INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?, ?, ?)", (*row, check_of(*row))
+        )
         self._execute("COMMIT")
-        self._number, self._begun, self._forget = record[0], False, False
+        self._number, self._begun, self._forget = row[0], bool(offer), False
         self._rows.clear()
         self._logged.clear()
         with self._named():
@@ -270,13 +285,13 @@ class JournalFiles(ABC, Generic[R]):
         assert self._body is not None, "the step before has not been counted"
         return self._body
 
-    def _save(self) -> None:
-        """The staged record, and nothing after it."""
+    def _write(self, actions: Actions) -> None:
+        """The staged record, and the step that is begun, if one is."""
         if self._rare:
-            with self._transaction():
+            with self._transaction(actions):
                 pass
         else:
-            self._log(None)
+            self._log(actions)
 
     @property
     def _rare(self) -> bool:
@@ -285,17 +300,20 @@ class JournalFiles(ABC, Generic[R]):
         return (
             self._forget
             or len(rows) > 1
-            or any(save.obsolete_rows for save in rows)
+            or any(actions.obsolete_rows for actions in rows)
             or self._steps.size > LARGEST_STEP
         )
 
-    def _log(self, step: Step | None) -> None:
+    def _log(self, actions: Actions) -> None:
         """The staged record and the step that follows it, if one does."""
         row = self._rows[0].contribution if len(self._rows) == 1 else None
+        offer, measurement = actions.offer, actions.measurement
         with self._named():
-            self._steps.append(self._number + 1, self._staged, step, row)
+            self._steps.append(
+                self._number + 1, self._staged, offer, actions.coin, measurement, row
+            )
         self._number += 1
-        self._begun = step is not None and step.measurement is None
+        self._begun = offer is not None and measurement is None
         if row is not None:
             self._logged.append(row)
             self._rows.clear()
@@ -317,3 +335,9 @@ class JournalFiles(ABC, Generic[R]):
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _for_tables(actions: Actions) -> bool:
+    """Whether more than rows comes along with a record: messages or symbols."""
+    more = actions.queued is not None or actions.received is not None
+    return more or bool(actions.chunk) or actions.drop_chunks

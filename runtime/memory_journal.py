@@ -6,8 +6,10 @@ staged: an end that dies comes back with the record before the step, and the ste
 
 from typing import Generic
 
-from protocol.link.peer import Save, Write
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.agreement import NO_SYMBOL
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.journal import ReceiverJournal, SenderJournal
 from runtime.journal_files import R
@@ -17,33 +19,36 @@ class _MemoryJournal(Generic[R]):
     """A record and the step that followed it."""
 
     def __init__(self) -> None:
+        self.offer: Offer | None = None
+        self.coin = NO_SYMBOL
+        self.measurement: Measurement | None = None
         self._record: R | None = None
         self._staged: R | None = None
-        self._step: Step | None = None
         self._contributions: dict[tuple[str, int], Contribution] = {}
-        self._rows: list[Save] = []
+        self._rows: list[Actions] = []
 
-    def write(self, write: Write) -> None:
-        """Keep what the endpoint asks for."""
-        if isinstance(write, Step):
-            assert self._staged is not None, "the step before has not been counted"
-            self._record, self._step = self._staged, write
-            if write.measurement is not None:
-                self._staged = None
-            self._write_rows()
-            return
-        self._staged = write.record  # type: ignore[assignment]
-        self._rows.append(write)
-        if not write.later:
-            self._record, self._step = self._staged, None
-            self._write_rows()
+    def save(self, actions: Actions) -> None:
+        """Keep what they save."""
+        if actions.record is not None:
+            self._staged = actions.record  # type: ignore[assignment]
+            self._rows.append(actions)
+            if actions.later:
+                return
+        assert self._staged is not None, "the step before has not been counted"
+        self._record = self._staged
+        self.offer, self.coin = actions.offer, actions.coin
+        self.measurement = actions.measurement
+        if actions.measurement is not None:
+            self._staged = None
+        self._write_rows()
 
     def _write_rows(self) -> None:
-        for save in self._rows:
-            session = save.record.session
-            if save.contribution is not None and session is not None:
-                self._contributions[session, save.contribution.j] = save.contribution
-            over = {j for gone in save.obsolete_rows for j in gone}
+        for actions in self._rows:
+            assert actions.record is not None
+            session, contribution = actions.record.session, actions.contribution
+            if contribution is not None and session is not None:
+                self._contributions[session, contribution.j] = contribution
+            over = {j for gone in actions.obsolete_rows for j in gone}
             for at in [at for at in self._contributions if at[0] != session or at[1] in over]:
                 del self._contributions[at]
         self._rows.clear()
@@ -64,7 +69,8 @@ class _MemoryJournal(Generic[R]):
 
     def forget(self) -> None:
         """Lose the record."""
-        self._record = self._staged = self._step = None
+        self._record = self._staged = self.offer = self.measurement = None
+        self.coin = NO_SYMBOL
         self._rows.clear()
         self._contributions.clear()
 
@@ -86,16 +92,12 @@ class MemoryControllerJournal(_MemoryJournal[SenderRecord], SenderJournal):
         self._queue = [(f"{number}", payload) for number, payload in enumerate(payloads)]
         self.queued = len(payloads)
 
-    def write(self, write: Write) -> None:
-        """Keep what the endpoint asks for."""
-        super().write(write)
-        if isinstance(write, Save) and write.queued is not None:
-            self._queue.append(write.queued)
+    def save(self, actions: Actions) -> None:
+        """Keep what they save."""
+        super().save(actions)
+        if actions.queued is not None:
+            self._queue.append((actions.queued.id, actions.queued.payload))
             self.queued += 1
-
-    def step(self) -> Step | None:
-        """The step that followed the record, to be counted again; None where none did."""
-        return self._step
 
     def payload(self, number: int) -> bytes | None:
         """Message ``number``, or None while it is not queued."""
@@ -118,19 +120,12 @@ class MemoryPlantJournal(_MemoryJournal[ReceiverRecord], ReceiverJournal):
         self._chunks = ""
         self._inbox: list[bytes] = []
 
-    def write(self, write: Write) -> None:
-        """Keep what the endpoint asks for."""
-        super().write(write)
-        if isinstance(write, Save):
-            self._chunks = write.chunk if write.drop_chunks else self._chunks + write.chunk
-            if write.received is not None:
-                self._inbox.append(write.received)
-
-    def step(self) -> Step | None:
-        """The step after the record, or the one that the record says was begun; None: none."""
-        if self._step is None and self._record is not None:
-            return self._record.begun
-        return self._step
+    def save(self, actions: Actions) -> None:
+        """Keep what they save."""
+        super().save(actions)
+        self._chunks = actions.chunk if actions.drop_chunks else self._chunks + actions.chunk
+        if actions.received is not None:
+            self._inbox.append(actions.received)
 
     def chunks(self) -> str:
         """Symbols of the frame under way that have left the record, a hexadecimal digit each."""

@@ -18,7 +18,7 @@ alone. A device is no port; a make-believe one asks :meth:`CrashingPorts.passes`
 from typing import Literal, Protocol
 
 from protocol.link.events import Event
-from protocol.link.peer import Actions, Notice, Write
+from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 
@@ -26,8 +26,8 @@ from protocol.secret.tasks import Task
 class Ports(Protocol):
     """Where actions go: journal, bus, trace, log and health file of one end of one loop."""
 
-    def write(self, write: Write) -> None:
-        """Keep it; on return it survives the death of the process (a ``later`` one may not)."""
+    def save(self, actions: Actions) -> None:
+        """Keep what they save; on return it survives the death of the process, unless ``later``."""
 
     def publish(self, message: Message) -> None:
         """Send it, without waiting for anybody."""
@@ -57,8 +57,8 @@ def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
     while True:
         for event in actions.events:
             ports.trace(event)
-        if actions.write is not None:
-            ports.write(actions.write)
+        if actions.saves:
+            ports.save(actions)
         for message in actions.publish:
             ports.publish(message)
         for task in actions.keys:
@@ -72,7 +72,7 @@ def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
         actions = endpoint.finish_step()
 
 
-CrashPoint = Literal["writing", "publishing", "tracing", "keeping", "acting"]
+CrashPoint = Literal["saving", "publishing", "tracing", "keeping", "acting"]
 """The port call at which a simulated process crashes; ``acting`` is a device's, to apply or
 read."""
 
@@ -109,10 +109,10 @@ class CrashingPorts:
             raise Crashed
         self._left -= 1
 
-    def write(self, write: Write) -> None:
-        """Crash, or write."""
-        self.passes("writing")
-        self._ports.write(write)
+    def save(self, actions: Actions) -> None:
+        """Crash, or save."""
+        self.passes("saving")
+        self._ports.save(actions)
 
     def publish(self, message: Message) -> None:
         """Crash, or publish."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Protocol
 
-from protocol.link.events import Event
-from protocol.link.peer import Notice, Write
+from protocol.link.events import Event, lines
+from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
 from protocol.secret.tasks import Task
 from runtime.bus import Publisher
@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 class Journal(Protocol):
     """What :func:`runtime.perform.perform` writes to."""
 
-    def write(self, write: Write) -> None:
-        """Keep it."""
+    def save(self, actions: Actions) -> None:
+        """Keep what they save."""
 
     def close(self) -> None:
         """Close it; it can be opened again."""
@@ -117,13 +117,13 @@ class LoopPorts(BusPorts):
         super().__init__(publishers, log)
         self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
 
-    def write(self, write: Write) -> None:
+    def save(self, actions: Actions) -> None:
         """Write to the journal."""
-        self.files.journal.write(write)
+        self.files.journal.save(actions)
 
     def trace(self, event: Event) -> None:
         """Append to the trace."""
-        self.files.trace.write(event.as_event())
+        self.files.trace.write(*lines(event))
 
     def submit_key_task(self, task: Task) -> None:
         """Hand it to whoever keeps keys."""

@@ -8,7 +8,7 @@ from functools import partial
 from typing import Final, Self
 
 from protocol.link.events import Event
-from protocol.link.peer import Notice, Write
+from protocol.link.peer import Actions, Notice
 from protocol.messages import FIELD, Message, Status
 from protocol.secret.records import StoreError
 from protocol.secret.tasks import Task
@@ -90,9 +90,9 @@ class SealedThread:
 class _Ports(BusPorts):
     """What these ends say; what must be kept they keep themselves, in their store."""
 
-    def write(self, write: Write) -> None:
+    def save(self, actions: Actions) -> None:
         """There is no journal."""
-        raise AssertionError(f"a sealed message's end has no journal for {write}")
+        raise AssertionError(f"a sealed message's end has no journal for {actions}")
 
     def trace(self, event: Event) -> None:
         """There is no trace."""

@@ -13,7 +13,7 @@ from typing import Final, NamedTuple
 from zlib import crc32
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.records import Step
+from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime.files import open_private
 
@@ -137,30 +137,32 @@ class StepLog:
         return Entry(number, record, offer, measurement, coin, row), place
 
     def append(
-        self, number: int, record: bytes, step: Step | None = None, row: Contribution | None = None
+        self,
+        number: int,
+        record: bytes,
+        offer: Offer | None = None,
+        coin: int = NO_SYMBOL,
+        measurement: Measurement | None = None,
+        row: Contribution | None = None,
     ) -> None:
         """Write one more entry; on return it survives the death of this process."""
-        offer = measurement = b""
-        coin = NO_SYMBOL
-        if step is not None:
-            offer, coin = step.offer.wire(), step.coin
-            if step.measurement is not None:
-                measurement = step.measurement.wire()
+        offered = b"" if offer is None else offer.wire()
+        measured = b"" if measurement is None else measurement.wire()
         j, steps, *nonces = row or (0, 0, None, None)
         first, second = (nonce or b"" for nonce in nonces)
         head = _HEAD.pack(
             number,
             coin,
             len(record),
-            len(offer),
-            len(measurement),
+            len(offered),
+            len(measured),
             row is not None,
             j,
             steps,
             len(first),
             len(second),
         )
-        body = b"".join((head, record, offer, measurement, first, second))
+        body = b"".join((head, record, offered, measured, first, second))
         data = self._tag + _CHECK.pack(crc32(body)) + body
         if os.pwrite(self._file, data, self.size) < len(data):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))

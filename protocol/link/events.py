@@ -1,12 +1,12 @@
 """What a side traces: one class an event, which says itself how it reads in a trace.
 
-A transition is :class:`protocol.link.session.CountedTransition`.
+A transition is :class:`protocol.link.session.CountedTransition`, a message that was queued its
+:class:`protocol.messages.SendCommand`.
 """
 
-import base64
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
-from protocol.link.session import Truth
+from protocol.link.session import CountedTransition, Truth
 from protocol.vectors import Vector
 
 NEW_JOURNAL: Final = "new journal"
@@ -18,6 +18,12 @@ class Event(Protocol):
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace, by the names in :mod:`runtime.recording`."""
+
+
+def lines(event: Event) -> tuple[dict[str, Any], ...]:
+    """An event as it stands in a trace: a transition's report is a line of its own."""
+    report = event.report() if isinstance(event, CountedTransition) else None
+    return (event.as_event(),) if report is None else (event.as_event(), report)
 
 
 class SessionBegan(NamedTuple):
@@ -154,44 +160,6 @@ class Timing(NamedTuple):
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
         return {"event": "timing", **self._asdict()}
-
-
-class Milestone(NamedTuple):
-    """A message has come so far on its way.
-
-    ``sent``: it was handed to the controller. ``delivered``: the controller has counted every
-    symbol of its frame. ``recovered``: its frame passed the check at the plant.
-
-    Parameters
-    ----------
-    at : {"sent", "delivered", "recovered"}
-    payload : bytes
-    identifier : str
-        The operator's; the plant does not know it.
-    """
-
-    at: Literal["sent", "delivered", "recovered"]
-    payload: bytes
-    identifier: str = ""
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        event: dict[str, Any] = {"event": self.at}
-        if self.at != "recovered":
-            event["id"] = self.identifier
-        event["payload"] = base64.b64encode(self.payload).decode()
-        return event
-
-
-class FrameRefused(NamedTuple):
-    """A frame failed its check at the plant."""
-
-    session: str
-    p: int
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "refused", **self._asdict()}
 
 
 def _labelled(fields: dict[str, Any]) -> dict[str, Any]:

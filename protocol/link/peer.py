@@ -7,42 +7,12 @@ stands in :mod:`runtime.perform`; no other module knows it. The two endpoints ar
 
 from typing import Final, Literal, NamedTuple, Protocol
 
+from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
-from protocol.messages import Message, Status
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Message, Offer, SendCommand, Status
 from protocol.secret.nonces import Contribution
 from protocol.secret.tasks import Done, Task
-
-
-class Save(NamedTuple):
-    """A record for the journal, with what came along, all or nothing.
-
-    ``later``: the next :class:`Step` takes it along; until then nothing is lost, for it can be
-    counted again. ``chunk`` has symbols of the frame under way that have left the plant's record,
-    ``drop_chunks`` says that this frame is over, ``received`` is the payload of a whole frame.
-    ``queued`` is a message for the controller's queue, after its identifier. ``contribution`` is
-    the row of a transition for its key block, ``obsolete_rows`` names transitions whose rows may
-    go; rows of another session than the record's go anyway.
-    """
-
-    record: SenderRecord | ReceiverRecord
-    later: bool = False
-    chunk: str = ""
-    drop_chunks: bool = False
-    received: bytes | None = None
-    queued: tuple[str, bytes] | None = None
-    contribution: Contribution | None = None
-    obsolete_rows: tuple[range, ...] = ()
-
-    @property
-    def for_tables(self) -> bool:
-        """Whether it has more than a record and rows: messages or symbols, in tables of theirs."""
-        more = self.queued is not None or self.received is not None
-        return more or bool(self.chunk) or self.drop_chunks
-
-
-Write = Step | Save
-"""What a journal is given: a step, kept beside the record before it, or the record after it."""
 
 
 class Notice(NamedTuple):
@@ -56,19 +26,48 @@ class Notice(NamedTuple):
 class Actions(NamedTuple):
     """What a shell must do after an endpoint heard something or woke.
 
-    ``events`` are traced before ``write`` is written: who dies in between counts them, and traces
+    ``events`` are traced before anything is saved: who dies in between counts them, and traces
     them, once more. ``keys`` are tasks for the key maker, which no step waits for. ``health``
     is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
     :meth:`Peer.finish_step`, once everything else is done.
+
+    What is saved is saved all or nothing. ``record`` is all that the end must not forget; ``later``
+    says that it may wait for the next step: until then nothing is lost, for it can be counted
+    again. ``offer``, ``coin`` and ``measurement`` are the step that follows the record: all it
+    takes to count it again. Where there is no ``record`` it follows the one saved last. At the
+    plant ``measurement`` reports the step that ``offer`` led to, and ``coin`` is b_r, the number of
+    the candidate chosen; a plant that cannot make a step twice saves its coin before it acts, with
+    no measurement yet. At the controller ``offer`` answers ``measurement``, and there is no coin.
+
+    The rest comes along with a record. ``queued`` is a message for the controller's queue,
+    ``received`` the payload of a whole frame. ``chunk`` has symbols of the frame under way that
+    have left the plant's record, ``drop_chunks`` says that this frame is over. ``contribution`` is
+    the row of a transition for its key block, ``obsolete_rows`` names transitions whose rows may
+    go; rows of another session than the record's go anyway.
     """
 
     events: tuple[Event, ...] = ()
-    write: Write | None = None
+    record: SenderRecord | ReceiverRecord | None = None
+    later: bool = False
+    offer: Offer | None = None
+    coin: int = NO_SYMBOL
+    measurement: Measurement | None = None
+    queued: SendCommand | None = None
+    received: bytes | None = None
+    chunk: str = ""
+    drop_chunks: bool = False
+    contribution: Contribution | None = None
+    obsolete_rows: tuple[range, ...] = ()
     publish: tuple[Message, ...] = ()
     notices: tuple[Notice, ...] = ()
     health: Status | None = None
     finish_step: bool = False
     keys: tuple[Task, ...] = ()
+
+    @property
+    def saves(self) -> bool:
+        """Whether there is anything to save."""
+        return self.record is not None or self.offer is not None
 
 
 NOTHING_TO_DO: Final = Actions()

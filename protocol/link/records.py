@@ -4,28 +4,9 @@ from typing import NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Estimate
-from protocol.messages import Measurement, Offer
+from protocol.messages import Offer
 from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
-
-
-class Step(NamedTuple):
-    """A step that is not counted yet: it is saved, and all it takes to count the step again.
-
-    At the plant ``measurement`` reports the step that ``offer`` led to, and ``coin`` is b_r, the
-    number of the candidate that was chosen. A plant that cannot make a step twice saves its coin
-    before it acts, with the measurement still None. At the controller ``offer`` answers
-    ``measurement``, and there is no coin.
-    """
-
-    offer: Offer
-    coin: int = NO_SYMBOL
-    measurement: Measurement | None = None
-
-    @property
-    def u(self) -> Vector:
-        """The input chosen, at the plant."""
-        return self.offer.candidates[self.coin]
 
 
 class SenderRecord(NamedTuple):
@@ -85,11 +66,9 @@ class ReceiverRecord(NamedTuple):
     the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy
     0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
     counts key blocks that were begun, in all sessions, whatever became of them. ``sensor_seed`` is
-    of the sensors' noise. ``begun`` is there
-    only in what is written while a plant acts: the step that is under way. The session of its offer
-    may be one that has ended since. ``coin_key`` is the newest key of the session whose digits a
-    coin came from, and ``coin_from`` the step of its first one; ``keyed`` says whether the last
-    applied offer's did. Where some outputs alone are read ``estimate`` is as the controller's, and
+    of the sensors' noise. ``coin_key`` is the newest key of the session whose digits a coin came
+    from, and ``coin_from`` the step of its first one; ``keyed`` says whether the last applied
+    offer's did. Where some outputs alone are read ``estimate`` is as the controller's, and
     ``true_x`` the simulated state, which no reading tells.
     """
 
@@ -117,7 +96,6 @@ class ReceiverRecord(NamedTuple):
     incarnation: int = 0
     blocks_begun: int = 0
     sensor_seed: int = 0
-    begun: Step | None = None
     coin_key: str = ""
     coin_from: int = -1
     keyed: bool = False

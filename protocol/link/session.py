@@ -27,6 +27,7 @@ What holds under every schedule: what the plant has recovered is a prefix of wha
 automata agree on every transition both have counted; no key symbol serves two message symbols.
 """
 
+import base64
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
@@ -45,7 +46,7 @@ from protocol.defence.key_digits import fails
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.messages import Offer
+from protocol.messages import Offer, SendCommand
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
@@ -272,6 +273,10 @@ class CountedTransition(NamedTuple):
     plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
     coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
     candidate that its own copy of that key chose: -1 where the transition is unwatched.
+
+    The last three tell of the frame that it completed: at the controller ``delivered``, the message
+    whose symbols are all counted; at the plant ``recovered``, the payload of a frame that passed
+    its check, or ``refused``, where it failed.
     """
 
     session: str
@@ -297,6 +302,9 @@ class CountedTransition(NamedTuple):
     coin_key: str | None = None
     coin_from: int = -1
     expected: int = NO_SYMBOL
+    delivered: SendCommand | None = None
+    recovered: bytes | None = None
+    refused: bool = False
 
     @classmethod
     def of(
@@ -315,6 +323,9 @@ class CountedTransition(NamedTuple):
         truth: Truth | None = None,
         coin_key: str | None = None,
         expected: int = NO_SYMBOL,
+        delivered: SendCommand | None = None,
+        recovered: bytes | None = None,
+        refused: bool = False,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
         carried = carry.pad != NO_SYMBOL
@@ -342,12 +353,35 @@ class CountedTransition(NamedTuple):
             coin_key,
             offer.coin_from if coin_key and offer.coin_from is not None else -1,
             expected,
+            delivered,
+            recovered,
+            refused,
         )
 
     @property
     def shared(self) -> Self:
-        """What both ends count alike: all but the coin and its input, the truth, and the test."""
-        return self._replace(coin=NO_SYMBOL, u=(), truth=None, expected=NO_SYMBOL)
+        """What both ends count alike: all but coin, input, truth, test, and the message."""
+        return self._replace(
+            coin=NO_SYMBOL,
+            u=(),
+            truth=None,
+            expected=NO_SYMBOL,
+            delivered=None,
+            recovered=None,
+            refused=False,
+        )
+
+    def report(self) -> dict[str, Any] | None:
+        """The line after the transition's in a trace, of the frame that it completed, if any."""
+        if self.delivered is not None:
+            payload = base64.b64encode(self.delivered.payload).decode()
+            return {"event": "delivered", "id": self.delivered.id, "payload": payload}
+        if self.recovered is not None:
+            payload = base64.b64encode(self.recovered).decode()
+            return {"event": "recovered", "payload": payload}
+        if self.refused:
+            return {"event": "refused", "session": self.session, "p": self.p}
+        return None
 
     def as_event(self) -> dict[str, Any]:
         """The transition as a trace's event."""

@@ -1,8 +1,9 @@
 """Management messages: of controller, plant, dashboard and operator; the tap must not hear them."""
 
+import base64
 from collections.abc import Iterable
 from functools import cache
-from typing import Annotated, ClassVar, Final, Literal, Self
+from typing import Annotated, Any, ClassVar, Final, Literal, Self
 
 from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
@@ -90,6 +91,11 @@ class SendCommand(_Command):
     """An operator's message for the controller to deliver. An ``id`` is queued once."""
 
     topic: ClassVar[str] = "management/command/send"
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace: it was queued."""
+        payload = base64.b64encode(self.payload).decode()
+        return {"event": "sent", "id": self.id, "payload": payload}
 
 
 class SendReply(Message):

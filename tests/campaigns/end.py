@@ -17,9 +17,8 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
 from protocol.link.coins import AGAIN_S
-from protocol.link.events import Alarm, Event, FrameRefused, SessionBegan
-from protocol.link.peer import Actions, Notice, Save, Write
-from protocol.link.records import Step
+from protocol.link.events import Alarm, Event, SessionBegan
+from protocol.link.peer import Actions, Notice
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult, ClosedBlock
@@ -222,25 +221,26 @@ class End:
 
     # --- what it asks for -------------------------------------------------------------------------
 
-    def write(self, write: Write) -> None:
+    def save(self, actions: Actions) -> None:
         """Keep it; a message arrives once, and in its place."""
         self.things += 1
-        self._reports.look(write)
-        if isinstance(write, Step) and self.rules.keyed and self.line is not None:
-            self._chosen(write)
-        self.journal.write(write)
-        if isinstance(write, Save) and write.received is not None:
+        self._reports.look(actions)
+        offer, received = actions.offer, actions.received
+        if offer is not None and self.rules.keyed and self.line is not None:
+            self._chosen(offer, actions.measurement)
+        self.journal.save(actions)
+        if received is not None:
             place = self.view.received
-            self.again = write.received in PAYLOADS[:place]
+            self.again = received in PAYLOADS[:place]
             if not self.again:
-                if PAYLOADS[place:][:1] != (write.received,):
-                    raise Broken(f"{write.received!r} arrived, and was not sent")
+                if PAYLOADS[place:][:1] != (received,):
+                    raise Broken(f"{received!r} arrived, and was not sent")
                 self.view = self.view._replace(received=place + 1)
 
-    def _chosen(self, step: Step) -> None:
+    def _chosen(self, offer: Offer, report: Measurement | None) -> None:
         """A coin is chosen; no digit of a key chooses those of two steps."""
         assert isinstance(self.endpoint, PlantCore)
-        offer, report, coins = step.offer, step.measurement, self.endpoint.coins
+        coins = self.endpoint.coins
         key, first = offer.coin_key, offer.coin_from
         if report is None:  # it says later whether a key chose
             keyed = (key, first) == (coins.key, coins.first) and coins.digit_of(offer) is not None
@@ -301,8 +301,6 @@ class End:
             self.device.look(event, alive=not self._starting)
         if isinstance(event, Alarm):
             raise Broken(f"transition {event.j} made an alarm, and nobody attacks")
-        if isinstance(event, FrameRefused):
-            raise Broken("a frame was refused")
         if isinstance(event, BlockResult):
             if event.what != "confirmed":
                 raise Broken("the two ends hold different key blocks")
@@ -312,6 +310,8 @@ class End:
             self.ended = event.session != counted[-1].session
         if not isinstance(event, CountedTransition):
             return
+        if event.refused:
+            raise Broken("a frame was refused")
         mine = event.shared
         self.watched = event.expected != NO_SYMBOL
         self.news.append(mine)

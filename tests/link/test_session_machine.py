@@ -33,7 +33,7 @@ PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
 PAYLOADS = ((b"a", b"bc"), (b"d", b"ef"))
 SHIFTS = (1.5, 1.25)
 """What each controller sends, and how far its candidates are from the middle."""
-DEATHS: list[CrashPoint | None] = [*[None] * 5, "writing", "publishing", "tracing", "acting"]
+DEATHS: list[CrashPoint | None] = [*[None] * 5, "saving", "publishing", "tracing", "acting"]
 """Before what of an event a process dies, if it does."""
 
 

@@ -104,7 +104,7 @@ def test_save_publish_settle_trace_keep_tell() -> None:
 
 
 @pytest.mark.parametrize(("before", "done"), [
-    ("writing", []),
+    ("saving", []),
     ("publishing", [STEP]),
     ("tracing", [STEP, SAID, "settle"]),
     ("keeping", [STEP, SAID, "settle", EVENT, RECORD]),

@@ -28,7 +28,7 @@ from tests.support.size import size
 from tests.support.two_ends import SIDES
 
 SIDE = st.sampled_from(SIDES)
-POINTS: tuple[CrashPoint, ...] = ("writing", "publishing", "tracing", "keeping")
+POINTS: tuple[CrashPoint, ...] = ("saving", "publishing", "tracing", "keeping")
 POINT = st.sampled_from(POINTS)
 PLACE = st.integers(0, 11)
 
@@ -276,7 +276,7 @@ def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> N
 def dies_while_writing(world: KeyedEnds) -> None:
     """The controller, over and over; some of what it writes is a step."""
     for _ in range(20):
-        world.well(20, "controller", "writing")
+        world.well(20, "controller", "saving")
 
 
 @pytest.mark.wrong_on_purpose

@@ -8,10 +8,9 @@ from copy import copy
 from typing import Any, NamedTuple
 
 from controller_service.core import ControllerCore, Predict
-from protocol.link.events import Milestone
 from protocol.link.keying import Keying
-from protocol.link.peer import Actions, Save
-from protocol.link.records import SenderRecord, Step
+from protocol.link.peer import Actions
+from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.blocks import BlockResult
@@ -69,26 +68,24 @@ NOTHING = Done()
 
 def done(actions: Actions) -> Done:
     """What ``actions`` come to."""
-    write = actions.write
     said: dict[Any, Any] = {}
     for message in actions.publish:
         assert type(message) not in said
         said[type(message)] = message
     transitions = [event for event in actions.events if isinstance(event, CountedTransition)]
-    delivered = [event.identifier for event in actions.events if isinstance(event, Milestone)]
+    delivered = [t.delivered.id for t in transitions if t.delivered is not None]
     refusals = [notice.text for notice in actions.notices if notice.subject == "refusals"]
     assert len(transitions) <= 1
-    assert len(delivered) <= 1
     assert len(refusals) <= 1
     return Done(
-        save=isinstance(write, Save) and not write.later,
-        append=isinstance(write, Step),
+        save=actions.record is not None and not actions.later,
+        append=actions.offer is not None,
         transition=transitions[0] if transitions else None,
         delivered=delivered[0] if delivered else None,
         offer=said.get(Offer),
         reply=said.get(ControllerHello),
         refusal=refusals[0] if refusals else "",
-        contribution=write.contribution if isinstance(write, Save) else None,
+        contribution=actions.contribution,
         judged=tuple(t for t in actions.keys if isinstance(t, BlockResult)),
     )
 
@@ -98,7 +95,8 @@ class ControllerInHand:
 
     Parameters
     ----------
-    rules, propose, messages, fresh, instance, record, step, contributions, nonces, predict
+    rules, propose, messages, fresh, instance, record, measurement, offer, contributions, nonces,
+    predict
         As of :class:`controller_service.core.ControllerCore`.
     """
 
@@ -108,7 +106,8 @@ class ControllerInHand:
         propose: Callable[[Vector], tuple[Vector, ...]],
         instance: str,
         record: SenderRecord | None = None,
-        step: Step | None = None,
+        measurement: Measurement | None = None,
+        offer: Offer | None = None,
         contributions: Iterable[Contribution] = (),
         *,
         messages: Any = None,
@@ -125,7 +124,8 @@ class ControllerInHand:
             instance=instance,
             period_s=PERIOD_S,
             record=record,
-            step=step,
+            measurement=measurement,
+            offer=offer,
             contributions=contributions,
             predict=predict,
             nonces=nonces,

@@ -14,8 +14,8 @@ from plant_service.plant import Coin, OperatedPlant
 from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Write
-from protocol.link.records import ReceiverRecord, Step
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
@@ -101,12 +101,13 @@ class Reports:
     def __init__(self) -> None:
         self._said: Measurement | None = None
 
-    def look(self, write: Write) -> None:
+    def look(self, actions: Actions) -> None:
         """A step's record says what its report said, before the report may be said again."""
-        if isinstance(write, Step):
-            self._said = write.measurement if write.coin != NO_SYMBOL else None
+        record = actions.record
+        if record is None:
+            self._said = actions.measurement if actions.coin != NO_SYMBOL else None
             return
-        report, record, self._said = self._said, write.record, None
+        report, self._said = self._said, None
         if report is None or not isinstance(record, ReceiverRecord) or record.k != report.k:
             return
         if record.session == report.session:
@@ -131,7 +132,7 @@ def line_controller(
     coin_keys: Iterable[Key] = (),
 ) -> ControllerCore:
     """A controller's endpoint as its journal has it."""
-    record, step = journal.load(), journal.step()
+    record = journal.load()
     contributions = journal.contributions(None if record is None else record.session)
     return ControllerCore(
         rules,
@@ -141,7 +142,8 @@ def line_controller(
         instance=instance,
         period_s=period_s,
         record=record,
-        step=step,
+        measurement=journal.measurement,
+        offer=journal.offer,
         contributions=contributions,
         coin_keys=coin_keys,
         nonces=nonces,
@@ -261,7 +263,9 @@ def line_plant(
         chunks=journal.chunks(),
         contributions=journal.contributions(first.session),
         coin_keys=coin_keys,
-        step=journal.step(),
+        offer=journal.offer,
+        tossed=journal.coin,
+        report=journal.measurement,
         back=None if record is None else x,
         fresh=record is None,
         steps=steps,

@@ -11,11 +11,12 @@ from typing import Any
 from plant_service.core import HELLO_S, PlantCore
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
+from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions, Notice, Save
-from protocol.link.records import ReceiverRecord, Step
+from protocol.link.peer import Actions, Notice
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
@@ -67,7 +68,7 @@ class PlantInHand:
 
     Parameters
     ----------
-    rules, instance, record, chunks, contributions, step
+    rules, instance, record, chunks, contributions, offer, tossed, report
         As of :class:`plant_service.core.PlantCore`.
     fresh : NonceSource
     plant, coin, fallback : optional
@@ -83,9 +84,11 @@ class PlantInHand:
         record: ReceiverRecord,
         chunks: str = "",
         contributions: Iterable[Contribution] = (),
-        step: Step | None = None,
         fresh: NonceSource = fresh_nonce,
         *,
+        offer: Offer | None = None,
+        tossed: int = NO_SYMBOL,
+        report: Measurement | None = None,
         plant: Plant | None = None,
         coin: Coin | None = None,
         fallback: Callable[[Vector, Vector], Vector] | None = None,
@@ -94,9 +97,10 @@ class PlantInHand:
         self.line = ScriptedLine()
         self.events: list[Event] = []
         self.notices: list[Notice] = []
-        self.saved: list[Save] = []
+        self.saved: list[Actions] = []
         self.tasks: list[Task] = []
-        self.appended: Step | None = None
+        self.step: Actions | None = None
+        """The step that was saved last, as its journal has it."""
         self.published: list[Message] = []
         self._new = ""
         self._now = 0.0
@@ -113,7 +117,9 @@ class PlantInHand:
             record=record,
             chunks=chunks,
             contributions=contributions,
-            step=step,
+            offer=offer,
+            tossed=tossed,
+            report=report,
             telemetry=telemetry,
             nonces=fresh,
         )
@@ -150,10 +156,10 @@ class PlantInHand:
             self.notices += actions.notices
             self.published += actions.publish
             self.tasks += actions.keys
-            if isinstance(actions.write, Step):
-                self.appended = actions.write
-            elif actions.write is not None:
-                self.saved.append(actions.write)
+            if actions.record is not None:
+                self.saved.append(actions)
+            elif actions.offer is not None:
+                self.step = actions
             if not actions.finish_step:
                 return
             actions = self.core.finish_step()
@@ -163,7 +169,7 @@ class PlantInHand:
         self.notices.clear()
         self.published.clear()
         self.saved.clear()
-        self.appended = None
+        self.step = None
 
     def said(self, kind: type[Message]) -> Any:
         """The last message of a kind that it published, or None."""
@@ -278,7 +284,7 @@ class PlantInHand:
         for notice in actions.notices:
             if notice.subject == "malformed":
                 raise ValueError(notice.text.removesuffix("; ignored"))
-        if isinstance(actions.write, Step):
+        if actions.offer is not None:
             return "current"
         return "foreign" if core.answered_at == -1.0 else "stale"
 
@@ -297,25 +303,18 @@ class PlantInHand:
             self._tick()
         (applied,) = [event for event in self.events if isinstance(event, CountedTransition)]
         if not self.core.plant.acts:
-            kept = self.events[:], self.notices[:], self.saved[:], self.appended
+            kept = self.events[:], self.notices[:], self.saved[:], self.step
             self._tick()
-            self.events, self.notices, self.saved, self.appended = kept
+            self.events, self.notices, self.saved, self.step = kept
         return applied
 
-    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> Step:
+    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> Actions:
         """The offer is applied and saved, and the process is dead: what its journal has."""
         self.line.coin, self.line.x_next = coin, x_next
         self._forget()
-        actions = self.core.receive(Offer, offer.wire(), self._now)
-        assert isinstance(actions.write, Step)
-        self.appended = actions.write
-        assert self.step is not None
+        self.step = self.core.receive(Offer, offer.wire(), self._now)
+        assert self.step.offer == offer
         return self.step
-
-    @property
-    def step(self) -> Step | None:
-        """The step that was saved last, as its journal has it."""
-        return self.appended
 
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer comes in time: ``u`` is in force, and leads to ``x_next``."""

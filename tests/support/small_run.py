@@ -16,9 +16,10 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
-from protocol.link.events import Milestone, SessionBegan
+from protocol.link.events import SessionBegan, lines
 from protocol.link.fallback import Fallback
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.peer import NOTHING_TO_DO, Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
@@ -172,6 +173,7 @@ class SmallRun:
             self.receiver.takes(offer)
             self._counted()
             step = self.receiver.step
+            assert step is not None
             self.receiver = self._new_plant(record, "resumed from the journal", step)
             self._counted(saved=True)
             self._meet()
@@ -198,12 +200,12 @@ class SmallRun:
         """Trace what the plant counted; ``saved``: what came of it was saved, too."""
         for event in self.receiver.events:
             if isinstance(event, CountedTransition):
-                self._plant_trace.write(event.as_event())
+                told = lines(event)
+                self._plant_trace.write(*told if saved else told[:1])
+                if saved and event.recovered is not None:
+                    self.received.append(event.recovered)
             elif saved:
-                assert isinstance(event, Milestone | SessionBegan), event
-                if isinstance(event, Milestone):
-                    self.received.append(event.payload)
-                    self._plant_trace.write(event.as_event())
+                assert isinstance(event, SessionBegan), event
         for save in self.receiver.saved if saved else ():
             self._chunks = save.chunk if save.drop_chunks else self._chunks + save.chunk
 
@@ -242,7 +244,7 @@ class SmallRun:
         )
 
     def _new_plant(
-        self, record: ReceiverRecord, reason: str, step: Step | None = None
+        self, record: ReceiverRecord, reason: str, step: Actions = NOTHING_TO_DO
     ) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)
@@ -256,7 +258,9 @@ class SmallRun:
             f"{self._lives:016x}",
             record,
             self._chunks,
-            step=step,
+            offer=step.offer,
+            tossed=step.coin,
+            report=step.measurement,
             plant=LinearModel(self.scenario, Disturbances(self.scenario, noise)),
             coin=Coin(coins, self.scenario.secrecy.candidates),
             fallback=Fallback.of(self.scenario).input,

@@ -9,7 +9,8 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from protocol.link.peer import Write
+from protocol.link.peer import Actions
+from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -46,8 +47,9 @@ class _Twin(Generic[T]):
     kind: type[T]
 
     if TYPE_CHECKING:
-
-        def step(self) -> Any: ...
+        offer: Offer | None
+        coin: int
+        measurement: Measurement | None
 
     def __init__(self, *payloads: bytes) -> None:
         super().__init__(*payloads)
@@ -61,13 +63,13 @@ class _Twin(Generic[T]):
         if isinstance(twin, ControllerJournal):
             assert isinstance(self, MemoryControllerJournal)
             for identifier, payload in queue_of(self):
-                twin.enqueue(identifier, payload)
+                twin.enqueue(SendCommand(id=identifier, payload=payload))
         return twin
 
-    def write(self, write: Write) -> None:
+    def save(self, actions: Actions) -> None:
         """Keep it in both."""
-        super().write(write)  # type: ignore[misc]
-        self.twin.write(write)
+        super().save(actions)  # type: ignore[misc]
+        self.twin.save(actions)
 
     def load(self) -> Any:
         """The record as last written: the process has died, and another one opens its files."""
@@ -77,7 +79,8 @@ class _Twin(Generic[T]):
         self.twin = self.kind(path, SCENARIO)
         record = super().load()  # type: ignore[misc]
         assert self.twin.load() == record
-        assert self.twin.step() == self.step()
+        assert (self.twin.offer, self.twin.coin) == (self.offer, self.coin)
+        assert self.twin.measurement == self.measurement
         return record
 
     def contributions(self, session: str | None) -> list[Contribution]:

@@ -26,8 +26,8 @@ from typing import Any, Final, Literal
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.defence.base import Defence
-from protocol.link.events import Event
-from protocol.link.peer import Actions, Notice, Peer, Write
+from protocol.link.events import Event, lines
+from protocol.link.peer import Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
@@ -83,7 +83,7 @@ class MortalPorts(CrashingPorts):
 
     def trace(self, event: Event) -> None:
         """Die, or trace."""
-        if self.since == event.as_event()["event"]:
+        if self.since in [line["event"] for line in lines(event)]:
             self.since = ""
             self.crash_at(after=self.after)
         super().trace(event)
@@ -321,9 +321,9 @@ class _Ports:
         self._reports = Reports()
         self.submit_key_task = tasks.append
 
-    def write(self, write: Write) -> None:
-        self._reports.look(write)
-        self._world.wrote(self._side, write)
+    def save(self, actions: Actions) -> None:
+        self._reports.look(actions)
+        self._world.saved(self._side, actions)
 
     def publish(self, message: Message) -> None:
         self._world.said(self._side, mail(message))
@@ -412,9 +412,9 @@ class LineEnds(TwoEnds):
         M = self.rules.size
         return tuple([(-x[0] + (2 * i - M + 1) * 1.5,) for i in range(M)])
 
-    def wrote(self, side: Name, write: Write) -> None:
+    def saved(self, side: Name, actions: Actions) -> None:
         """An end writes into its journal."""
-        self.journals[side].write(write)
+        self.journals[side].save(actions)
 
     def traced(self, side: Name, event: Event) -> None:
         """An end traces an event."""

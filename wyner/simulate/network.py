@@ -22,7 +22,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event, Missed
 from protocol.link.networked import behind
 from protocol.link.pacing import Pacing
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer, Save, Write
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import KeyAnswer, KeyRequest, Measurement, Message, Offer, Status
@@ -94,10 +94,9 @@ class _Ports:
         self._partner: Side = partner
         self._journal = journal
 
-    def write(self, write: Write) -> None:
-        self._journal.write(write)
-        if isinstance(write, Save):
-            self._world.kept(write)
+    def save(self, actions: Actions) -> None:
+        self._journal.save(actions)
+        self._world.kept(actions)
 
     def publish(self, message: Message) -> None:
         self._world.send(self._partner, message)
@@ -301,14 +300,14 @@ class Simulation:
 
         self.after(self.random.random() * late_s, do)
 
-    def kept(self, write: Save) -> None:
+    def kept(self, actions: Actions) -> None:
         """Note what a record says of messages that came through."""
-        record = write.record
+        record = actions.record
         if isinstance(record, SenderRecord):
             self.history.delivered.extend(range(self._delivered, record.message))
             self._delivered = record.message
-        elif write.received is not None:
-            self.history.inbox.append(write.received)
+        elif actions.received is not None:
+            self.history.inbox.append(actions.received)
 
     def traced(self, event: Event) -> None:
         """Note what a side counted."""
@@ -384,7 +383,8 @@ class Simulation:
             instance=self._identifier(),
             period_s=self.scenario.plant.period_s,
             record=record,
-            step=self._queue.step(),
+            measurement=self._queue.measurement,
+            offer=self._queue.offer,
             contributions=self._queue.contributions(None if record is None else record.session),
             coin_keys=self._coin_keys("controller", None if record is None else record.session),
             predict=self._predict,

@@ -65,7 +65,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 (journal.identifier(number), journal.payload(number) or b"")
                 for number in range(journal.queued)
             )
-            record, step = journal.load(), journal.step()
+            record = journal.load()
             contributions = journal.contributions(None if record is None else record.session)
             core = ControllerCore(
                 rules,
@@ -75,7 +75,8 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 instance=INSTANCE,
                 period_s=1.0,
                 record=record,
-                step=step,
+                measurement=journal.measurement,
+                offer=journal.offer,
                 contributions=contributions,
             )
             pending = None
@@ -100,7 +101,7 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
 
     def read(path: Path) -> JournalState | None:
         with PlantJournal(path, rules.fingerprint) as journal:
-            record, step = journal.load(), journal.step()
+            record = journal.load()
             if record is None:
                 return None
             core = PlantCore(
@@ -115,7 +116,9 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 record=record,
                 chunks=journal.chunks(),
                 contributions=journal.contributions(record.session),
-                step=step,
+                offer=journal.offer,
+                tossed=journal.coin,
+                report=journal.measurement,
             )
             messages = tuple(("", payload) for payload in journal.inbox(-1))
         pending = None
