@@ -22,7 +22,7 @@ from typing import Any, ClassVar, Final, Generic, Self, TypeVar
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.peer import NOTHING_TO_DO, Actions
+from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
@@ -213,8 +213,8 @@ class JournalFiles(ABC, Generic[R]):
         record = actions.record
         if record is None:
             if self._rare and not self._begun:
-                self._write(NOTHING_TO_DO)
-            self._log(actions)
+                self._write()
+            self._log(actions.offer, actions.coin, actions.measurement)
             if actions.measurement is not None:
                 self._body = None
             return
@@ -224,11 +224,11 @@ class JournalFiles(ABC, Generic[R]):
             self._logged.clear()
         if actions.contribution is not None or actions.obsolete_rows:
             self._rows.append(actions)
-        if _for_tables(actions):
-            with self._transaction(actions):
+        if actions.for_tables:
+            with self._transaction(actions.offer, actions.coin):
                 self._add_to_tables(actions)
         elif not actions.later:
-            self._write(actions)
+            self._write(actions.offer, actions.coin)
         self._steps.make_ready()
 
     @abstractmethod
@@ -259,13 +259,13 @@ class JournalFiles(ABC, Generic[R]):
             )
 
     @contextmanager
-    def _transaction(self, actions: Actions) -> Iterator[None]:
+    def _transaction(self, offer: Offer | None, coin: int) -> Iterator[None]:
         """A rare write: all or nothing, of the staged record and the step begun; the log is empty.
 
         A step that was read is always logged: it is what a message waits for.
         """
-        offer = b"" if actions.offer is None else actions.offer.wire()
-        row = (self._number + 1, self._staged, offer, actions.coin)
+        offered = b"" if offer is None else offer.wire()
+        row = (self._number + 1, self._staged, offered, coin)
         self._execute("BEGIN IMMEDIATE")
         yield
         self._write_rows()
@@ -273,7 +273,7 @@ class JournalFiles(ABC, Generic[R]):
             "INSERT OR REPLACE INTO record VALUES (0, ?, ?, ?, ?, ?)", (*row, check_of(*row))
         )
         self._execute("COMMIT")
-        self._number, self._begun, self._forget = row[0], bool(offer), False
+        self._number, self._begun, self._forget = row[0], offer is not None, False
         self._rows.clear()
         self._logged.clear()
         with self._named():
@@ -285,13 +285,13 @@ class JournalFiles(ABC, Generic[R]):
         assert self._body is not None, "the step before has not been counted"
         return self._body
 
-    def _write(self, actions: Actions) -> None:
+    def _write(self, offer: Offer | None = None, coin: int = NO_SYMBOL) -> None:
         """The staged record, and the step that is begun, if one is."""
         if self._rare:
-            with self._transaction(actions):
+            with self._transaction(offer, coin):
                 pass
         else:
-            self._log(actions)
+            self._log(offer, coin)
 
     @property
     def _rare(self) -> bool:
@@ -304,14 +304,11 @@ class JournalFiles(ABC, Generic[R]):
             or self._steps.size > LARGEST_STEP
         )
 
-    def _log(self, actions: Actions) -> None:
+    def _log(self, offer: Offer | None, coin: int, measurement: Measurement | None = None) -> None:
         """The staged record and the step that follows it, if one does."""
         row = self._rows[0].contribution if len(self._rows) == 1 else None
-        offer, measurement = actions.offer, actions.measurement
         with self._named():
-            self._steps.append(
-                self._number + 1, self._staged, offer, actions.coin, measurement, row
-            )
+            self._steps.append(self._number + 1, self._staged, offer, coin, measurement, row)
         self._number += 1
         self._begun = offer is not None and measurement is None
         if row is not None:
@@ -335,9 +332,3 @@ class JournalFiles(ABC, Generic[R]):
 
     def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _for_tables(actions: Actions) -> bool:
-    """Whether more than rows comes along with a record: messages or symbols."""
-    more = actions.queued is not None or actions.received is not None
-    return more or bool(actions.chunk) or actions.drop_chunks

@@ -11,7 +11,7 @@ import sys
 import textwrap
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple, get_args, get_type_hints
+from typing import Any, Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
@@ -19,18 +19,15 @@ from protocol.link import plant_session as plants
 from protocol.link.events import (
     Alarm,
     AttackBegan,
-    Event,
     Forged,
-    FrameRefused,
     Interrupted,
-    Milestone,
     Missed,
     SessionBegan,
     Timing,
 )
 from protocol.link.key_events import Appearances, BlockStored
 from protocol.link.session import CountedTransition
-from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message
+from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message, SendCommand
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.secret.blocks import BlockResult
@@ -165,55 +162,53 @@ def evidence_table() -> str:
     return "\n".join([*lines, ""])
 
 
-EVENTS: Final[tuple[tuple[str, type[Event]], ...]] = (
-    ("both", CountedTransition),
-    ("plant", Missed),
-    ("plant", Interrupted),
-    ("both", SessionBegan),
-    ("plant", AttackBegan),
-    ("controller", Alarm),
-    ("both", Forged),
-    ("both", Milestone),
-    ("plant", FrameRefused),
-    ("plant", Timing),
-    ("both", BlockStored),
-    ("both", BlockResult),
-    ("both", Appearances),
+EVENTS: Final[tuple[tuple[str, Callable[..., Any], Any], ...]] = (
+    ("both", CountedTransition.as_event, CountedTransition),
+    ("both", CountedTransition.report, CountedTransition.report),
+    ("plant", Missed.as_event, Missed),
+    ("plant", Interrupted.as_event, Interrupted),
+    ("both", SessionBegan.as_event, SessionBegan),
+    ("plant", AttackBegan.as_event, AttackBegan),
+    ("controller", Alarm.as_event, Alarm),
+    ("both", Forged.as_event, Forged),
+    ("controller", SendCommand.as_event, SendCommand),
+    ("plant", Timing.as_event, Timing),
+    ("both", BlockStored.as_event, BlockStored),
+    ("both", BlockResult.as_event, BlockResult),
+    ("both", Appearances.as_event, Appearances),
 )
-"""What a trace holds, and who writes it."""
+"""What a trace holds: who writes it, what makes the line, and what says what it is."""
 
 
-def event_fields(kind: type[Event]) -> list[str]:
+def event_fields(line: Callable[..., Any], kind: Any) -> list[str]:
     """The names in a trace's line of this kind, ``event`` first, as its source gives them."""
     named: list[str] = []
-    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(kind.as_event)))):
+    for node in ast.walk(ast.parse(textwrap.dedent(inspect.getsource(line)))):
         if isinstance(node, ast.Dict):
             named += [str(key.value) for key in node.keys if isinstance(key, ast.Constant)]
         elif isinstance(node, ast.Subscript) and isinstance(node.slice, ast.Constant):
             named.append(str(node.slice.value))
         elif isinstance(node, ast.Attribute) and node.attr == "_asdict":
             named += [name for name in vars(kind)["_fields"] if name != "truth"]
-    return named
+    return list(dict.fromkeys(named))
 
 
-def event_names(kind: type[Event]) -> tuple[str, ...]:
+def event_names(line: Callable[..., Any]) -> list[str]:
     """What a trace's lines of this kind call themselves."""
-    if kind is Milestone:
-        return get_args(get_type_hints(Milestone)["at"])
-    found = re.search(r'"event": "(\w+)"', inspect.getsource(kind.as_event))
-    if found is None:
-        raise ValueError(f"{kind.__name__}.as_event: expected the event's name in its source")
-    return (found[1],)
+    found = re.findall(r'"event": "(\w+)"', inspect.getsource(line))
+    if not found:
+        raise ValueError(f"{line.__qualname__}: expected the event's name in its source")
+    return found
 
 
 def event_table() -> str:
     """The lines of a trace: who writes them, their fields, and what their class says of them."""
     lines = ["| event | of | fields | what it says |", "|---|---|---|---|"]
-    for side, kind in EVENTS:
-        fields = ", ".join(f"`{name}`" for name in event_fields(kind) if name != "event")
+    for side, line, kind in EVENTS:
+        fields = ", ".join(f"`{name}`" for name in event_fields(line, kind) if name != "event")
         about = (inspect.getdoc(kind) or "").split("\n\nParameters")[0]
         said = " ".join(about.split()).replace("``", "`")
-        names = ", ".join(f"`{name}`" for name in event_names(kind))
+        names = ", ".join(f"`{name}`" for name in event_names(line))
         lines.append(f"| {names} | {side} | {fields} | {said} |")
     return "\n".join([*lines, ""])
 

@@ -69,6 +69,12 @@ class Actions(NamedTuple):
         """Whether there is anything to save."""
         return self.record is not None or self.offer is not None
 
+    @property
+    def for_tables(self) -> bool:
+        """Whether more than rows comes along: messages or symbols, in tables of theirs."""
+        more = self.queued is not None or self.received is not None
+        return more or bool(self.chunk) or self.drop_chunks
+
 
 NOTHING_TO_DO: Final = Actions()
 

@@ -272,11 +272,8 @@ class CountedTransition(NamedTuple):
     ``true_u`` are the ``truth``, for whoever judges the run. ``coin_key`` is the key that the
     plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
     coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
-    candidate that its own copy of that key chose: -1 where the transition is unwatched.
-
-    The last three tell of the frame that it completed: at the controller ``delivered``, the message
-    whose symbols are all counted; at the plant ``recovered``, the payload of a frame that passed
-    its check, or ``refused``, where it failed.
+    candidate that its own copy of that key chose: -1 where the transition is unwatched. The
+    last three are of the frame that it completed (:meth:`report`).
     """
 
     session: str
@@ -372,7 +369,11 @@ class CountedTransition(NamedTuple):
         )
 
     def report(self) -> dict[str, Any] | None:
-        """The line after the transition's in a trace, of the frame that it completed, if any."""
+        """The line behind the transition's, of the frame that it completed, if any.
+
+        ``delivered``: the controller has counted every symbol of it. ``recovered``: it passed its
+        check at the plant. ``refused``: it failed.
+        """
         if self.delivered is not None:
             payload = base64.b64encode(self.delivered.payload).decode()
             return {"event": "delivered", "id": self.delivered.id, "payload": payload}

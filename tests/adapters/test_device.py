@@ -26,8 +26,7 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions, Save
-from protocol.link.records import Step
+from protocol.link.peer import Actions
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
@@ -46,7 +45,7 @@ from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
 from tests.support.told import log_of
-from tests.support.twin_journals import TwinPlantJournal
+from tests.support.twin_journals import NO_STEP, TwinPlantJournal, step_of
 from wyner.api import load, vary
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
@@ -160,9 +159,9 @@ class Bench:
         """What `perform` does, step by step."""
         while True:
             self.events += actions.events
-            if actions.write is not None:
-                self.journal.write(actions.write)
-                self.device.calls.append("write" if isinstance(actions.write, Save) else "append")
+            if actions.saves:
+                self.journal.save(actions)
+                self.device.calls.append("write" if actions.record is not None else "append")
             self.published += [mail(m) for m in actions.publish if isinstance(m, Measurement)]
             if not actions.finish_step:
                 return
@@ -174,22 +173,18 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert bench.endpoint.plant.acts
     bench.device.calls.clear()
     actions = bench.offer(0.2)
-    assert isinstance(actions.write, Step)
-    assert actions.write.measurement is None
+    assert actions.offer is not None
+    assert actions.measurement is None
     assert bench.device.calls == []  # nothing moves before it is saved
     bench.do(actions)
     assert bench.device.calls == ["append", "apply"]
-    begun = bench.journal.step()
-    assert begun is not None
-    assert (begun.coin, begun.measurement) == (actions.write.coin, None)
+    assert step_of(bench.journal) == (actions.offer, actions.coin, None)
     bench.do(bench.endpoint.wake(0.9))
     assert "sample" not in bench.device.calls
     bench.published.clear()
     bench.do(bench.endpoint.wake(1.05))
     assert bench.device.calls == ["append", "apply", "sample", "append", "write"]
-    read = bench.journal.step()
-    assert read is not None
-    assert read.measurement is not None
+    assert bench.journal.measurement is not None
     (report,) = bench.published
     measurement = Measurement.model_validate_json(report.payload)
     assert (measurement.k, measurement.applied_k) == (1, 0)
@@ -246,13 +241,13 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     device = Device()
     bench = Bench(device)
     bench.do(bench.offer(0.2))  # applied, and then the process dies
-    begun = bench.journal.step()
-    assert begun is not None
+    offer, coin, _ = step_of(bench.journal)
+    assert offer is not None
     session = bench.record.session
     back = Bench(Device(), bench.journal)
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
-    assert event.coin == begun.coin
-    assert event.u == begun.offer.candidates[begun.coin]
+    assert event.coin == coin
+    assert event.u == offer.candidates[coin]
     assert (event.k, event.x_next) == (0, tuple(v / 2 for v in back.device.y))
     record = back.record
     assert (record.session, record.k, record.transitions, record.missed) == (session, 1, 0, 1)
@@ -265,8 +260,8 @@ def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
     bench = Bench(Device())
     bench.do(bench.offer(0.2))
     actions = bench.endpoint.wake(1.0)
-    assert isinstance(actions.write, Step)
-    bench.journal.write(actions.write)  # and then the process dies
+    assert actions.offer is not None
+    bench.journal.save(actions)  # and then the process dies
     back = Bench(Device(), bench.journal)
     assert back.record.transitions == 1
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
@@ -406,20 +401,20 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     """What is saved while a device acts names the step: after a death its input is not made up."""
     bench = Bench(Device(), TwinPlantJournal(), fallback=fallback)
     bench.do(bench.offer(0.2))
-    chosen = bench.journal.step()
-    assert chosen is not None
+    chosen = offer, coin, _ = step_of(bench.journal)
+    assert offer is not None
     if ends:
         bench.refuse(0.5)
     else:
         bench.greet(0.5)
-    assert bench.journal.step() == chosen
+    assert step_of(bench.journal) == chosen
     session = bench.record.session
     back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
-    assert (event.session, event.coin) == (session, chosen.coin)
-    assert event.u == chosen.offer.candidates[chosen.coin] != (0.0,)
+    assert (event.session, event.coin) == (session, coin)
+    assert event.u == offer.candidates[coin] != (0.0,)
     assert (back.record.transitions, back.record.missed) == (0, 1)
-    assert back.journal.step() is None
+    assert step_of(back.journal) == NO_STEP
     # whether the input was applied is not known: the plant is told what the step to come is given
     assert back.device.calls[:2] == ["start", "apply"]
     assert back.record.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)

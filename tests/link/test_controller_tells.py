@@ -12,11 +12,11 @@ from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.defence.key_digits import digits
 from protocol.link.coins import BATCH, LACKING_S
-from protocol.link.events import Alarm, Milestone, SessionBegan
+from protocol.link.events import Alarm, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
-from protocol.link.records import SenderRecord, Step
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
+from protocol.link.records import SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
     BlockAnnouncement,
@@ -39,7 +39,7 @@ from protocol.vectors import Vector
 from runtime.errors import USAGE
 from runtime.memory_journal import MemoryControllerJournal
 from tests.support.controller_in_hand import PERIOD_S, Zeros
-from tests.support.end_in_hand import EndInHand, fields
+from tests.support.end_in_hand import EndInHand, fields, kept
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -95,8 +95,10 @@ class Told(EndInHand[ControllerCore]):
     ) -> None:
         self.journal = MemoryControllerJournal()
         for number, payload in enumerate(payloads):
-            queued = Save(SenderRecord(), queued=(f"m{number}", payload))
-            self.journal.write(queued)
+            queued = Actions(
+                record=SenderRecord(), queued=SendCommand(id=f"m{number}", payload=payload)
+            )
+            self.journal.save(queued)
         law: Any = Law()
         self.telemetry = ControllerTelemetry(law, keys_refused="a secret of its own")
         super().__init__(
@@ -114,8 +116,8 @@ class Told(EndInHand[ControllerCore]):
         )
 
     def carry_out(self, actions: Actions) -> None:
-        if isinstance(actions.write, Save):
-            self.journal.write(actions.write)
+        if actions.record is not None:
+            self.journal.save(actions)
 
     def at_work(self, now: float = 0.0) -> "Told":
         """Its plant has asked it to take up the session of the journal."""
@@ -322,10 +324,11 @@ def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> N
     end.core.wake(0.0)
     end.hears(measurement(), 0.001)
     counted = end.all[1]
-    assert [type(event) for event in counted.events] == [CountedTransition, Milestone]
-    assert counted.events[1] == Milestone("delivered", b"a", "m0")
-    assert isinstance(counted.write, Save)
-    assert not counted.write.later
+    (transition,) = counted.events
+    assert isinstance(transition, CountedTransition)
+    assert transition.delivered == SendCommand(id="m0", payload=b"a")
+    assert counted.record is not None
+    assert not counted.later
     ((level, text),) = [(n.level, n.text) for n in counted.notices]
     assert level == "info"
     assert "m0" in text
@@ -351,8 +354,8 @@ def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> No
     assert end.core.status().detail == "no answer at 101"
     assert phase(end) == ("outside", True)
     assert answer.notices[0] == Notice("no answer at 101", "warning", "refusals")
-    assert isinstance(answer.write, Save)
-    assert not answer.write.later
+    assert answer.record is not None
+    assert not answer.later
     assert answer.publish == ()
     assert not answer.finish_step
     end.hears(measurement(k=5, applied_k=3, x=(0.0,), x_after=(101.0,)), 2.0)
@@ -407,7 +410,8 @@ def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
     stopped = end.core.stop(0.01)
     assert told(stopped)["phase"] == "stopped"
     assert stopped.health == stopped.publish[0]
-    assert (stopped.write, stopped.notices, stopped.events) == (None, (), ())
+    assert not stopped.saves
+    assert (stopped.notices, stopped.events) == ((), ())
 
 
 # --- alarms ---------------------------------------------------------------------------------------
@@ -469,8 +473,8 @@ TWO = (Key("k0", bytes(range(32))), Key("k1", bytes(range(32, 64))))
 DIGITS = digits(TWO[0].key, 2)
 
 
-def keyed(record: SenderRecord = AT_WORK, step: Step | None = None, keys: Any = TWO) -> Told:
-    return Told(COIN, record, coin_keys=keys, step=step).at_work()
+def keyed(record: SenderRecord = AT_WORK, keys: Any = TWO, **step: Any) -> Told:
+    return Told(COIN, record, coin_keys=keys, **step).at_work()
 
 
 def named(actions: Actions) -> tuple[str | None, int | None, str | None]:
@@ -503,12 +507,11 @@ def test_an_offer_names_the_key_its_first_step_and_the_newest_that_is_held() -> 
 def test_a_process_goes_on_with_the_newest_key_that_was_named(counted: bool) -> None:
     offer = OFFER.model_copy(update={"coin_key": "k1", "coin_from": 3, "coin_last": "k1"})
     record = AT_WORK._replace(offer=offer, coin_key="k1", coin_from=3)
-    step = None
+    end = keyed(record)
     if not counted:
         was = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
-        step = Step(offer, measurement=was)
         record = AT_WORK._replace(offer=None, k=2, coin_key="k0", coin_from=1)
-    end = keyed(record, step)
+        end = keyed(record, offer=offer, measurement=was)
     assert end.core.status().coin_keys == 0, "k0 is never named again"
     following = end.hears(keyed_measurement(applied_k=1, x=(0.0,), x_after=()), 1.0)
     assert named(following) == ("k1", 3, "k1")
@@ -663,12 +666,13 @@ def test_a_session_that_is_taken_up_is_told_once() -> None:
     assert (notice.level, notice.subject) == ("info", "")
     assert NEW in notice.text
     assert P in notice.text
-    assert isinstance(taken.write, Save)
-    assert taken.write.record == end.core.record
+    assert taken.record is not None
+    assert taken.record == end.core.record
     again = end.hears(hello(session=NEW), 2.0)
     assert again == Actions(publish=taken.publish)
     other = end.hears(hello(session=NEW, instance=Q), 3000.0)
-    assert (other.events, other.write) == ((), None)
+    assert other.events == ()
+    assert not other.saves
     assert len(other.notices) == 1
 
 
@@ -676,8 +680,8 @@ def test_who_greets_as_a_later_life_saves_that_before() -> None:
     end = Told()
     end.does(end.core.start(0.0))
     answer = end.hears(hello(controller=None, incarnation=5), 1.0)
-    assert isinstance(answer.write, Save)
-    assert answer.write.record == end.core.record
+    assert answer.record is not None
+    assert answer.record == end.core.record
     assert end.core.record.incarnation == 6
     (said,) = answer.publish
     assert isinstance(said, ControllerHello)
@@ -688,7 +692,7 @@ def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
     rows = [Contribution(j, 1, b"n" * 32, None) for j in (1, 2)]
     end = Told(KEYS, AT_WORK._replace(transitions=3), contributions=rows)
     began = end.does(end.core.start(0.0))
-    assert began.write == Save(end.core.record)
+    assert kept(began) == Actions(record=end.core.record)
     (closed,) = began.keys
     assert (type(closed).__name__, began.events, began.notices) == ("ClosedBlock", (), ())
 
@@ -716,9 +720,10 @@ def test_a_command_is_answered_with_how_many_wait() -> None:
         new = number < 2
         assert bool(reply.detail) == (not new)
         assert accepted or reply.detail.split(":")[0] in ("id", "message")
-        assert answer.events == ((Milestone("sent", payload, name),) if new else ())
-        written = Save(end.core.record, queued=(name, payload))
-        assert answer.write == (written if new else None)
+        command = SendCommand(id=name, payload=payload)
+        assert answer.events == ((command,) if new else ())
+        written = Actions(record=end.core.record, queued=command)
+        assert kept(answer) == (written if new else NOTHING_TO_DO)
         assert answer.notices == ()
     assert end.core.status().queue == 1
 
@@ -760,9 +765,9 @@ def test_a_word_on_blocks_is_answered_with_its_own() -> None:
     assert answer.keys == (BlockResult(S, 0, "confirmed"),)
     assert not answer.finish_step
     confirmed = end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0))
-    assert isinstance(confirmed.write, Save)
-    assert confirmed.write.record == end.core.record
-    assert confirmed.write.obsolete_rows, "the rows of a block that is confirmed go at once"
+    assert confirmed.record is not None
+    assert confirmed.record == end.core.record
+    assert confirmed.obsolete_rows, "the rows of a block that is confirmed go at once"
     status = end.core.status()
     assert (status.keys_made, status.keys_of_block, status.key_block_steps) == (5, 5, 2)
     assert status.key_blocks_waiting == 0
@@ -779,9 +784,9 @@ def test_a_word_that_is_not_the_plants_of_the_session_is_not_answered(
 
 def test_an_answer_that_announces_a_confirmed_block_lets_its_rows_go() -> None:
     end = keys_at_work()
-    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).write is None
+    assert not end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).saves
     answer = end.hears(word(), 2.0)
-    assert answer.write == Save(end.core.record, obsolete_rows=(range(1, 3),))
+    assert kept(answer) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
 
 
 def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
@@ -794,8 +799,8 @@ def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
     record = end.core.record
     assert (record.block, record.tag, record.offer) == (0, "a" * 32, offer)
     assert record.nonce == ""
-    counted = end.all[1].write
-    assert isinstance(counted, Save)
+    counted = end.all[1]
+    assert counted.record == record
     assert counted.contribution is not None
     assert counted.contribution.j == 4
     assert counted.later
@@ -815,17 +820,15 @@ def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
         assert end.core.record.session == (None if ended else S)
         if not ended:
             assert end.core.record.nonce == NONCE
-            assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0).write == Save(
-                end.core.record, obsolete_rows=(range(1, 3),)
-            )
+            done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0)
+            assert kept(done) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
 
 
 def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
     end = keys_at_work()
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0))
     end.hears(measurement(), 2.0)
-    counted = end.all[-1].write
-    assert isinstance(counted, Save)
+    counted = end.all[-1]
     assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
 
 
@@ -836,8 +839,8 @@ def test_a_block_that_differs_ends_the_session_once_the_keeper_knows() -> None:
     (_, ended) = end.all
     assert [type(event) for event in ended.events] == [SessionBegan]
     assert [(n.level, n.subject) for n in ended.notices] == [("warning", "refusals")]
-    assert isinstance(ended.write, Save)
-    assert ended.write.record.session is None
+    assert ended.record is not None
+    assert ended.record.session is None
     assert phase(end) == ("greeting", True)
     assert end.core.status().key_blocks_waiting == 0
 
@@ -851,12 +854,12 @@ def test_a_controller_that_stops_says_how_many_blocks_wait() -> None:
 
 def test_rows_of_confirmed_blocks_go_at_the_end_at_the_latest() -> None:
     end = keys_at_work()
-    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).write is None
+    assert not end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).saves
     end.core.receive(Measurement, measurement().wire(), 2.0)  # its answer announces the block
     stopped = end.core.stop(3.0)
-    assert isinstance(stopped.write, Save)
-    assert stopped.write.obsolete_rows
-    assert stopped.write.record == end.core.record
+    assert stopped.record is not None
+    assert stopped.obsolete_rows
+    assert stopped.record == end.core.record
 
 
 def test_a_broken_key_store_is_an_error_and_told_in_every_status() -> None:

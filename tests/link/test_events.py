@@ -11,17 +11,17 @@ from protocol.link.events import (
     AttackBegan,
     Event,
     Forged,
-    FrameRefused,
     Interrupted,
-    Milestone,
     Missed,
     SessionBegan,
     Timing,
+    lines,
 )
 from protocol.link.key_events import Appearances, BlockStored, key_events, key_notices
 from protocol.link.keying import Keying
 from protocol.link.peer import Notice
 from protocol.link.session import CountedTransition, Truth
+from protocol.messages import SendCommand
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.tasks import Broken, Done
@@ -66,6 +66,7 @@ TOLD = {
 }
 CENTRES = ((3.0,), (5.0,))
 BOX = Box((0.5,), (1.5,))
+COMMAND = SendCommand(id="m1", payload=b"a")
 ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
 
 
@@ -107,10 +108,7 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
                 "overruns": 1,
             },
         ),
-        (Milestone("sent", b"a", "m1"), {"event": "sent", "id": "m1", "payload": "YQ=="}),
-        (Milestone("delivered", b"a", "m1"), {"event": "delivered", "id": "m1", "payload": "YQ=="}),
-        (Milestone("recovered", b"a"), {"event": "recovered", "payload": "YQ=="}),
-        (FrameRefused(S, 7), {"event": "refused", "session": S, "p": 7}),
+        (COMMAND, {"event": "sent", "id": "m1", "payload": "YQ=="}),
         (
             BlockStored(S, 1, 5),
             {"event": "block", "session": S, "number": 1, "keys": 5, "signed": ""},
@@ -125,6 +123,24 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
 )
 def test_an_event_is_its_line(event: Event, line: dict[str, Any]) -> None:
     assert event.as_event() == line
+    assert lines(event) == (line,)
+
+
+@pytest.mark.parametrize(
+    ("what", "line"),
+    [
+        ({"delivered": COMMAND}, {"event": "delivered", "id": "m1", "payload": "YQ=="}),
+        ({"recovered": b"a"}, {"event": "recovered", "payload": "YQ=="}),
+        ({"recovered": b""}, {"event": "recovered", "payload": ""}),
+        ({"refused": True}, {"event": "refused", "session": S, "p": 4}),
+    ],
+)
+def test_a_transition_reports_on_the_frame_that_it_completed(
+    what: dict[str, Any], line: dict[str, Any]
+) -> None:
+    completed = TRANSITION._replace(**what)
+    assert lines(completed) == (TOLD, line)
+    assert completed.shared == TRANSITION, "the report is that of one side"
 
 
 @pytest.mark.parametrize("at", ["sensor", "bus", "actuator"])

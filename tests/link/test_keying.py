@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -11,7 +12,7 @@ from protocol.link.key_events import Appearances, appeared
 from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
@@ -319,7 +320,7 @@ ROWS = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
 RULES = replace(line_rules(alpha=4.0, largest_input=5.0), schedule=SCHEDULE)
 
 
-def sender(record: SenderRecord, step: Step | None = None) -> ControllerCore:
+def sender(record: SenderRecord, **step: Any) -> ControllerCore:
     draws = iter(NONCES[2:])
     return ControllerCore(
         RULES,
@@ -329,15 +330,15 @@ def sender(record: SenderRecord, step: Step | None = None) -> ControllerCore:
         instance=OTHER,
         period_s=PERIOD_S,
         record=record,
-        step=step,
         contributions=ROWS,
         nonces=lambda: next(draws),
+        **step,
     )
 
 
 def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCore:
     draws = iter(NONCES[2:])
-    step = None if word is None else Step(offer(), 0, word)
+    step: dict[str, Any] = {"offer": offer(), "tossed": 0, "report": word} if word else {}
     line = ScriptedLine()
     return PlantCore(
         RULES,
@@ -350,8 +351,8 @@ def receiver(record: ReceiverRecord, word: Measurement | None = None) -> PlantCo
         instance=OTHER,
         record=record,
         contributions=ROWS,
-        step=step,
         nonces=lambda: next(draws),
+        **step,
     )
 
 
@@ -365,7 +366,7 @@ AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=T
         (lambda: sender(AS_SENDER), (0, TAG)),
         (
             lambda: sender(
-                AS_SENDER, Step(offer(block=1, tag=THEIRS), measurement=said(-1, NO_TAG))
+                AS_SENDER, offer=offer(block=1, tag=THEIRS), measurement=said(-1, NO_TAG)
             ),
             (1, THEIRS),
         ),

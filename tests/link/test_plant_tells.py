@@ -23,17 +23,15 @@ from protocol.defence.key_digits import digits
 from protocol.link.events import (
     NEW_JOURNAL,
     AttackBegan,
-    FrameRefused,
     Interrupted,
-    Milestone,
     Missed,
     SessionBegan,
     Timing,
 )
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Save
-from protocol.link.records import ReceiverRecord, Step
+from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -55,7 +53,7 @@ from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
 from runtime.errors import DONE, USAGE
-from tests.support.end_in_hand import EndInHand, fields
+from tests.support.end_in_hand import EndInHand, fields, kept
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -195,7 +193,7 @@ def test_the_first_actions_say_which_session_it_is_and_save_a_new_one(
     assert session.session == S
     assert (session.reason == NEW_JOURNAL) == fresh
     assert others == ([] if attack is None else [attack])
-    assert began == Actions(events=began.events, write=Save(end.core.record) if fresh else None)
+    assert began == Actions(events=began.events, record=end.core.record if fresh else None)
 
 
 REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
@@ -204,7 +202,7 @@ REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
 def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
     machine = Machine()
     machine.truth = TRUTH
-    end = Told(machine=machine, step=Step(OFFER, 0, REPORT))
+    end = Told(machine=machine, offer=OFFER, tossed=0, report=REPORT)
     end.does(end.core.start(0.0))
     first, second = end.all
     assert first.finish_step
@@ -216,14 +214,16 @@ def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
     assert end.core.measured_k == -1
 
 
-@pytest.mark.parametrize("begun", [None, Step(OFFER, 1)])
-def test_the_step_in_which_a_process_died_is_missed_and_told(begun: Step | None) -> None:
+@pytest.mark.parametrize("of", ["", S, T])
+def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
+    """Once: another life would count it again. Its session may have ended since."""
+    known = bool(of)
     machine = Machine(acts=True, device=True)
     machine.truth = TRUTH
-    end = Told(machine=machine, step=begun, back=(9.0,))
+    begun: dict[str, Any] = {"offer": offer(session=of), "tossed": 1} if known else {}
+    end = Told(machine=machine, **begun, back=(9.0,))
     began = end.core.start(0.0)
     assert [type(e) for e in began.events] == [SessionBegan, Interrupted]
-    known = begun is not None
     assert began.events[1] == Interrupted(
         session=S,
         k=3,
@@ -234,7 +234,7 @@ def test_the_step_in_which_a_process_died_is_missed_and_told(begun: Step | None)
         coin=1 if known else -1,
         truth=TRUTH,
     )
-    assert began.write == Save(end.core.record)
+    assert kept(began) == Actions(record=end.core.record)
     record = end.core.record
     assert (record.k, record.x, record.missed, record.transitions) == (4, (9.0,), 1, 2)
     assert record.u == machine.fallback, "the fallback is in force"
@@ -247,16 +247,16 @@ def test_the_step_in_which_a_process_died_is_missed_and_told(begun: Step | None)
 
 def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() -> None:
     machine = Machine(acts=True, device=True)
-    end = Told(machine=machine, step=Step(OFFER, 0, REPORT), back=(9.0,))
+    end = Told(machine=machine, offer=OFFER, tossed=0, report=REPORT, back=(9.0,))
     end.does(end.core.start(0.0))
     _, after = end.all
     assert [type(e) for e in after.events] == [CountedTransition, Interrupted]
     interrupted = after.events[1]
     assert isinstance(interrupted, Interrupted)
     assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
-    assert isinstance(after.write, Save)
-    assert after.write.record == end.core.record
-    assert not after.write.later
+    assert after.record is not None
+    assert after.record == end.core.record
+    assert not after.later
     assert end.core.record.k == 5
     end.machine.x_next = (2.0,)
     end.core.receive(ControllerHello, hello().wire(), 1.0)
@@ -473,7 +473,7 @@ def test_a_session_that_is_taken_up_is_told_once(news: PlantTelemetry) -> None:
     end.does(end.core.start(0.0))
     assert end.core.status(0.0).phase == "greeting"
     asks = end.hears(hello(), 0.0)
-    assert asks == Actions(write=Save(end.core.record), publish=asks.publish)
+    assert asks == Actions(record=end.core.record, publish=asks.publish)
     (asked,) = asks.publish
     assert asked == PlantHello(
         instance=P,
@@ -554,7 +554,7 @@ def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     (began,) = actions.events
     assert isinstance(began, SessionBegan)
     assert (began.session, bool(began.reason)) == (NEW, True)
-    assert actions.write == Save(end.core.record, drop_chunks=True)
+    assert kept(actions) == Actions(record=end.core.record, drop_chunks=True)
     assert end.core.record == ReceiverRecord(
         session=NEW,
         k=3,
@@ -620,11 +620,11 @@ def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
         ("prepare", 4),
     ]
     first, second = end.all
-    assert isinstance(first.write, Step)
-    assert (first.write.coin, first.finish_step) == (0, True)
-    assert first.write.measurement is not None
-    assert (first.write.measurement.k, first.write.measurement.applied_k) == (4, 3)
-    assert second.write == Save(end.core.record, later=True)
+    assert first.offer is not None
+    assert (first.coin, first.finish_step) == (0, True)
+    assert first.measurement is not None
+    assert (first.measurement.k, first.measurement.applied_k) == (4, 3)
+    assert kept(second) == Actions(record=end.core.record, later=True)
 
 
 def test_a_plant_that_acts_saves_its_coin_before() -> None:
@@ -632,7 +632,7 @@ def test_a_plant_that_acts_saves_its_coin_before() -> None:
     machine.coin = 1
     end = Told(machine=machine).met()
     begun = end.core.receive(Offer, OFFER.wire(), 0.25)
-    assert begun == Actions(write=Step(OFFER, 1), finish_step=True)
+    assert begun == Actions(offer=OFFER, coin=1, finish_step=True)
     assert machine.asked == [("toss", 2)]
     assert end.core.under_way == OFFER
     assert end.core.finish_step() == NOTHING_TO_DO
@@ -640,8 +640,8 @@ def test_a_plant_that_acts_saves_its_coin_before() -> None:
     over = end.core.wake(1.0)
     assert machine.asked[2:] == [("end", 3)]
     (report,) = published(over, Measurement)
-    assert isinstance(over.write, Step)
-    assert over.write.measurement == report
+    assert over.offer is not None
+    assert over.measurement == report
     counted = end.core.finish_step()
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
@@ -672,7 +672,7 @@ def test_a_fallback_that_is_in_force_is_not_applied_once_more() -> None:
     end = Told(machine=machine).met()
     end.wakes(1.0)
     assert [what for what, *_ in machine.asked] == ["end", "fall back"]
-    dead = Told(machine=Machine(acts=True, device=True), step=Step(OFFER, 0), back=(9.0,))
+    dead = Told(machine=Machine(acts=True, device=True), offer=OFFER, tossed=0, back=(9.0,))
     dead.machine.fallback = (1.5,)
     dead.does(dead.core.start(0.0))
     assert dead.machine.asked[-1][0] == "begin", "whether it is in force nobody knows"
@@ -684,16 +684,14 @@ def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
     end = Told(machine=machine).met()
     end.hears(OFFER, 0.25)
     end.hears(hello(verdict="unknown-session", answers=P), 0.5)
-    saved = end.all[-1].write
-    assert isinstance(saved, Save)
-    assert isinstance(saved.record, ReceiverRecord)
-    assert saved.record.begun == Step(OFFER, 1)
+    saved = Actions(record=end.core.record, offer=OFFER, coin=1, drop_chunks=True)
+    assert kept(end.all[-1]) == saved
     end.all.clear()
     machine.asked.clear()
     actions = end.wakes(1.0)
     told = Interrupted(NEW, 3, (0.0,), (-1.5,), (4.0,), CANDIDATES, 1, TRUTH)
     assert actions.events == (told,)
-    assert actions.write == Save(end.core.record)
+    assert kept(actions) == Actions(record=end.core.record)
     assert end.core.under_way is None
     assert (end.core.record.missed, end.core.record.u) == (1, machine.fallback)
     assert machine.asked == [
@@ -722,20 +720,20 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     end = Told(record=record, telemetry=news).met()
     end.hears(offer(cipher=last ^ flipped), 0.25)
     counted = end.all[-1]
-    transition, event = counted.events
+    (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     (notice,) = counted.notices
     assert notice.subject == ""
     received = None if flipped else b"a"
+    assert (transition.recovered, transition.refused) == (received, bool(flipped))
+    assert transition.p == len(symbols) + 1
     if flipped:
-        assert event == FrameRefused(S, len(symbols) + 1)
         assert notice.level == "error"
     else:
-        assert event == Milestone("recovered", b"a")
         assert notice.level == "info"
         assert "3" in notice.text
         assert "1 bytes" in notice.text
-    assert counted.write == Save(end.core.record, drop_chunks=True, received=received)
+    assert kept(counted) == Actions(record=end.core.record, drop_chunks=True, received=received)
     status = end.core.status(0.0)
     assert (status.messages, status.frames_refused) == (1 - flipped, flipped)
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
@@ -917,13 +915,20 @@ def test_a_process_binds_the_newest_key_that_may_have_served(measured: bool, app
     """Of a step that was begun and not read nobody knows whether its key chose."""
     report = REPORT.model_copy(update={"applied_key": applied}) if measured else None
     record = RECORD._replace(coin_key="", coin_from=-1)
-    begun = Step(keyed("k0", 3), 0, report)
+    begun: dict[str, Any] = {"offer": keyed("k0", 3), "tossed": 0, "report": report}
     machine = Machine(acts=True, device=True)
-    end = Told(COIN, record, machine=machine, step=begun, coin_keys=TWO, back=(9.0,))
+    end = Told(COIN, record, machine=machine, **begun, coin_keys=TWO, back=(9.0,))
     end.does(end.core.start(0.0))
     bound = not measured or applied
     assert (end.core.coins.key, end.core.coins.first) == (("k0", 3) if bound else ("", -1))
-    other = Told(COIN, RECORD, step=Step(keyed("k0", 3, session=T), 0), coin_keys=TWO, back=(9.0,))
+    other = Told(
+        COIN,
+        RECORD,
+        offer=keyed("k0", 3, session=T),
+        tossed=0,
+        coin_keys=TWO,
+        back=(9.0,),
+    )
     assert other.core.coins.key == ""
 
 
@@ -989,21 +994,21 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     counted = end.all[-1]
     judged = BlockResult(S, 0, "confirmed" if right else "unequal")
     assert counted.keys == (judged,)
-    assert isinstance(counted.write, Save)
+    assert counted.record is not None
     if right:
         assert counted.notices == ()
-        assert (counted.write.later, counted.write.obsolete_rows) == (True, ())
-        assert counted.write.contribution is not None
-        assert counted.write.contribution.j == 4
+        assert (counted.later, counted.obsolete_rows) == (True, ())
+        assert counted.contribution is not None
+        assert counted.contribution.j == 4
         assert (end.core.record.session, end.core.record.block) == (S, 0)
         done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5)
-        assert done.write == Save(end.core.record, obsolete_rows=(range(1, 3),))
+        assert kept(done) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
         return
     assert [type(e) for e in counted.events] == [CountedTransition, SessionBegan]
     assert [(n.level, n.subject) for n in counted.notices] == [("error", "")]
     assert NEW in counted.notices[0].text
     assert end.core.record.session == NEW
-    assert counted.write == Save(end.core.record, drop_chunks=True)
+    assert kept(counted) == Actions(record=end.core.record, drop_chunks=True)
     assert [type(m) for m in counted.publish] == [PlantHello]
 
 
@@ -1011,8 +1016,7 @@ def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> No
     end = keys_at_work()
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.1))
     end.hears(offer(k=5, nonce=NONCE), 0.25)
-    counted = end.all[-1].write
-    assert isinstance(counted, Save)
+    counted = end.all[-1]
     assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
 
 
@@ -1045,12 +1049,11 @@ def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
         end = Told(KEYS, record, contributions=rows(4)).met()
         end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
         end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
-        write = end.all[-1].write
-        assert isinstance(write, Save)
+        counted = end.all[-1]
         differs = tag[0] == "c"
-        assert len(write.chunk) == (0 if differs else CHUNK_SYMBOLS)
-        assert write.drop_chunks == differs
-        assert not write.later
+        assert len(counted.chunk) == (0 if differs else CHUNK_SYMBOLS)
+        assert counted.drop_chunks == differs
+        assert not counted.later
         assert end.core.record.partial == ""
 
 
@@ -1070,8 +1073,8 @@ def test_a_missed_step_takes_rows_along_that_may_go() -> None:
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5))
     end.wakes(1.0)  # missed: its measurement announces the block
     assert end.core.record.block == 0
-    (write,) = [a.write for a in end.all if isinstance(a.write, Save)]
-    assert write.obsolete_rows == (range(1, 3),)
+    (saving,) = [actions for actions in end.all if actions.saves]
+    assert saving.obsolete_rows == (range(1, 3),)
 
 
 def test_a_plant_that_stops_says_how_many_blocks_wait() -> None:
@@ -1208,7 +1211,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     assert isinstance(status, PlantStatus)
     assert (status.phase, status.k) == ("stopped", 4)
     assert stopped.health == status, "the last status is kept"
-    assert stopped.write is None
+    assert not stopped.saves
 
 
 def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:

@@ -8,8 +8,7 @@ import pytest
 
 from controller_service.core import REMEMBERED_SESSIONS, STALE
 from protocol.agreement import INSIDE, AgreementRule, Gauge
-from protocol.link.events import FrameRefused
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import encode_frame
@@ -284,7 +283,9 @@ def test_where_the_law_has_no_answer_the_row_of_the_transition_is_saved() -> Non
     """A process that dies there would make another key block than the plant."""
     rules = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
     row = Contribution(1, 1, b"n" * 32, None)
-    sender = ControllerInHand(rules, propose, A, RECORD._replace(incarnation=0), None, [row])
+    sender = ControllerInHand(
+        rules, propose, A, RECORD._replace(incarnation=0), contributions=[row]
+    )
     sender.heard_plant(hello(transitions=2, applied_k=1))
     counted = sender.measured(measurement(x=(101.0,)))
     assert counted.save
@@ -442,15 +443,6 @@ def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
     assert not receiver.refused
 
 
-def test_a_step_that_a_new_session_found_under_way_is_kept_until_it_was_looked_at_once() -> None:
-    """Another life would take it for its own, and count it as interrupted once more."""
-    begun = Step(OFFER.model_copy(update={"session": T}), 0)
-    receiver = PlantInHand(RULES, P, AT_THE_PLANT._replace(begun=begun))
-    receiver.missed((0.0,), (0.0,))
-    assert [saved.record for saved in receiver.saved] == [receiver.record]
-    assert receiver.record.begun is None
-
-
 @pytest.mark.parametrize(("flipped", "refused"), [(0, 0), (1, 1)])
 def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int) -> None:
     *symbols, last = encode_frame(b"a", 2)
@@ -458,10 +450,10 @@ def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int)
         state=(2, 0), partial="".join(map(str, symbols)), messages=3, frames_refused=5
     )
     receiver = PlantInHand(RULES, P, record)
-    receiver.applied(OFFER.model_copy(update={"cipher": last ^ flipped}), 0, (1.5,))
+    counted = receiver.applied(OFFER.model_copy(update={"cipher": last ^ flipped}), 0, (1.5,))
     (saved,) = receiver.saved
     assert (saved.received, saved.drop_chunks) == (None if refused else b"a", True)
-    assert any(isinstance(event, FrameRefused) for event in receiver.events) == refused
+    assert (counted.recovered, counted.refused) == (saved.received, bool(refused))
     after = receiver.record
     assert (after.messages, after.frames_refused) == (4 - refused, 5 + refused)
     assert (after.partial, saved.chunk) == ("", "")

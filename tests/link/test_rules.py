@@ -11,10 +11,10 @@ from protocol.defence.alarm_rule import AT_ONCE
 from protocol.defence.base import Defence
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
-from protocol.link.peer import Save
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, Truth, rules_of
-from protocol.messages import Offer
+from protocol.messages import Offer, SendCommand
 from protocol.schemes.base import Carry
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
@@ -308,7 +308,7 @@ def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
     assert set(failed) == {"true_x_next", "true_u", "attack_failed"}
 
 
-# --- what is written ------------------------------------------------------------------------------
+# --- what is saved -------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -316,7 +316,7 @@ def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
     [
         ({}, False),
         ({"later": True, "contribution": ROW, "obsolete_rows": (range(2),)}, False),
-        ({"queued": ("m", b"")}, True),
+        ({"queued": SendCommand(id="m", payload=b"")}, True),
         ({"received": b""}, True),
         ({"chunk": "01"}, True),
         ({"drop_chunks": True}, True),
@@ -325,9 +325,8 @@ def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
 def test_messages_and_symbols_have_tables_of_their_own(
     more: dict[str, Any], for_tables: bool
 ) -> None:
-    assert Save(SenderRecord(), **more).for_tables is for_tables
+    assert Actions(record=SenderRecord(), **more).for_tables is for_tables
 
 
-def test_a_step_has_the_input_that_the_coin_chose() -> None:
-    assert [Step(OFFER, coin).u for coin in (0, 1)] == [(1.5,), (-1.5,)]
+def test_a_records_state_says_what_the_automaton_is_doing() -> None:
     assert SenderRecord(state=(3, 1)).s == ReceiverRecord(S, 0, (), (), state=(3, 1)).s == 3

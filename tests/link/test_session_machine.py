@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from protocol.link.events import Event, FrameRefused, SessionBegan
-from protocol.link.peer import Actions, Save, Write
+from protocol.link.events import Event, SessionBegan
+from protocol.link.peer import Actions
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Offer, PlantHello
@@ -105,23 +105,23 @@ class Ends(LineEnds):
             self._offered.append(Offer.model_validate_json(message.payload))
         super().said(side, message)
 
-    def wrote(self, side: Name, write: Write) -> None:
-        super().wrote(side, write)
-        if isinstance(write, Save) and write.received is not None:
-            self.ever.append(write.received)
+    def saved(self, side: Name, actions: Actions) -> None:
+        super().saved(side, actions)
+        if actions.received is not None:
+            self.ever.append(actions.received)
 
     def traced(self, side: Name, event: Event) -> None:
         if side == "plant" and self.device is not None:
             self.device.look(event, alive=not self._starting)
-        assert not isinstance(event, FrameRefused)
         if isinstance(event, SessionBegan) and event.session is not None:
             grown = any(session != event.session for session, _ in self.got)
             excused = self.forgot or self.late_hello
             assert excused or not grown, "a session ended with both journals there"
         if not isinstance(event, CountedTransition):
             return
+        assert not event.refused
         if side != "plant":
-            self.sent[event.session, event.j] = event
+            self.sent[event.session, event.j] = event.shared
             return
         t = event.shared
         assert t.session == self.plant.record.session, "a step counts in another session"

@@ -7,8 +7,8 @@ import pytest
 
 from controller_service.core import INITIAL_ID, ControllerCore
 from plant_service.status import PlantTelemetry
-from protocol.link.events import Milestone, Missed, SessionBegan, Timing
-from protocol.link.peer import Actions, Save
+from protocol.link.events import Missed, SessionBegan, Timing
+from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
 from protocol.messages import (
@@ -19,6 +19,7 @@ from protocol.messages import (
     Offer,
     PlantHello,
     PlantStatus,
+    SendCommand,
 )
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
@@ -63,19 +64,20 @@ def first_words(core: ControllerCore) -> list[Actions]:
     return said
 
 
-def queued(said: list[Actions]) -> list[tuple[str, bytes]]:
-    return [a.write.queued for a in said if isinstance(a.write, Save) and a.write.queued]
+def queued(said: list[Actions]) -> list[SendCommand]:
+    return [actions.queued for actions in said if actions.queued is not None]
 
 
 def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_greets() -> None:
     journal = MemoryControllerJournal()
     said = first_words(controller(journal, b"hi"))
-    assert queued(said) == [(INITIAL_ID, b"hi")]
-    assert said[0].events == (Milestone("sent", b"hi", INITIAL_ID),)
+    command = SendCommand(id=INITIAL_ID, payload=b"hi")
+    assert queued(said) == [command]
+    assert said[0].events == (command,)
     assert [type(message) for actions in said for message in actions.publish] == [ControllerHello]
     for actions in said:
-        if actions.write is not None:
-            journal.write(actions.write)
+        if actions.saves:
+            journal.save(actions)
     again = first_words(controller(journal, b"hi", journal.load()))
     assert queued(again) == []
     assert [type(message) for message in again[-1].publish] == [ControllerHello]
@@ -112,8 +114,8 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
     assert offers(controller(MemoryControllerJournal(), None, record, HALTING))
     core = controller(MemoryControllerJournal(), None, record, HALTING)
     halted = core.halt()
-    assert isinstance(halted.write, Save)
-    kept = halted.write.record
+    assert halted.record is not None
+    kept = halted.record
     assert isinstance(kept, SenderRecord)
     assert (
         kept
@@ -137,8 +139,8 @@ def test_a_controller_whose_keys_are_gone_leaves_the_session_and_greets() -> Non
     assert began.session is None
     assert core.record.session is None
     assert core.record.ended == (S,)
-    assert isinstance(ended.write, Save)
-    assert ended.write.record == core.record
+    assert ended.record is not None
+    assert ended.record == core.record
     assert [n.subject for n in ended.notices] == ["refusals"]
     (greets,) = core.receive(Measurement, REPORTED.wire(), 100.0).publish
     assert isinstance(greets, ControllerHello)

@@ -14,9 +14,9 @@ import pytest
 
 from plant_service.core import CHUNK_SYMBOLS
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
-from protocol.messages import Measurement, Offer
+from protocol.messages import Measurement, Offer, SendCommand
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import IDLE, encode_frame
 from protocol.schemes.pipelined import Pipelined
@@ -90,7 +90,7 @@ class Ends:
         self.meet()
         self.compare()
 
-    def controller(self, record: SenderRecord | None, step: Step | None = None) -> ControllerInHand:
+    def controller(self, record: SenderRecord | None, **step: Any) -> ControllerInHand:
         """A process of it, with the rows that its journal has."""
         counted = [row for row in self.rows if record is not None and row.j < record.transitions]
         return ControllerInHand(
@@ -98,10 +98,10 @@ class Ends:
             self.propose,
             CONTROLLER,
             record,
-            step,
-            counted,
+            contributions=counted,
             messages=Outbox(),
             fresh=self.draws,
+            **step,
         )
 
     def meet(self) -> None:
@@ -177,7 +177,7 @@ class Ends:
         assert offer is not None
         assert effects == Done(append=True, offer=offer)
         if self.random.random() < 0.1:  # it dies once it has saved that
-            self.sender = self.controller(self.said, Step(offer, measurement=measurement))
+            self.sender = self.controller(self.said, offer=offer, measurement=measurement)
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         self.finish_step(measurement, offer)
         assert offer == Offer(
@@ -235,9 +235,14 @@ class Ends:
                 message=message,
                 offset=within + framed,
             )
+        if counted is not None:
+            counted = counted.shared
+        if counted is not None and delivered is not None:
+            command = SendCommand(id=str(delivered), payload=PAYLOADS[delivered])
+            counted = counted._replace(delivered=command)
         assert self.sender.finish_step() == Done(
             save=delivered is not None,
-            transition=None if counted is None else counted.shared,
+            transition=counted,
             delivered=None if delivered is None else str(delivered),
             contribution=contribution,
         )
@@ -273,6 +278,7 @@ class Ends:
                 None if offer.copy_number else as_bytes(original.nonce),
                 None if offer.heard else as_bytes(self.said.nonce),
             )
+        frame, partial, chunk = self.frame(p, carried, m)
         self.uncounted = CountedTransition(
             session=SESSION,
             j=before.transitions,
@@ -292,8 +298,8 @@ class Ends:
             counts=counts,
             coin=coin,
             u=offer.candidates[coin],
+            recovered=frame,
         )
-        frame, partial, chunk = self.frame(p, carried, m)
         self.kept = before._replace(
             k=before.k + 1,
             x=x_next,
@@ -315,7 +321,16 @@ class Ends:
         self.woke = False
         if self.random.random() < 0.2:  # it dies before it has counted
             record, step = self.receiver.record, self.receiver.dies_over(offer, coin, x_next)
-            self.receiver = PlantInHand(self.rules, PLANT, record, self.chunks, rows, step)
+            self.receiver = PlantInHand(
+                self.rules,
+                PLANT,
+                record,
+                self.chunks,
+                rows,
+                offer=step.offer,
+                tossed=step.coin,
+                report=step.measurement,
+            )
             self.woke = self.keys
             counted = [e for e in self.receiver.events if isinstance(e, CountedTransition)]
         else:
@@ -325,7 +340,7 @@ class Ends:
         assert (saved.chunk, saved.received) == (chunk, frame)
         assert saved.drop_chunks == (frame is not None)
         assert saved.contribution == self.contribution
-        assert self.receiver.appended is None or self.receiver.appended.coin == coin
+        assert self.receiver.step is None or self.receiver.step.coin == coin
         self.chunks = "" if frame is not None else self.chunks + chunk
         if not self.receiver.accepted:
             self.meet()

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
+from protocol.link.peer import NOTHING_TO_DO, Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.controller_in_hand import ControllerInHand, Done
@@ -52,11 +53,10 @@ class Link:
         self.draws = Draws()
         self.instances = 0
         self.sessions = 1
-        self.saved_sender: tuple[SenderRecord | None, Step | None]
-        self.saved_sender = (None, None)
+        self.saved_sender: tuple[SenderRecord | None, Actions] = (None, NOTHING_TO_DO)
         self.sender = self.new_sender(None)
         first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-        self.saved_receiver: tuple[ReceiverRecord, Step | None] = (first, None)
+        self.saved_receiver: tuple[ReceiverRecord, Actions] = (first, NOTHING_TO_DO)
         self.receiver = self.new_receiver(first)
         self.measurement: Measurement | None = None
         self.measured: list[Measurement] = []
@@ -72,19 +72,29 @@ class Link:
         self.instances += 1
         return f"{self.instances:016x}"
 
-    def new_sender(self, record: SenderRecord | None, step: Step | None = None) -> ControllerInHand:
+    def new_sender(
+        self, record: SenderRecord | None, step: Actions = NOTHING_TO_DO
+    ) -> ControllerInHand:
         return ControllerInHand(
             RULES,
             propose,
             self.instance(),
             record,
-            step,
+            step.measurement,
+            step.offer,
             messages=self.queue,
             fresh=self.draws,
         )
 
-    def new_receiver(self, record: ReceiverRecord, step: Step | None = None) -> PlantInHand:
-        return PlantInHand(RULES, self.instance(), record, step=step)
+    def new_receiver(self, record: ReceiverRecord, step: Actions = NOTHING_TO_DO) -> PlantInHand:
+        return PlantInHand(
+            RULES,
+            self.instance(),
+            record,
+            offer=step.offer,
+            tossed=step.coin,
+            report=step.measurement,
+        )
 
     # --- commands ---------------------------------------------------------------------------------
 
@@ -120,7 +130,7 @@ class Link:
         self.sessions += 1
         outcome = self.receiver.heard_controller(said, self.session_id())
         if outcome in ("greet", "ended"):
-            self.saved_receiver = (self.receiver.record, None)
+            self.saved_receiver = (self.receiver.record, NOTHING_TO_DO)
         if outcome == "ended":
             self.say("plant", f"begins session {self.sessions}")
         else:
@@ -148,7 +158,7 @@ class Link:
             assert effects.offer is not None
             self.saved_sender = (
                 self.sender.record,
-                Step(effects.offer, measurement=self.measurement),
+                Actions(offer=effects.offer, measurement=self.measurement),
             )
         if how == "and dies before sending":
             self.say("controller", "has saved, and dies before it has sent")
@@ -176,7 +186,7 @@ class Link:
         if effects.transition is not None:
             self.tell("controller", effects.transition)
         if effects.save:
-            self.saved_sender = (self.sender.record, None)
+            self.saved_sender = (self.sender.record, NOTHING_TO_DO)
         if effects.delivered is not None:
             self.say("controller", f"message {effects.delivered} is delivered")
 
@@ -200,13 +210,14 @@ class Link:
             return
         before = self.receiver.record
         transition = self.receiver.applied(self.offer, coin, x_next)
+        assert self.receiver.step is not None
         self.saved_receiver = (before, self.receiver.step)
         self.tell("plant", transition, f"b_r={coin}, ")
 
     def miss(self, d: float) -> None:
         record = self.receiver.record
         self.receiver.missed(record.u, (record.x[0] + record.u[0] + d,))
-        self.saved_receiver = (self.receiver.record, None)
+        self.saved_receiver = (self.receiver.record, NOTHING_TO_DO)
         self.say("plant", f"no offer in time: holds u={record.u[0]:g}")
 
     def tell(self, who: str, t: CountedTransition, more: str = "") -> None:
@@ -251,7 +262,7 @@ class Link:
                 if self.sender.unfinished:
                     self.finished(self.sender.finish_step())
             case ["controller", "forgets"]:
-                self.saved_sender = (None, None)
+                self.saved_sender = (None, NOTHING_TO_DO)
                 self.sender = self.new_sender(None)
             case ["plant", "restarts"]:
                 self.receiver = self.new_receiver(*self.saved_receiver)
@@ -261,7 +272,7 @@ class Link:
             case ["plant", "forgets"]:
                 self.sessions += 1
                 first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-                self.saved_receiver = (first, None)
+                self.saved_receiver = (first, NOTHING_TO_DO)
                 self.receiver = self.new_receiver(first)
             case _:
                 raise AssertionError(f"no such command: {command}")

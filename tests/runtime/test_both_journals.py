@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.peer import Save
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
-from protocol.messages import Measurement, Offer
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
 from runtime.journal import ControllerJournal, PlantJournal, ReceiverJournal, SenderJournal
 from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
@@ -62,7 +62,8 @@ def test_a_new_journal_has_nothing(
     plant: PlantAfterDeath, controller: ControllerAfterDeath
 ) -> None:
     for journal in (plant(), controller()):
-        assert (journal.load(), journal.step(), journal.contributions(SESSION)) == (None, None, [])
+        assert (journal.load(), journal.contributions(SESSION)) == (None, [])
+        assert (journal.offer, journal.measurement) == (None, None)
     assert (plant().chunks(), plant().inbox()) == ("", [])
     assert (controller().queued, controller().payload(0), controller().queued_as("a")) == (
         0,
@@ -75,67 +76,77 @@ def test_a_step_comes_back_with_the_record_before_it_until_the_next_record(
     plant: PlantAfterDeath, controller: ControllerAfterDeath
 ) -> None:
     journal = plant()
-    journal.write(Save(RECEIVER))
-    journal.write(Step(OFFER, 1, MEASUREMENT))
+    journal.save(Actions(record=RECEIVER))
+    journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
     queue = controller()
-    queue.write(Save(SENDER))
-    queue.write(Step(OFFER, measurement=MEASUREMENT))
+    queue.save(Actions(record=SENDER))
+    queue.save(Actions(offer=OFFER, measurement=MEASUREMENT))
     journal = plant()
-    assert (journal.load(), journal.step()) == (RECEIVER, Step(OFFER, 1, MEASUREMENT))
-    assert (controller().load(), controller().step()) == (
-        SENDER,
-        Step(OFFER, measurement=MEASUREMENT),
-    )
-    journal.write(Save(RECEIVER._replace(k=5)))
-    assert (plant().load(), plant().step()) == (RECEIVER._replace(k=5), None)
+    assert journal.load() == RECEIVER
+    assert (journal.offer, journal.coin, journal.measurement) == (OFFER, 1, MEASUREMENT)
+    queue = controller()
+    assert queue.load() == SENDER
+    assert (queue.offer, queue.measurement) == (OFFER, MEASUREMENT)
+    journal.save(Actions(record=RECEIVER._replace(k=5)))
+    journal = plant()
+    assert journal.load() == RECEIVER._replace(k=5)
+    assert (journal.offer, journal.measurement) == (None, None)
 
 
 def test_a_staged_record_and_its_row_are_lost_with_the_process(plant: PlantAfterDeath) -> None:
-    plant().write(Save(RECEIVER, contribution=row(3)))
-    plant().write(Save(RECEIVER._replace(k=5), later=True, contribution=row(4)))
+    plant().save(Actions(record=RECEIVER, contribution=row(3)))
+    plant().save(Actions(record=RECEIVER._replace(k=5), later=True, contribution=row(4)))
     journal = plant()
     assert journal.load() == RECEIVER
     assert journal.contributions(SESSION) == [row(3)]
-    journal.write(Save(RECEIVER._replace(k=5), later=True, contribution=row(4)))
-    journal.write(Step(OFFER, 0, MEASUREMENT))
+    journal.save(Actions(record=RECEIVER._replace(k=5), later=True, contribution=row(4)))
+    journal.save(Actions(offer=OFFER, coin=0, measurement=MEASUREMENT))
     assert plant().load() == RECEIVER._replace(k=5)
     assert plant().contributions(SESSION) == [row(3), row(4)]
 
 
 def test_a_step_is_begun_and_then_read(plant: PlantAfterDeath) -> None:
     journal = plant()
-    journal.write(Save(RECEIVER))
-    journal.write(Step(OFFER, 1))
+    journal.save(Actions(record=RECEIVER))
+    journal.save(Actions(offer=OFFER, coin=1))
     journal = plant()
-    assert (journal.load(), journal.step()) == (RECEIVER, Step(OFFER, 1))
-    journal.write(Save(RECEIVER._replace(begun=Step(OFFER, 1))))
-    assert plant().step() == Step(OFFER, 1)
+    assert journal.load() == RECEIVER
+    assert (journal.offer, journal.coin, journal.measurement) == (OFFER, 1, None)
+    for session in (SESSION, NEXT):  # a record that comes while it is under way; the rare one too
+        journal.save(Actions(record=RECEIVER._replace(session=session), offer=OFFER, coin=1))
+        journal = plant()
+        assert journal.load() == RECEIVER._replace(session=session)
+        assert (journal.offer, journal.coin, journal.measurement) == (OFFER, 1, None)
+    journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
+    journal = plant()
+    assert journal.load() == RECEIVER._replace(session=NEXT)
+    assert (journal.offer, journal.coin, journal.measurement) == (OFFER, 1, MEASUREMENT)
 
 
 def test_rows_go_when_they_are_obsolete_and_with_their_session(plant: PlantAfterDeath) -> None:
     for j in range(5):
-        plant().write(Save(RECEIVER, contribution=row(j)))
-    plant().write(Save(RECEIVER, obsolete_rows=(range(2), range(3, 4))))
+        plant().save(Actions(record=RECEIVER, contribution=row(j)))
+    plant().save(Actions(record=RECEIVER, obsolete_rows=(range(2), range(3, 4))))
     assert plant().contributions(SESSION) == [row(2), row(4)]
-    plant().write(Save(RECEIVER._replace(session=NEXT), contribution=row(0)))
+    plant().save(Actions(record=RECEIVER._replace(session=NEXT), contribution=row(0)))
     assert plant().contributions(SESSION) == []
     assert plant().contributions(NEXT) == [row(0)]
 
 
 def test_symbols_and_messages_come_with_the_record(plant: PlantAfterDeath) -> None:
-    plant().write(Save(RECEIVER, chunk="100"))
-    plant().write(Save(RECEIVER, chunk="11"))
+    plant().save(Actions(record=RECEIVER, chunk="100"))
+    plant().save(Actions(record=RECEIVER, chunk="11"))
     assert plant().chunks() == "10011"
-    plant().write(Save(RECEIVER, chunk="1", drop_chunks=True, received=b"whole"))
-    plant().write(Save(RECEIVER, received=b"second"))
+    plant().save(Actions(record=RECEIVER, chunk="1", drop_chunks=True, received=b"whole"))
+    plant().save(Actions(record=RECEIVER, received=b"second"))
     assert plant().chunks() == "1"
     assert plant().inbox() == [b"whole", b"second"]
     assert plant().inbox(1) == [b"second"]
 
 
 def test_messages_are_numbered_in_order(controller: ControllerAfterDeath) -> None:
-    controller().write(Save(SENDER, queued=("a", b"first")))
-    controller().write(Save(SENDER, queued=("b", b"second")))
+    controller().save(Actions(record=SENDER, queued=SendCommand(id="a", payload=b"first")))
+    controller().save(Actions(record=SENDER, queued=SendCommand(id="b", payload=b"second")))
     journal = controller()
     assert journal.queued == 2
     assert [journal.payload(number) for number in range(3)] == [b"first", b"second", None]

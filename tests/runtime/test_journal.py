@@ -12,12 +12,14 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.peer import Save
-from protocol.link.records import ReceiverRecord, SenderRecord, Step
-from protocol.messages import Measurement, Offer
+from protocol.agreement import NO_SYMBOL
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.messages import Measurement, Offer, SendCommand
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JournalError
 from tests.support.patience import PATIENCE_S
+from tests.support.twin_journals import NO_STEP, step_of
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"
@@ -47,12 +49,12 @@ SENDER = SenderRecord(
 def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() is None
-        journal.write(Save(SENDER))
+        journal.save(Actions(record=SENDER))
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() is None
-        journal2.write(Save(RECEIVER))
+        journal2.save(Actions(record=RECEIVER))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
 
@@ -60,7 +62,7 @@ def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
 def test_the_last_save_counts(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for k in range(100):
-            journal.write(Save(RECEIVER._replace(k=k)))
+            journal.save(Actions(record=RECEIVER._replace(k=k)))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         record = journal.load()
         assert record is not None
@@ -70,12 +72,12 @@ def test_the_last_save_counts(tmp_path: Path) -> None:
 def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for chunk in ("100", "11", ""):
-            journal.write(Save(RECEIVER, chunk=chunk))
+            journal.save(Actions(record=RECEIVER, chunk=chunk))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.chunks() == "10011"
-        journal.write(Save(RECEIVER, drop_chunks=True, received=b"whole"))
+        journal.save(Actions(record=RECEIVER, drop_chunks=True, received=b"whole"))
         assert journal.chunks() == ""
-        journal.write(Save(RECEIVER, chunk="1", drop_chunks=True))
+        journal.save(Actions(record=RECEIVER, chunk="1", drop_chunks=True))
         assert journal.chunks() == "1"
         assert journal.inbox() == [b"whole"]
 
@@ -83,20 +85,22 @@ def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: 
 def test_the_inbox_gives_the_newest_oldest_first(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         for i in range(10):
-            journal.write(Save(RECEIVER, received=b"%d" % i, drop_chunks=True))
+            journal.save(Actions(record=RECEIVER, received=b"%d" % i, drop_chunks=True))
         assert journal.inbox(3) == [b"7", b"8", b"9"]
 
 
 def test_a_message_is_queued_once_and_in_order(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.enqueue("a", b"first")
-        assert journal.enqueue("b", bytes(range(256)))
-        assert not journal.enqueue("a", b"another text, the same identifier")
+        assert journal.enqueue(SendCommand(id="a", payload=b"first"))
+        assert journal.enqueue(SendCommand(id="b", payload=bytes(range(256))))
+        assert not journal.enqueue(
+            SendCommand(id="a", payload=b"another text, the same identifier")
+        )
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.queued == 2
         assert [journal.payload(i) for i in range(3)] == [b"first", bytes(range(256)), None]
         assert journal.identifier(1) == "b"
-        assert journal.enqueue("c", b"third")
+        assert journal.enqueue(SendCommand(id="c", payload=b"third"))
         assert journal.payload(2) == b"third"
         assert journal.queued_as("a") == b"first"
         assert journal.queued_as("d") is None
@@ -110,19 +114,20 @@ OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
 
 def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.step() is None
-        journal.write(Save(SENDER))
-        journal.write(Step(OFFER, measurement=MEASUREMENT))
+        assert step_of(journal) == NO_STEP
+        journal.save(Actions(record=SENDER))
+        journal.save(Actions(offer=OFFER, measurement=MEASUREMENT))
     with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
         assert journal.load() == SENDER
-        assert journal.step() == Step(OFFER, measurement=MEASUREMENT)
-        journal.write(Step(OFFER, measurement=MEASUREMENT))  # what was loaded can be built on
+        assert step_of(journal) == (OFFER, NO_SYMBOL, MEASUREMENT)
+        # what was loaded can be built on
+        journal.save(Actions(offer=OFFER, measurement=MEASUREMENT))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        journal2.write(Save(RECEIVER, chunk="10"))
-        journal2.write(Step(OFFER, 1, MEASUREMENT))
+        journal2.save(Actions(record=RECEIVER, chunk="10"))
+        journal2.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
         assert journal2.load() == RECEIVER
-        assert journal2.step() == Step(OFFER, 1, MEASUREMENT)
+        assert step_of(journal2) == (OFFER, 1, MEASUREMENT)
         assert journal2.chunks() == "10"
 
 
@@ -130,22 +135,23 @@ def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
     tmp_path: Path,
 ) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.write(Save(RECEIVER))
-        journal.write(Step(OFFER, 1, MEASUREMENT))
+        journal.save(Actions(record=RECEIVER))
+        journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
         with pytest.raises(AssertionError, match="not been counted"):
-            journal.write(Step(OFFER, 1, MEASUREMENT))
-        journal.write(Save(RECEIVER._replace(k=5), later=True))
+            journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
+        journal.save(Actions(record=RECEIVER._replace(k=5), later=True))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.load() == RECEIVER
-        assert journal.step() == Step(OFFER, 1, MEASUREMENT)
-        journal.write(Save(RECEIVER._replace(k=5), later=True))
-        journal.write(Step(OFFER, 0, MEASUREMENT))
+        assert step_of(journal) == (OFFER, 1, MEASUREMENT)
+        journal.save(Actions(record=RECEIVER._replace(k=5), later=True))
+        journal.save(Actions(offer=OFFER, coin=0, measurement=MEASUREMENT))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.load() == RECEIVER._replace(k=5)
-        assert journal.step() == Step(OFFER, 0, MEASUREMENT)
-        journal.write(Save(RECEIVER._replace(k=6)))
+        assert step_of(journal) == (OFFER, 0, MEASUREMENT)
+        journal.save(Actions(record=RECEIVER._replace(k=6)))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.step() is None
+        assert journal.load() == RECEIVER._replace(k=6)
+        assert step_of(journal) == NO_STEP
 
 
 @pytest.mark.parametrize("wrong", [b"{}", b"not json", MEASUREMENT.wire()])
@@ -153,10 +159,10 @@ def test_a_step_that_is_none_is_refused(tmp_path: Path, wrong: bytes) -> None:
     offer = OFFER.model_copy()
     offer.__dict__["_bytes"] = wrong
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.write(Save(RECEIVER))
-        journal.write(Step(offer, 0, MEASUREMENT))
+        journal.save(Actions(record=RECEIVER))
+        journal.save(Actions(offer=offer, coin=0, measurement=MEASUREMENT))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
-        journal.step()
+        journal.load()
     assert "record" in one_line(error, tmp_path / "p")
 
 
@@ -193,7 +199,7 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
 
 def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.write(Save(RECEIVER))
+        journal.save(Actions(record=RECEIVER))
     with pytest.raises(JournalError) as error:
         PlantJournal(tmp_path / "p", "0" * 64)
     assert "scenario: got" in one_line(error, tmp_path / "p")
@@ -221,11 +227,13 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
     assert "cannot be opened" in one_line(error, tmp_path / "file" / "c")
 
 
-@pytest.mark.parametrize("change", ["body = x'7b7d'", "number = 7", "body = NULL"])
+@pytest.mark.parametrize(
+    "change", ["body = x'7b7d'", "number = 7", "body = NULL", "offer = x'7b7d'", "coin = 1"]
+)
 def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.write(Save(RECEIVER))
+        journal.save(Actions(record=RECEIVER))
     database = sqlite3.connect(path)
     database.execute(f"UPDATE record SET {change}")
     database.commit()
@@ -242,7 +250,7 @@ def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> No
 def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> None:
     path = tmp_path / "c"
     with ControllerJournal(path, SCENARIO) as journal:
-        journal.enqueue("m", b"a")
+        journal.enqueue(SendCommand(id="m", payload=b"a"))
     database = sqlite3.connect(path)
     database.execute(f"UPDATE outbox SET {change}")
     database.commit()
@@ -258,34 +266,34 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from protocol.link.peer import Save
+from protocol.link.peer import Actions
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
-from protocol.link.records import ReceiverRecord, Step
+from protocol.link.records import ReceiverRecord
 
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)
     if record.p % 50 == 0:
-        journal.write(Save(record, drop_chunks=True, received=b"%d" % record.p))
+        journal.save(Actions(record=record, drop_chunks=True, received=b"%d" % record.p))
     elif record.p % 7 == 0:
-        journal.write(Save(record, chunk="1"))
+        journal.save(Actions(record=record, chunk="1"))
     else:
-        journal.write(Save(record, later=True))
+        journal.save(Actions(record=record, later=True))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
 record = journal.load()
 if record is None:
     record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
-    journal.write(Save(record))
-if journal.step() is not None:
+    journal.save(Actions(record=record))
+if journal.offer is not None:
     record = count(record)
 while True:
     offer = Offer(session=record.session, k=record.k, candidates=((1.0,), (2.0,)), cipher=0)
     measurement = Measurement(
         session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
     )
-    journal.write(Step(offer, record.k % 2, measurement))
+    journal.save(Actions(offer=offer, coin=record.k % 2, measurement=measurement))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -312,14 +320,14 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
         if rest:
             acknowledged = int(rest[-1])
         with PlantJournal(path, SCENARIO) as journal:
-            record, step = journal.load(), journal.step()
+            record, (offer, coin, measurement) = journal.load(), step_of(journal)
             assert record is not None
-            assert record.k + (step is not None) in (acknowledged, acknowledged + 1)
-            if step is not None:
-                assert step.offer.k == record.k
-                assert step.measurement is not None
-                assert step.measurement.k == record.k + 1
-                assert step.coin == record.k % 2
+            assert record.k + (offer is not None) in (acknowledged, acknowledged + 1)
+            if offer is not None:
+                assert offer.k == record.k
+                assert measurement is not None
+                assert measurement.k == record.k + 1
+                assert coin == record.k % 2
             # all or nothing: the symbols and messages are those of this very record
             whole, since = divmod(record.k, 50)
             assert record.p == record.k
@@ -345,16 +353,17 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
 ) -> None:
     path = tmp_path / "j"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.write(Save(RECEIVER))
+        journal.save(Actions(record=RECEIVER))
         pwrite = os.pwrite
         with monkeypatch.context() as full:
             full.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:40], at))
             with pytest.raises(JournalError, match="No space left") as error:
-                journal.write(Step(OFFER, 1, MEASUREMENT))
+                journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
         one_line(error, tmp_path / "j-steps")
-        journal.write(Step(OFFER, 0, MEASUREMENT))  # over what was torn
+        journal.save(Actions(offer=OFFER, coin=0, measurement=MEASUREMENT))  # over what was torn
         with no_file_grows(), pytest.raises(JournalError) as error:
-            journal.write(Save(RECEIVER, chunk="01"))
+            journal.save(Actions(record=RECEIVER, chunk="01"))
         one_line(error, path)
     with PlantJournal(path, SCENARIO) as journal:
-        assert journal.step() == Step(OFFER, 0, MEASUREMENT)
+        journal.load()
+        assert step_of(journal) == (OFFER, 0, MEASUREMENT)

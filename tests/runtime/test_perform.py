@@ -4,22 +4,24 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.link.events import Event, Milestone, Missed
-from protocol.link.peer import Actions, Notice, Save, Write
-from protocol.link.records import SenderRecord, Step
+from protocol.link.events import Event, Missed
+from protocol.link.peer import Actions, Notice
+from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult
 from protocol.secret.tasks import Done, Task
 from runtime.perform import Crashed, CrashingPorts, perform
+from tests.support.end_in_hand import kept
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
 from tests.support.two_ends import LineEnds, Name
 from tools.rehearsal import Rehearsal
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
-STEP = Step(Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0), 0, SAID)
-RECORD = Save(SenderRecord(), later=True)
+OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)
+STEP = Actions(offer=OFFER, coin=0, measurement=SAID)
+RECORD = Actions(record=SenderRecord(), later=True)
 VERDICT = BlockResult("1" * 16, 0, "confirmed")
 WELL = next(
     arrival.message
@@ -53,12 +55,8 @@ class Script:
 
     def finish_step(self) -> Actions:
         self._done.append("settle")
-        return Actions(
-            events=(EVENT,),
-            write=RECORD,
-            notices=(Notice("told"),),
-            health=WELL,
-            keys=(VERDICT,),
+        return RECORD._replace(
+            events=(EVENT,), notices=(Notice("told"),), health=WELL, keys=(VERDICT,)
         )
 
     def key_task_done(self, done: Done, now: float) -> Actions:
@@ -77,8 +75,8 @@ class Listing:
     def __init__(self, done: list[object]) -> None:
         self._done = done
 
-    def write(self, write: Write) -> None:
-        self._done.append(write)
+    def save(self, actions: Actions) -> None:
+        self._done.append(kept(actions))
 
     def publish(self, message: Message) -> None:
         self._done.append(message)
@@ -98,7 +96,7 @@ class Listing:
 
 def test_save_publish_settle_trace_keep_tell() -> None:
     done: list[object] = []
-    actions = Actions(write=STEP, publish=(SAID,), finish_step=True)
+    actions = STEP._replace(publish=(SAID,), finish_step=True)
     perform(actions, Script(done), Listing(done))
     assert done == [STEP, SAID, "settle", EVENT, RECORD, VERDICT, "told", WELL]
 
@@ -115,15 +113,14 @@ def test_who_dies_before_something_has_done_all_that_comes_before_it(
     happened: list[object] = []
     ports = CrashingPorts(Listing(happened))
     ports.crash_at(before=before)  # type: ignore[arg-type]
-    actions = Actions(write=STEP, publish=(SAID,), finish_step=True)
+    actions = STEP._replace(publish=(SAID,), finish_step=True)
     with pytest.raises(Crashed):
         perform(actions, Script(happened), ports)
     assert happened == done
 
 
-EVERYTHING = Actions(
+EVERYTHING = STEP._replace(
     events=(EVENT, EVENT),
-    write=STEP,
     publish=(SAID,),
     notices=(Notice("told"),),
     health=WELL,
@@ -192,10 +189,10 @@ class Pair(LineEnds):
         super().__init__(RULES, None, (PAYLOAD,), fresh=Draws())
 
     def traced(self, side: Name, event: Event) -> None:
-        if isinstance(event, Milestone) and event.at == "recovered":
-            self.inbox.append(event.payload)
-        elif isinstance(event, CountedTransition):
+        if isinstance(event, CountedTransition):
             self.counted[side][event.session, event.j] = event.shared
+            if event.recovered is not None:
+                self.inbox.append(event.recovered)
 
     def hear(self, side: Name, message: Mail) -> None:
         self.line.coin = len(self.counted["plant"]) % 2

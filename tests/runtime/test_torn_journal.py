@@ -9,15 +9,15 @@ from typing import Any, Final
 
 import pytest
 
-from protocol.link.peer import Save
-from protocol.link.records import ReceiverRecord, Step
+from protocol.link.peer import Actions
+from protocol.link.records import ReceiverRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.nonces import Contribution
 from runtime import journal_files
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.journal_files import JOURNAL_VERSION, JournalError
 from runtime.step_log import Entry, StepLog
-from tests.support.twin_journals import SCENARIO, copied
+from tests.support.twin_journals import NO_STEP, SCENARIO, copied, step_of
 
 SESSION: Final = "0123456789abcdef"
 RECORD: Final = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.0,))
@@ -40,8 +40,8 @@ def steps(journal: PlantJournal, first: int, last: int) -> None:
     """Steps as a plant that makes keys writes them: each record with the row of the step before."""
     for k in range(first, last):
         record = RECORD._replace(k=k)
-        journal.write(Save(record, later=True, contribution=row(k - 1) if k else None))
-        journal.write(Step(offer(k), k % 2, measurement(k)))
+        journal.save(Actions(record=record, later=True, contribution=row(k - 1) if k else None))
+        journal.save(Actions(offer=offer(k), coin=k % 2, measurement=measurement(k)))
 
 
 def state(path: Path) -> Any:
@@ -51,7 +51,7 @@ def state(path: Path) -> Any:
         contributions = journal.contributions(SESSION)
         return (
             record,
-            journal.step(),
+            step_of(journal),
             journal.chunks(),
             journal.inbox(),
             contributions,
@@ -109,7 +109,7 @@ def test_a_torn_or_flipped_step_is_not_there_byte_by_byte(tmp_path: Path) -> Non
     log = StepLog(path, tag)
 
     def append(k: int) -> None:
-        log.append(k, b"record", Step(offer(k), k % 2, measurement(k)), row(k) if k else None)
+        log.append(k, b"record", offer(k), k % 2, measurement(k), row(k) if k else None)
 
     append(0)
     append(1)
@@ -154,17 +154,17 @@ def test_a_rare_write_is_before_or_after_too(tmp_path: Path, cleared: bool) -> N
     with PlantJournal(live, SCENARIO) as journal:
         steps(journal, 0, 5)
         before = contents(live.parent)
-        kept = Save(
-            RECORD._replace(k=5), chunk="01", contribution=row(4), obsolete_rows=(range(2),)
+        kept = Actions(
+            record=RECORD._replace(k=5), chunk="01", contribution=row(4), obsolete_rows=(range(2),)
         )
-        journal.write(kept)
+        journal.save(kept)
         after = contents(live.parent)
     name = f"{NAME}-wal"
     assert after[f"{NAME}-steps"].strip(b"\0") == b""
     files = after if cleared else after | {f"{NAME}-steps": before[f"{NAME}-steps"]}
     folder = tmp_path / "try"
     states = [state(put(folder, files)) for files in (before, files)]
-    assert states[1] == (kept.record, None, "01", [], [row(2), row(3), row(4)])
+    assert states[1] == (kept.record, NO_STEP, "01", [], [row(2), row(3), row(4)])
     if not cleared:
         found = tried(folder, files, name, torn(before[name], after[name], every=97))
         assert all(one in (*states, None) for one in found)
@@ -206,8 +206,8 @@ def test_what_was_made_ready_is_no_step(tmp_path: Path) -> None:
     assert killed.with_name(f"{NAME}-steps").stat().st_size == size
     with PlantJournal(killed, SCENARIO) as journal:
         assert journal.load() == RECORD._replace(k=2)
-        journal.write(Save(RECORD._replace(k=3), later=True))
-        journal.write(Step(offer(3), 1, measurement(3)))
+        journal.save(Actions(record=RECORD._replace(k=3), later=True))
+        journal.save(Actions(offer=offer(3), coin=1, measurement=measurement(3)))
         assert state(copied(killed, tmp_path / "again"))[0].k == 3
 
 
@@ -222,7 +222,7 @@ def test_steps_of_another_journal_or_that_do_not_follow_are_left_out(tmp_path: P
     with PlantJournal(two, SCENARIO) as journal:
         journal.load()
         old = copied(two, tmp_path / "old")
-        journal.write(Save(RECORD._replace(k=3), chunk="1"))
+        journal.save(Actions(record=RECORD._replace(k=3), chunk="1"))
         steps(journal, 4, 6)
         shutil.copyfile(two.with_name(log.name), old.with_name(log.name))
     assert state(old)[2] == ""
@@ -239,12 +239,12 @@ def test_a_long_run_of_steps_is_put_into_the_database(
         steps(journal, 0, 60)
         assert 0 < written(copied(path, tmp_path / "sixty")) < 6000
         record = RECORD._replace(k=60)
-        journal.write(Save(record, later=True, contribution=row(59)))
+        journal.save(Actions(record=record, later=True, contribution=row(59)))
         for k in range(60, 90):  # begun and read in two writes
-            journal.write(Step(offer(k), 1))
-            assert state(copied(path, tmp_path / f"{k}"))[1] is not None
-            journal.write(Step(offer(k), 1, measurement(k)))
-            journal.write(Save(RECORD._replace(k=k + 1), later=True, contribution=row(k)))
+            journal.save(Actions(offer=offer(k), coin=1))
+            assert state(copied(path, tmp_path / f"{k}"))[1] == (offer(k), 1, None)
+            journal.save(Actions(offer=offer(k), coin=1, measurement=measurement(k)))
+            journal.save(Actions(record=RECORD._replace(k=k + 1), later=True, contribution=row(k)))
     found = state(path)
     assert found[0].k == 89
     assert found[-1] == [row(k) for k in range(89)]

@@ -17,7 +17,6 @@ from plant_service import core as plant_core
 from protocol.link import keying as keying_module
 from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
-from protocol.link.records import Step
 from protocol.secret.nonces import Contribution, contribution_of
 from protocol.secret.records import WHOLE, Share, Side, StoreError, TooFewKeys
 from runtime.keys.store import KeyStore
@@ -145,7 +144,7 @@ class Hasty(KeyedEnds):
 
     @staticmethod
     def performer(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-        if isinstance(actions.write, Step):
+        if actions.offer is not None:
             for message in actions.publish:
                 ports.publish(message)
             actions = actions._replace(publish=())

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from protocol.link.peer import Write
-from protocol.link.records import Step
+from protocol.link.peer import Actions
 from protocol.scenario import Scenario
 from runtime.journal import PlantJournal
 from tests.support.safety import violations
@@ -134,10 +133,10 @@ class Watched(PlantJournal):
         self._executed = executed
         self.of_steps: list[int] = []
 
-    def write(self, write: Write) -> None:
+    def save(self, actions: Actions) -> None:
         before = len(self._executed)
-        super().write(write)
-        if isinstance(write, Step):
+        super().save(actions)
+        if actions.record is None:
             self.of_steps.append(len(self._executed) - before)
 
     def forget(self) -> None:

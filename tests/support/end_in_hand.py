@@ -50,6 +50,13 @@ class EndInHand(Generic[E]):
         return said
 
 
+def kept(actions: Actions) -> Actions:
+    """What of the actions is saved, and nothing else."""
+    return actions._replace(
+        events=(), publish=(), notices=(), health=None, finish_step=False, keys=()
+    )
+
+
 def fields(status: Message) -> dict[str, Any]:
     """All of a status but version, number and hour."""
     said = status.model_dump()

@@ -3,7 +3,8 @@
 import json
 from pathlib import Path
 
-from protocol.link.peer import Save
+from protocol.link.peer import Actions
+from protocol.messages import SendCommand
 from runtime.files import write_atomically
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
@@ -27,10 +28,14 @@ def ended_run(folder: Path, payloads: tuple[bytes, ...]) -> SmallRun:
     fingerprint = run.scenario.fingerprint()
     with ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint) as journal:
         for number, payload in enumerate(payloads):
-            journal.write(Save(run.sender.record, queued=(f"m{number}", payload)))
+            journal.save(
+                Actions(
+                    record=run.sender.record, queued=SendCommand(id=f"m{number}", payload=payload)
+                )
+            )
     with PlantJournal(folder / PLANT_JOURNAL, fingerprint) as journal:
         for payload in run.received:
-            journal.write(Save(run.receiver.record, received=payload))
+            journal.save(Actions(record=run.receiver.record, received=payload))
     manifest = {"wyner": "0", **run.scenario.identity()}
     write_atomically(folder / MANIFEST, json.dumps(manifest).encode())
     messages = len(read_lines(folder / CAPTURE)) - 2

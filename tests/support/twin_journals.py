@@ -9,6 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
+from protocol.agreement import NO_SYMBOL
 from protocol.link.peer import Actions
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
@@ -29,6 +30,16 @@ def copied(journal: Path, folder: Path) -> Path:
     for path in journal.parent.glob(f"{journal.name}*"):
         shutil.copyfile(path, folder / path.name)
     return folder / journal.name
+
+
+NO_STEP = (None, NO_SYMBOL, None)
+
+
+def step_of(
+    journal: ControllerJournal | PlantJournal | MemoryControllerJournal | MemoryPlantJournal,
+) -> tuple[Offer | None, int, Measurement | None]:
+    """The step that followed the record; :data:`NO_STEP` where none did."""
+    return journal.offer, journal.coin, journal.measurement
 
 
 def queue_of(journal: ControllerJournal | MemoryControllerJournal) -> list[tuple[str, bytes]]:
@@ -79,8 +90,7 @@ class _Twin(Generic[T]):
         self.twin = self.kind(path, SCENARIO)
         record = super().load()  # type: ignore[misc]
         assert self.twin.load() == record
-        assert (self.twin.offer, self.twin.coin) == (self.offer, self.coin)
-        assert self.twin.measurement == self.measurement
+        assert step_of(self.twin) == (self.offer, self.coin, self.measurement)
         return record
 
     def contributions(self, session: str | None) -> list[Contribution]:

@@ -20,7 +20,7 @@ from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
-from protocol.link.peer import Save
+from protocol.link.peer import Actions
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import (
     ControllerHello,
@@ -250,7 +250,7 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
     with ControllerJournal(path, system.scenario.fingerprint()) as journal:
         before = journal.load()
         assert before is not None
-        assert journal.step() is not None
+        assert journal.offer is not None
     with system.controller():
         management.publisher(key_of(SendCommand, "loop")).put(
             SendCommand(id="a", payload=b"late").wire()
@@ -260,7 +260,7 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
         after = journal.load()
         assert after is not None
         assert after.k == before.k + 1
-        assert journal.step() is None
+        assert journal.offer is None
         assert journal.queued == 1
 
 
@@ -301,7 +301,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
         record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
-        journal.write(Save(record))
+        journal.save(Actions(record=record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
         service = PlantService(

@@ -15,7 +15,8 @@ from typing import Any
 
 import pytest
 
-from protocol.link.peer import Save
+from protocol.link.peer import Actions
+from protocol.messages import SendCommand
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.recording import part_path
 from runtime.run_folder import (
@@ -399,17 +400,17 @@ EDITS: dict[str, tuple[tuple[Path, Edit], ...]] = {
 
 def journal_received(folder: Path, run: SmallRun) -> None:
     with PlantJournal(folder / PLANT_JOURNAL, run.scenario.fingerprint()) as journal:
-        journal.write(Save(run.receiver.record, received=b"z"))
+        journal.save(Actions(record=run.receiver.record, received=b"z"))
 
 
 def journal_queue(folder: Path, run: SmallRun) -> None:
     with ControllerJournal(folder / CONTROLLER_JOURNAL, run.scenario.fingerprint()) as journal:
-        journal.write(Save(run.sender.record, queued=("m5", b"e")))
+        journal.save(Actions(record=run.sender.record, queued=SendCommand(id="m5", payload=b"e")))
 
 
 def journal_behind(folder: Path, run: SmallRun, **fields: Any) -> None:
     with PlantJournal(folder / PLANT_JOURNAL, run.scenario.fingerprint()) as journal:
-        journal.write(Save(run.receiver.record._replace(**fields)))
+        journal.save(Actions(record=run.receiver.record._replace(**fields)))
 
 
 def rewrite_json(name: Path, **fields: object) -> Callable[[Path, SmallRun], None]:
