@@ -1,13 +1,23 @@
 """Traces: a line an event, what was flushed is there, a torn line costs itself only."""
 
+import hashlib
+import json
 import math
+import os
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from runtime.recording import TRACE_VERSION, TraceError, TraceWriter
+from runtime.recording import (
+    TRACE_VERSION,
+    Bounds,
+    TraceError,
+    TraceReader,
+    TraceWriter,
+    parts_of,
+)
 from tests.support.lines import unmark
 from tests.support.traces import read_trace
 
@@ -43,6 +53,38 @@ def test_an_event_is_on_disk_when_write_returns(tmp_path: Path) -> None:
     writer.write(event)
     assert list(read_trace(tmp_path / "t").of("missed")) == [event]
     writer.close()
+
+
+def test_lines_that_belong_together_are_one_write_to_one_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No death comes between a transition and its report, and no end of a part."""
+    written: list[bytes] = []
+    to_disk = os.write
+
+    def watched(file: int, data: bytes) -> int:
+        written.append(data)
+        return to_disk(file, data)
+
+    monkeypatch.setattr(os, "write", watched)
+    path, bounds = tmp_path / "trace.jsonl", Bounds(part_bytes=1024, total_bytes=1 << 20)
+    writer = TraceWriter(path, "plant", {}, bounds)
+    for i in range(60):
+        writer.write({"event": "first", "i": i, "more": "x" * (i % 7)}, {"event": "second", "i": i})
+    writer.close()
+    pairs = [data for data in written if b"first" in data or b"second" in data]
+    assert [data.count(b"\n") for data in pairs] == [2] * 60
+    parts = parts_of(path)
+    assert len(parts) > 3
+    for part in parts:
+        assert part.stat().st_size <= 1024
+        header, *events, end = [json.loads(line) for line in part.read_bytes().splitlines()]
+        assert [e["event"] for e in events] == ["first", "second"] * (len(events) // 2)
+        assert end["lines"] == len([header, *events])
+        body = part.read_bytes().rpartition(b'{"event":"end"')[0]
+        assert end["sha256"] == hashlib.sha256(body).hexdigest()
+    found = [(e["event"], e["i"]) for e in TraceReader(path)]
+    assert found == [(name, i) for i in range(60) for name in ("first", "second")]
 
 
 @pytest.mark.parametrize("cut", [1, 5, 20])
