@@ -140,6 +140,7 @@ class TapService:
         self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
         self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
         self.listeners = Listeners(listeners, self._guesses)
+        self._clear = config.view.clear
         self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
         self.queue: Inbox[tuple[str, bytes, int]] = Inbox()
@@ -237,7 +238,7 @@ class TapService:
             first = error.errors(include_url=False, include_context=False)[0]["msg"]
             self._complaints.add(f"{key}: undecodable: {first}")
             return
-        if self._config.view.clear:
+        if self._clear:
             self.capture.write(mirror_line(t_ns, kind.topic, payload))
             self._hear(message)
             return

@@ -78,6 +78,7 @@ class RotatingLog:
         self._path = path
         self._header = header
         self._limits = limits
+        self._of_a_part = limits.of_a_part
         self._log = log
         path.parent.mkdir(parents=True, exist_ok=True)
         self._parts = Parts(path)
@@ -99,7 +100,7 @@ class RotatingLog:
             return
         self._held.append(line)
         self._held_bytes += len(line) + 1
-        if self._parts.size + self._held_bytes >= self._limits.of_a_part:
+        if self._parts.size + self._held_bytes >= self._of_a_part:
             self._begin()
         elif self._held_bytes >= HELD_BYTES:
             self.flush()

@@ -214,10 +214,11 @@ class Transcript:
 
     def _given_up(self, k: int) -> bool:
         """Whether what is missing of step k will not come any more."""
+        behind = self._newest - k
+        if behind < PATIENCE:
+            return False
         one_sided = ONE_SIDED_PATIENCE if all(self._speaks.values()) else UNHEARD_PATIENCE
-        if self._newest - k >= one_sided:
-            return True
-        return all(newest >= k + PATIENCE for newest in self._heard.values())
+        return behind >= one_sided or min(self._heard.values()) >= k + PATIENCE
 
     def _forget(self, k: int) -> None:
         self._x.pop(k, None)

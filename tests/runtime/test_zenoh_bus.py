@@ -353,6 +353,25 @@ def test_a_message_that_came_under_another_key_than_its_own_is_dropped() -> None
 
 
 @pytest.mark.integration
+def test_python_keeps_its_state_of_a_thread_that_delivers() -> None:
+    here = threading.local()  # as long-lived as the state
+    seen: queue.SimpleQueue[int] = queue.SimpleQueue()
+
+    def deliver(_key: str, _payload: bytes, _t_ns: int) -> None:
+        here.calls = getattr(here, "calls", 0) + 1
+        seen.put(here.calls)
+
+    (endpoint,) = free_endpoints(1)
+    with ZenohBus(listen=[endpoint]) as listener, ZenohBus(connect=[endpoint]) as speaker:
+        listener.subscribe(KEY, deliver)
+        publisher = speaker.publisher(KEY)
+        until(lambda: publisher.matched, "a link")
+        for _ in range(3):
+            publisher.put(b"one more")
+        assert [seen.get(timeout=PATIENCE_S) for _ in range(3)] == [1, 2, 3]
+
+
+@pytest.mark.integration
 def test_of_a_message_too_large_the_size_and_the_beginning_arrive() -> None:
     endpoints = free_endpoints(1)
     with ZenohBus(listen=endpoints) as plant, ZenohBus(connect=endpoints) as stranger:
