@@ -106,9 +106,9 @@ class ControllerCore:
         The plant's; one that has been silent for several of them is away.
     record : SenderRecord, optional
         As read back from the journal.
-    measurement : Measurement, optional
-    offer : Offer, optional
-        The step after that record, as read back: to be counted first.
+    measurement, offer : optional
+        The step after that record, as read back, to be counted first: what was heard, and the
+        answer.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key

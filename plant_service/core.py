@@ -106,11 +106,9 @@ class PlantCore:
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key
         That the key store holds for the session's coin, in order.
-    offer : Offer, optional
-    tossed : int
-    report : Measurement, optional
-        The journal's step that was not counted, or, without a report, was begun and not read; and
-        its b_r.
+    offer, tossed, report : optional
+        The journal's step: its offer, b_r and the measurement that reports it. It was not counted,
+        or, where there is no report, begun and not read.
     back : tuple of float, optional
         What a plant that acts has read first, where it is back with a journal; else None.
     fresh : bool

@@ -79,7 +79,7 @@ def test_a_byte_is_followed_through_three_real_processes(
         text = capsys.readouterr().out
         figures = re.search(r"in all  \d+ frames, (\d+) of them carry, (\d+) types", text)
         assert figures is not None
-        # 50 carry; a repeat beside a status is one more
+        # 49 carry, and 50 where a measurement was repeated
         if all(name in text for name in way_points) and int(figures[1]) <= 50:
             break
     else:
