@@ -272,8 +272,8 @@ class CountedTransition(NamedTuple):
     ``true_u`` are the ``truth``, for whoever judges the run. ``coin_key`` is the key that the
     plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
     coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
-    candidate that its own copy of that key chose: -1 where the transition is unwatched. The
-    last three are of the frame that it completed (:meth:`report`).
+    candidate that its own copy of that key chose: -1 where the transition is unwatched. A
+    frame that it completed is ``delivered`` (controller), ``recovered`` or ``refused`` (plant).
     """
 
     session: str
