@@ -300,7 +300,9 @@ class ControllerCore:
                 keys=self._key_tasks(),
                 notices=(self._refusal(HALTED),) if self.record.halted else (),
             )
-        return actions._replace(finish_step=self._starting or self._blocks_differ)
+        if self._starting or self._blocks_differ:
+            return actions._replace(finish_step=True)
+        return actions
 
     def key_task_done(self, done: Done, now: float) -> Actions:
         """The key maker has done a task; rows that nobody needs any more go at once."""
