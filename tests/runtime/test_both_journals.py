@@ -123,6 +123,20 @@ def test_a_step_is_begun_and_then_read(plant: PlantAfterDeath) -> None:
     assert (journal.offer, journal.coin, journal.measurement) == (OFFER, 1, MEASUREMENT)
 
 
+def test_a_record_takes_the_place_of_a_step_that_was_begun(plant: PlantAfterDeath) -> None:
+    """Another process would take it for its own, and count it as interrupted once more."""
+    for session in (SESSION, SESSION, NEXT):  # in a rare write, among the steps, in a rare one
+        record = RECEIVER._replace(session=session)
+        plant().save(Actions(record=record, offer=OFFER, coin=1))
+        journal = plant()
+        assert journal.load() == record
+        assert journal.offer == OFFER
+        journal.save(Actions(record=record))
+        journal = plant()
+        assert journal.load() == record
+        assert (journal.offer, journal.measurement) == (None, None)
+
+
 def test_rows_go_when_they_are_obsolete_and_with_their_session(plant: PlantAfterDeath) -> None:
     for j in range(5):
         plant().save(Actions(record=RECEIVER, contribution=row(j)))
