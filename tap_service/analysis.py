@@ -182,9 +182,8 @@ def _report(listeners: Listeners, reader: CaptureReader, line: Line, *, last: bo
             "behind": behind,
             "dropped": reader.skipped,
         }
-        status = status_of(listener, belief, counts)
         record = belief_record(listeners.session, listener, belief, last=last, behind=behind)
-        line.send((status, record))
+        line.send((status_of(listener, belief, counts), record))
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from protocol.messages import FieldMessage
 from runtime.sandbox import START_S, SandboxError, acquire, give_back, serve
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
-from tap_service.eavesdroppers.base import KeysHeld
+from tap_service.eavesdroppers.base import KeysHeld, MessageSymbols
 
 LIGHT_S: Final = 2.0
 """Seconds that a light one has for an answer: the mirror waits for her."""
@@ -63,10 +63,15 @@ class SandboxedPlugin(Eavesdropper):
         told = self._ask("belief")
         told["message"] = base64.b64decode(told["message"])
         told["whole"] = tuple(map(base64.b64decode, told["whole"]))
-        for name in ("symbols", "A", "B"):
+        for name in ("A", "B"):
             told[name] = tuple(map(tuple, told[name]))
         told["keys"] = told["keys"] and KeysHeld.model_validate(told["keys"])
         return Belief(**told)
+
+    def message_symbols(self) -> MessageSymbols:
+        """What she takes for the message."""
+        told: MessageSymbols = self._ask("message_symbols")
+        return told
 
     def review(self) -> Sequence[Guess]:
         """Her second thoughts."""
@@ -157,6 +162,8 @@ def _answer(tap: Eavesdropper, what: str, argument: Any) -> object:
         return guess, final_guesses
     if what == "review":
         return [_told(one) for one in tap.review()]
+    if what == "message_symbols":
+        return tap.message_symbols()
     if what == "hear":
         tap.hear(argument)
         return None

@@ -2,9 +2,8 @@
 
 import base64
 import logging
-from array import array
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from math import isfinite
 from operator import index
@@ -136,6 +135,15 @@ class Listener:
                 self._fail("belief", error)
         return self._believed
 
+    def message_symbols(self) -> list[tuple[int, int]] | None:
+        """What she takes for the message, in plain numbers; None once she has failed."""
+        if not self.failed:
+            try:
+                return sound_symbols(self.tap.message_symbols())
+            except Exception as error:
+                self._fail("message_symbols", error)
+        return None
+
     def _fail(self, where: str, error: Exception) -> None:
         self.failed = f"{where}: {_in_short(error)}"
         if self.log is not None:
@@ -194,9 +202,6 @@ def sound_belief(belief: object) -> Belief:
         raise ValueError(f"expected a finite model, got A {A}, B {B}")
     if not isinstance(belief.keys, KeysHeld | None):
         raise TypeError(f"expected KeysHeld, got {belief.keys!r}")
-    flat = array("q", chain.from_iterable(belief.symbols))
-    if len(flat) != 2 * len(belief.symbols):
-        raise ValueError("expected symbols as pairs of step and symbol")
     return Belief(
         message=belief.message,
         whole=tuple(belief.whole),
@@ -204,12 +209,27 @@ def sound_belief(belief: object) -> Belief:
         confidence=confidence,
         candidates_left=max(index(belief.candidates_left), 0),
         solved_k=max(index(belief.solved_k), -1),
-        symbols=belief.symbols,
         A=A,
         B=B,
         bits_left=left,
         keys=belief.keys,
     )
+
+
+def sound_symbols(symbols: object) -> list[tuple[int, int]]:
+    """Steps and message symbols, in plain numbers.
+
+    Raises
+    ------
+    TypeError, ValueError
+        When they are no pairs of whole numbers.
+    """
+    if not isinstance(symbols, Iterable):
+        raise TypeError(f"expected steps and symbols, got {symbols!r}")
+    try:
+        return [(index(k), index(symbol)) for k, symbol in symbols]
+    except ValueError:
+        raise ValueError("expected pairs of step and symbol") from None
 
 
 def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> TapStatus:
@@ -274,14 +294,14 @@ def belief_record(
 ) -> dict[str, Any]:
     """One belief as it is written to ``beliefs.json``; payloads as base64.
 
-    The symbols are long, and scoring needs them at the end only: before, they are None, and so they
+    She is asked for the message symbols at the ``last`` alone; before they are None, and so they
     are of one who failed. ``behind`` counts the steps captured that she has not looked at.
     """
-    symbols = [(int(k), int(s)) for k, s in belief.symbols]
+    symbols = listener.message_symbols() if last else None
     return _record(session, listener.name, listener.steps, belief) | {
         "failed": listener.failed,
         "behind": behind,
-        "symbols": symbols if last and not listener.failed else None,
+        "symbols": symbols,
     }
 
 

@@ -173,7 +173,7 @@ def output_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOut
     session = transitions[0].session if transitions else ""
     live = {(t.session, t.k): tap.observe(t).best for t in transitions}
     reviewed = {(session, g.k): g.best for g in (*tap.final_guesses, *tap.review())}
-    return TapOutput(tap.name, session, live, reviewed, tap.belief())
+    return TapOutput(tap.name, session, live, reviewed, tap.belief(), tap.message_symbols())
 
 
 def columns_of(study: str) -> tuple[str, ...]:

@@ -35,6 +35,10 @@ class KnowledgeError(Exception):
     """An eavesdropper that is not told what it needs; the text names what is missing."""
 
 
+MessageSymbols = Sequence[tuple[int, int]]
+"""Steps, and the message symbol that each is taken to carry, oldest first."""
+
+
 @dataclass(frozen=True, slots=True)
 class Guess:
     """What an eavesdropper thinks of one transition, right after it.
@@ -148,9 +152,6 @@ class Belief:
         Candidate messages that remain; 0 where they are not counted.
     solved_k : int
         The step at which she was first sure of a whole message; -1 not yet.
-    symbols : tuple of (int, int)
-        Step and message symbol of every transition that she takes for a message's, the newest
-        :data:`KEPT_SYMBOLS`.
     A, B : tuple of tuple of float
         The model she uses; empty when she has none.
     bits_left : float, optional
@@ -166,7 +167,6 @@ class Belief:
     confidence: float = 0.0
     candidates_left: int = 0
     solved_k: int = -1
-    symbols: tuple[tuple[int, int], ...] = ()
     A: Matrix = ()
     B: Matrix = ()
     bits_left: float | None = None
@@ -244,6 +244,13 @@ class Eavesdropper(ABC):
     @abstractmethod
     def belief(self) -> Belief:
         """Her best message by now. May be costly; it is asked for at a bounded rate."""
+
+    def message_symbols(self) -> MessageSymbols:
+        """Those of the transitions that she takes for a message's, the newest `KEPT_SYMBOLS`.
+
+        None by default. They are many: she is asked for them once, after her last belief.
+        """
+        return ()
 
     def review(self) -> Sequence[Guess]:
         """Second thoughts on the transitions that she keeps; none by default."""
@@ -433,12 +440,13 @@ class Follower:
             whole_count=self.whole_count,
             confidence=1.0 if self.whole else confidence,
             solved_k=self.solved_k,
-            symbols=tuple(
-                zip(self._steps[-KEPT_SYMBOLS:], self._symbols[-KEPT_SYMBOLS:], strict=True)
-            ),
             A=() if model is None else model.A,
             B=() if model is None else model.B,
         )
+
+    def message_symbols(self) -> MessageSymbols:
+        """The newest that she collected."""
+        return [*zip(self._steps[-KEPT_SYMBOLS:], self._symbols[-KEPT_SYMBOLS:], strict=True)]
 
 
 class Following(Eavesdropper):
@@ -471,6 +479,10 @@ class Following(Eavesdropper):
     def belief(self) -> Belief:
         """The message that her verdicts spell."""
         return self.follower.belief(self.model)
+
+    def message_symbols(self) -> MessageSymbols:
+        """What her verdicts make of the ciphertext."""
+        return self.follower.message_symbols()
 
 
 def opening_of(model: Measuring, size: int, *, certain: bool) -> "Opening | None":

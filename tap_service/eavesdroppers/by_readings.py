@@ -12,7 +12,7 @@ from typing import Any, Self
 
 from protocol.schemes.base import Scheme
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Guess, even, nearest
+from tap_service.eavesdroppers.base import Belief, Guess, MessageSymbols, even, nearest
 from tap_service.eavesdroppers.list_decoder import Collected, decode_known
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.opening import Known, Opening
@@ -158,3 +158,7 @@ class ByReadings:
         if self._collected.solved_k < 0:
             self.decode()
         return self._collected.belief(self._decoding, self.model)
+
+    def message_symbols(self) -> MessageSymbols:
+        """Those of the newest decoding."""
+        return self._decoding.message_symbols()

@@ -19,7 +19,7 @@ from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess
+from tap_service.eavesdroppers.base import Belief, Follower, Following, Guess, MessageSymbols
 from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.inference.fitted_shape import fitted_widths
 from tap_service.inference.output_model import OutputModel
@@ -128,6 +128,12 @@ class FittedBox(Following):
     def belief(self) -> Belief:
         """The message that her verdicts spell."""
         return super().belief() if self._readings is None else self._readings.belief()
+
+    def message_symbols(self) -> MessageSymbols:
+        """What her verdicts make of the ciphertext."""
+        if self._readings is None:
+            return super().message_symbols()
+        return self._readings.message_symbols()
 
     @property
     def gauge(self) -> Gauge:

@@ -21,7 +21,7 @@ from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from protocol.vectors import Matrix
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, MessageSymbols, Model, even
 from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected, agreement_probability
 from tap_service.inference.identification import identify
@@ -190,6 +190,11 @@ class Learning(Eavesdropper):
         if self._readings is not None:
             return self._readings.belief()
         return self._collected.belief(self._decoding, self._model)
+
+    def message_symbols(self) -> MessageSymbols:
+        """Those of her best decoding."""
+        decoded = self._decoding if self._readings is None else self._readings
+        return decoded.message_symbols()
 
 
 def _rows(matrix: Array) -> Matrix:

@@ -20,6 +20,7 @@ from tap_service.eavesdroppers.base import (
     Eavesdropper,
     Guess,
     Measuring,
+    MessageSymbols,
     Model,
     even,
     nearest,
@@ -79,6 +80,10 @@ class ListDecoder(Eavesdropper):
         """The last message whose check held, else what the best decoding spells so far."""
         return belief_of(self.decoding, self._model)
 
+    def message_symbols(self) -> MessageSymbols:
+        """Those along the best hypothesis."""
+        return self.decoding.message_symbols()
+
 
 def decode_known(decoding: ListDecoding, one: Known, shares: Sequence[float] | None) -> None:
     """Count a transition of a plant that is read through outputs, as she knows it."""
@@ -118,7 +123,6 @@ def belief_of(decoding: ListDecoding, model: Measuring | None) -> Belief:
         confidence=1.0 if whole else decoding.confidence(),
         candidates_left=decoding.candidates(),
         solved_k=decoding.solved_k,
-        symbols=tuple(decoding.symbols()),
         A=() if model is None else model.A,
         B=() if model is None else model.B,
     )

@@ -24,6 +24,7 @@ from tap_service.eavesdroppers.base import (
     Follower,
     Following,
     Guess,
+    MessageSymbols,
     nearest,
     opening_of,
 )
@@ -69,10 +70,16 @@ class NearestCentre(Following):
 
     def belief(self) -> Belief:
         """The message that her verdicts spell; where outputs are read, of who has read most."""
+        return self._best().belief(self.model)
+
+    def message_symbols(self) -> MessageSymbols:
+        """What her verdicts make of the ciphertext."""
+        return self._best().message_symbols()
+
+    def _best(self) -> Follower:
         if self._opening is None:
-            return super().belief()
-        best = max(self._followers.values(), key=lambda follower: follower.whole_count)
-        return best.belief(self.model)
+            return self.follower
+        return max(self._followers.values(), key=lambda follower: follower.whole_count)
 
     def judged(
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector

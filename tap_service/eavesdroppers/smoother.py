@@ -17,7 +17,15 @@ import numpy as np
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even, nearest
+from tap_service.eavesdroppers.base import (
+    Belief,
+    Eavesdropper,
+    Guess,
+    MessageSymbols,
+    Model,
+    even,
+    nearest,
+)
 from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected
 from tap_service.inference.fitted_shape import Shape, likelier_shape
@@ -201,6 +209,11 @@ class Smoother(Eavesdropper):
         if self._collected.solved_k < 0:
             self.decode()
         return self._collected.belief(self._decoding, self._model)
+
+    def message_symbols(self) -> MessageSymbols:
+        """Those of her best decoding."""
+        decoded = self._decoding if self._readings is None else self._readings
+        return decoded.message_symbols()
 
 
 def _among(support: float) -> tuple[float, float]:

@@ -18,7 +18,15 @@ from typing import ClassVar, Final
 
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model, even, nearest
+from tap_service.eavesdroppers.base import (
+    Belief,
+    Eavesdropper,
+    Guess,
+    MessageSymbols,
+    Model,
+    even,
+    nearest,
+)
 from tap_service.inference.english import AnyBytes, English, english
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.front import Inference, Inferred
@@ -203,8 +211,6 @@ class Text(Eavesdropper):
         """The newest message, how sure she is of it, and what is left of all."""
         read = tuple(m.payload for m in self._past.values() if m.probability >= SURE)
         newest = (*self._past.values(), *self._open)[-1:]
-        session = self._kept[-1].session if self._kept else ""
-        symbols = sorted((k, s) for (at, k), s in self._symbols.items() if at == session)
         return Belief(
             message=newest[0].payload if newest else b"",
             whole=read,
@@ -212,8 +218,13 @@ class Text(Eavesdropper):
             confidence=newest[0].probability if newest else 0.0,
             candidates_left=newest[0].rivals if newest else 0,
             solved_k=self._solved_k,
-            symbols=tuple(symbols[-KEPT_SYMBOLS:]),
             A=self._model.A,
             B=self._model.B,
             bits_left=self._bits + sum(m.bits_left for m in self._open) if newest else None,
         )
+
+    def message_symbols(self) -> MessageSymbols:
+        """The likeliest, of the newest session."""
+        session = self._kept[-1].session if self._kept else ""
+        symbols = sorted((k, s) for (at, k), s in self._symbols.items() if at == session)
+        return symbols[-KEPT_SYMBOLS:]

@@ -430,14 +430,14 @@ class ListDecoding:
         weight = np.exp(score - score.max())
         return float(weight[h.node[: h.n] == self._best_path].sum() / weight.sum())
 
-    def symbols(self) -> list[tuple[int, int]]:
+    def message_symbols(self) -> list[tuple[int, int]]:
         """Step and message symbol along the best hypothesis, the newest that are kept."""
         return self.paths.steps_and_symbols(self._best_path)
 
     def under_way(self) -> bytes:
         """The payload under way along the best hypothesis; without frames, all of the text."""
         if not self.framed:
-            return bytes_of((s for _, s in self.symbols()), self.size)
+            return bytes_of((s for _, s in self.message_symbols()), self.size)
         deframer = Deframer(self.size)
         for symbol in self.paths.frame(self._best_path):
             deframer.push(symbol)

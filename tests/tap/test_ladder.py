@@ -29,6 +29,7 @@ from tap_service.eavesdroppers import (
     smoother,
     text,
 )
+from tap_service.eavesdroppers.base import MessageSymbols
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.status import (
     Listener,
@@ -328,6 +329,7 @@ class Odd(Eavesdropper):
     guess: object = Guess(0, (0.5, 0.5), 0.5)
     thoughts: object = ()
     last_belief: object = Belief()
+    symbols: object = ()
 
     def observe(self, transition: Transition) -> Guess:
         return cast("Guess", self.guess)
@@ -337,6 +339,9 @@ class Odd(Eavesdropper):
 
     def belief(self) -> Belief:
         return cast("Belief", self.last_belief)
+
+    def message_symbols(self) -> MessageSymbols:
+        return cast("MessageSymbols", self.symbols)
 
 
 def odd(**answers: object) -> Listener:
@@ -377,8 +382,6 @@ def test_a_guess_that_is_none_stops_her_alone(guess: object, expected: str) -> N
         (Belief(whole=("a",)), "TypeError: expected messages as bytes"),  # type: ignore[arg-type]
         (Belief(confidence=2.0), "ValueError: expected a confidence"),
         (Belief(A=((float("inf"),),)), "ValueError: expected a finite model"),
-        (Belief(symbols=((1, 0), (2,))), "ValueError: expected symbols as pairs"),  # type: ignore[arg-type]
-        (Belief(symbols=(("k", 0),)), "TypeError"),  # type: ignore[arg-type]
     ],
 )
 def test_a_belief_that_is_none_stops_her_alone(belief: object, expected: str) -> None:
@@ -386,6 +389,25 @@ def test_a_belief_that_is_none_stops_her_alone(belief: object, expected: str) ->
     assert listener.belief() == Belief()
     assert listener.failed.startswith(f"belief: {expected}")
     assert "\n" not in listener.failed
+
+
+@pytest.mark.parametrize(
+    ("symbols", "expected"),
+    [
+        (None, "TypeError: expected steps and symbols, got None"),
+        (((1, 0), (2,)), "ValueError: expected pairs of step and symbol"),
+        ((("k", 0),), "TypeError"),
+    ],
+)
+def test_message_symbols_that_are_none_stop_her_alone_at_the_end(
+    symbols: object, expected: str
+) -> None:
+    listener = odd(symbols=symbols)
+    early = belief_record("s", listener, listener.belief(), last=False)
+    assert (early["failed"], early["symbols"]) == ("", None)
+    last = belief_record("s", listener, listener.belief(), last=True)
+    assert last["failed"].startswith(f"message_symbols: {expected}")
+    assert last["symbols"] is None
 
 
 def test_second_thoughts_that_are_none_stop_her_alone() -> None:
@@ -402,7 +424,8 @@ def test_numbers_of_another_kind_are_taken_as_plain_ones() -> None:
     symbol = np.array([0.25, 0.75])
     listener = odd(
         guess=Guess(np.int64(3), symbol, np.float32(0.5)),  # type: ignore[arg-type]
-        last_belief=Belief(symbols=[(np.int64(1), np.int8(0))], A=np.eye(2)),  # type: ignore[arg-type]
+        last_belief=Belief(A=np.eye(2)),  # type: ignore[arg-type]
+        symbols=[(np.int64(1), np.int8(0))],
     )
     assert not listener.failed
     assert list(listener.tail) == [Guess(3, (0.25, 0.75), 0.5)] * 3

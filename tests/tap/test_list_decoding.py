@@ -145,7 +145,7 @@ def test_old_symbols_are_let_go_and_the_message_still_comes(
         assert len(decoding.paths) <= nodes + decoding.hypotheses
     assert decoding.whole[-1] == b"of the old"
     expected = decode(steps, 1.0, 3.0, 2)
-    got = decoding.symbols()
+    got = decoding.message_symbols()
     assert got[-60:] == expected[-60:]
 
 

@@ -46,12 +46,12 @@ def said(right: int, n: int = 10, *, whole: bool = False, name: str = "tap") -> 
     symbols = {k: v if i < right else 1 - v for i, ((_, k), v) in enumerate(t.symbols.items())}
     found = (b"word",) if whole else ()
     solved_k = 20 if whole else -1
-    belief = Belief(b"word", found, len(found), 0.5, 7, solved_k, tuple(symbols.items()))
-    return TapOutput(name, S, live, {}, belief)
+    belief = Belief(b"word", found, len(found), 0.5, 7, solved_k)
+    return TapOutput(name, S, live, {}, belief, tuple(symbols.items()))
 
 
 def believing(one: TapOutput, symbols: dict[int, int]) -> TapOutput:
-    return replace(one, belief=replace(one.belief, symbols=tuple(symbols.items())))
+    return replace(one, message_symbols=tuple(symbols.items()))
 
 
 def test_of_no_trials_nothing_is_said() -> None:

@@ -133,7 +133,8 @@ class Replay:
         out = []
         for x in self.listeners:
             guesses = self._guesses[x.name], self._reviews[x.name]
-            out.append(TapOutput(x.name, self.session, *guesses, x.belief(), x.failed))
+            belief, symbols = x.belief(), x.message_symbols()
+            out.append(TapOutput(x.name, self.session, *guesses, belief, symbols or (), x.failed))
         return out
 
     def report(self) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import ScenarioError
 from protocol.text import printable
 from runtime.recording import TraceError
-from tap_service.eavesdroppers.base import Belief, KeysHeld
+from tap_service.eavesdroppers.base import Belief, KeysHeld, MessageSymbols
 from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
@@ -131,7 +131,7 @@ class TruthTaker:
 class TapOutput:
     """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
 
-    Where she was not ``heard_out``, nobody knows which symbols she believes in. ``behind`` counts
+    Where she was not ``heard_out``, nobody asked her for the message's symbols. ``behind`` counts
     the steps captured that she never looked at.
     """
 
@@ -140,6 +140,7 @@ class TapOutput:
     live: Mapping[Step, int]
     reviewed: Mapping[Step, int]
     belief: Belief
+    message_symbols: MessageSymbols = ()
     failed: str = ""
     heard_out: bool = True
     behind: int = 0
@@ -303,7 +304,7 @@ def _bits(truth: Truth, said: TapOutput) -> Proportion:
     """Message symbols right, of her last session's; of the newest only, where she kept no more."""
     if not said.heard_out or said.failed or not said.live:
         return Proportion(0.0, 0)
-    symbols = dict(said.belief.symbols)
+    symbols = dict(said.message_symbols)
     oldest = min(symbols) if len(symbols) >= KEPT_SYMBOLS else 0
     asked = missed = right = 0
     for (session, k), symbol in truth.symbols.items():
@@ -316,7 +317,7 @@ def _bits(truth: Truth, said: TapOutput) -> Proportion:
 
 def _stray(truth: Truth, said: TapOutput) -> int:
     """Steps of her last session that she takes for the message's and that are not."""
-    return sum((said.session, k) not in truth.symbols for k, _ in said.belief.symbols)
+    return sum((said.session, k) not in truth.symbols for k, _ in said.message_symbols)
 
 
 def read_said(run: Run) -> list[TapOutput]:
@@ -348,7 +349,6 @@ def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int
         candidates_left=index(record["candidates_left"]),
         solved_k=index(record["solved_k"]),
         confidence=float(record["confidence"]),
-        symbols=() if symbols is None else tuple((int(k), int(v)) for k, v in symbols),
         bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
         keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
     )
@@ -358,6 +358,7 @@ def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int
         live=guesses.get("guess", {}),
         reviewed=guesses.get("review", {}),
         belief=belief,
+        message_symbols=[(int(k), int(v)) for k, v in symbols or ()],
         failed=str(record["failed"]),
         heard_out=symbols is not None,
         behind=index(record.get("behind", 0)),
