@@ -164,9 +164,12 @@ class StepLog:
         )
         body = b"".join((head, record, offered, measured, first, second))
         data = self._tag + _CHECK.pack(crc32(body)) + body
-        if os.pwrite(self._file, data, self.size) < len(data):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))
+        self._write(data, self.size)
         self.size += len(data)
+
+    def _write(self, data: bytes, at: int) -> None:
+        if os.pwrite(self._file, data, at) < len(data):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self._path))
 
     def make_ready(self) -> None:
         """Write zeros ahead of the steps, when nobody waits: no step then begins a new page.
@@ -180,10 +183,14 @@ class StepLog:
                 self._ready = start + os.pwrite(self._file, READY, start)
 
     def clear(self) -> None:
-        """Forget all steps: a rare write has what they came to."""
-        if self.size or self._ready:
-            os.ftruncate(self._file, 0)
-            self.size = self._ready = 0
+        """Forget all steps: a rare write has what they came to.
+
+        Zeros take their place. To cut the file would give back its blocks, and a file system that
+        tells its disk of each ("discard") lets the loop wait for that: 15 ms for 1 MiB.
+        """
+        self._write(bytes(self.size), 0)
+        self._ready = max(self._ready, self.size)
+        self.size = 0
 
     def close(self) -> None:
         """Close the file; what was made ready goes."""

@@ -128,6 +128,25 @@ def test_a_torn_or_flipped_step_is_not_there_byte_by_byte(tmp_path: Path) -> Non
     log.close()
 
 
+def test_steps_that_a_rare_write_has_are_zeros_however_far_it_came(tmp_path: Path) -> None:
+    path = tmp_path / "steps"
+    log = StepLog(path, b"8 bytes.")
+    for k in range(3):
+        log.append(k, b"record", offer(k), k % 2, measurement(k))
+    full = path.read_bytes()
+    log.clear()
+    assert path.read_bytes() == bytes(len(full))
+    log.append(3, b"record")
+    once = path.read_bytes()
+    assert once.endswith(bytes(len(full) - log.size))
+    assert log.read(2) == [Entry(3, b"record")]
+    for end in range(len(full) + 1):  # killed in the midst of it
+        path.write_bytes(bytes(end) + full[end:])
+        assert log.read(2) == []
+        assert path.read_bytes() == b""
+    log.close()
+
+
 def test_a_step_is_before_or_after_whatever_byte_of_it_is_torn_or_flipped(tmp_path: Path) -> None:
     live = tmp_path / "live" / NAME
     with PlantJournal(live, SCENARIO) as journal:
