@@ -8,7 +8,8 @@ A step is one write to a file (:mod:`runtime.step_log`). What is rare goes to a 
 (SQLite): messages, symbols that have left the record, obsolete rows, a new session. It has the
 record too, as of then; the steps are what came after. Both survive ``kill -9`` of the process at
 any instant. After a power failure the last saves may be missing; the two journals then do not fit
-together and the session ends, as rule 6 says. A journal is held by one process at a time.
+together and the session ends, as rule 6 says. Or one is refused in a line, where the disk has a
+part of the zeros that took its steps' place. A journal is held by one process at a time.
 """
 
 import os

@@ -16,6 +16,7 @@ from runtime.sandbox import START_S, SandboxError, acquire, give_back, serve
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld, MessageSymbols
+from tap_service.status import sound_symbols
 
 LIGHT_S: Final = 2.0
 """Seconds that a light one has for an answer: the mirror waits for her."""
@@ -163,7 +164,7 @@ def _answer(tap: Eavesdropper, what: str, argument: Any) -> object:
     if what == "review":
         return [_told(one) for one in tap.review()]
     if what == "message_symbols":
-        return tap.message_symbols()
+        return sound_symbols(tap.message_symbols())
     if what == "hear":
         tap.hear(argument)
         return None

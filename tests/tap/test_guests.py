@@ -22,6 +22,7 @@ KNOWLEDGE = law_of("sustained")[0].knowledge()
 
 GUEST = """
 import os, sys, time
+import numpy as np
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
 {before}
 class Mine(Eavesdropper):
@@ -33,7 +34,7 @@ class Mine(Eavesdropper):
     def belief(self):
         return Belief(message=b"hm", whole=(b"a", b"b"), whole_count=2)
     def message_symbols(self):
-        return (1, 0), (2, 1)
+        return zip(np.arange(1, 3), np.arange(2, dtype=np.int8))
 """
 
 
