@@ -248,7 +248,8 @@ class Eavesdropper(ABC):
     def message_symbols(self) -> MessageSymbols:
         """Those of the transitions that she takes for a message's, the newest `KEPT_SYMBOLS`.
 
-        None by default. They are many: she is asked for them once, after her last belief.
+        None by default. They are many: she is asked for them once, after her second thoughts
+        (:meth:`review`) and her last belief.
         """
         return ()
 

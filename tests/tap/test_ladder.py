@@ -85,6 +85,13 @@ def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -
     assert scored.bits.right == scored.bits.of
 
 
+@pytest.mark.parametrize("name", ["nearest-centre", "fitted-box", "learning", "smoother", "text"])
+def test_on_a_clear_view_she_names_the_message_symbols(name: str) -> None:
+    _, scored = play(simulate(1000, 0), name)
+    assert scored.bits.of > 200
+    assert scored.bits.right >= 0.99 * scored.bits.of
+
+
 def test_several_messages_come_in_order() -> None:
     payloads = [b"one", b"two", b"three"]
     run = simulate(1300, 7, payloads=payloads)

@@ -110,6 +110,21 @@ def test_who_fits_how_far_sensors_scatter_reads_it_too(
         assert found.right > 0.97 * found.agreements
 
 
+@pytest.mark.parametrize("name", ["nearest-centre", "fitted-box", "list-decoder", "smoother"])
+def test_by_readings_she_names_the_message_symbols(
+    name: str, scenario: Scenario, runs: Runs, link: Transfer
+) -> None:
+    carried = dict(enumerate(link.message_symbol[:, 0].tolist()))
+    tap = named(name)(scenario.knowledge())
+    for t in transcript(runs, link, 0):
+        tap.observe(t)
+    tap.review()
+    assert tap.belief().whole == (MESSAGE,)
+    said = dict(tap.message_symbols())
+    right = sum(said.get(k) == symbol for k, symbol in carried.items() if symbol != NO_SYMBOL)
+    assert right >= 0.95 * sum(symbol != NO_SYMBOL for symbol in carried.values()) > 50
+
+
 @pytest.mark.long
 def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
     scenario: Scenario, runs: Runs, link: Transfer
