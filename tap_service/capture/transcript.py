@@ -239,10 +239,19 @@ class Transcript:
             self._take(message, finished)
             return finished
         self._hold(message)
-        confirmed = self._together(message)
-        if sum(at > self._progressed_at for at, _ in confirmed) >= CONFIRMED:
+        since = self._since(message.session)
+        if len(since) >= CONFIRMED:
+            for session in list(self._others):
+                passed = self._since(session)  # a short session between the two
+                if len(passed) >= CREDIBLE and passed[-1][0] < since[0][0]:
+                    self._follow(passed[-1][1], finished)
             self._follow(message, finished)
         return finished
+
+    def _since(self, session: str) -> list[tuple[int, Measurement | Offer]]:
+        """Messages of another session, that confirm its last one, since ours went no further."""
+        newest = [*self._others[session].values()][-1][1]
+        return [one for one in self._together(newest) if one[0] > self._progressed_at]
 
     def _fits(self, k: int) -> bool:
         """Whether a step is one that the session may be at; until a few messages agree, none is
@@ -414,9 +423,9 @@ class Transcript:
         """
         finished: list[Transition] = []
         for session in list(self._others):
-            _, newest = [*self._others[session].values()][-1]
-            if len(self._together(newest)) >= CREDIBLE:
-                self._follow(newest, finished)
+            since = self._since(session)
+            if len(since) >= CREDIBLE:
+                self._follow(since[-1][1], finished)
         self._foreign += sum(map(len, self._others.values()))
         self._others.clear()
         if self._taken < CREDIBLE and self.sessions > 1:
