@@ -1,4 +1,4 @@
-"""The software bill of materials of the image: what ``requirements/image.txt`` pins.
+"""The software bill of materials of the image: what ``requirements/runtime.txt`` pins.
 
 ``python -m tools.sbom`` prints CycloneDX 1.5 as JSON, the same bytes for the same pins.
 """
@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, Final
 
 ROOT: Final = Path(__file__).resolve().parent.parent
-PINS: Final = ROOT / "requirements" / "image.txt"
+PINS: Final = ROOT / "requirements" / "runtime.txt"
 
 _PIN = re.compile(r"^(?P<name>[A-Za-z0-9._-]+)==(?P<version>[^\s;\\]+)(?:\s*;\s*(?P<when>[^\\]+))?")
 

@@ -112,13 +112,6 @@ def _tls(run: Path) -> int:
     return wyner(["send", "hi", *ends])
 
 
-def _kme(run: Path) -> int:
-    """A key server that would listen where this machine is not."""
-    names = ["--sae", "a", "--partner-sae", "b", "--listen", "192.0.2.1:1"]
-    certs = ["--tls", f"{run}/certs"]
-    return wyner(["kme", "--side", "plant", "--run-dir", str(run), *certs, *names])
-
-
 CHECK = command("check", "RUN")
 TARGETS: dict[str, Target] = {
     "scenario": Target(SCENARIO, command("scenarios", "RUN/scenario.toml", "--knowledge", "RUN/k")),
@@ -129,11 +122,6 @@ TARGETS: dict[str, Target] = {
     "certificate": Target(Path("certs/cert.pem"), _tls),
     "key of a certificate": Target(Path("certs/key.pem"), _tls),
     "authority": Target(Path("certs/ca.pem"), _tls),
-    "key server's certificate": Target(Path("certs/cert.pem"), _kme),
-    "key of a key server": Target(Path("certs/key.pem"), _kme),
-    "key server's authority": Target(Path("certs/ca.pem"), _kme),
-    "key server's store": Target(Path("plant/keys.sqlite3"), _kme),
-    "count beside it": Target(Path("plant/keys.sqlite3-given"), _kme),
     "knowledge": Target(KNOWLEDGE, loader(_knowledge)),
     "plant's trace": Target(PLANT_TRACE, CHECK),
     "controller's trace": Target(CONTROLLER_TRACE, CHECK),

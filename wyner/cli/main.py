@@ -38,7 +38,6 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     "operate": {
         "router": "a Zenoh router, with access control",
         "certs": "for mutual TLS; --secret to sign key blocks with",
-        "kme": "serve the keys made to applications (ETSI 014)",
         "status": "what a run's services last said; --healthy",
         "bench": "how fast wyner is here; did a change slow it?",
     },
@@ -54,7 +53,6 @@ GONE: Final = {
     "bound": "wyner design SCENARIO --noise",
     "capacity": "wyner design SCENARIO --alphas",
     "knowledge": "wyner scenarios SCENARIO --knowledge",
-    "rotate": "python examples/rotate_keys.py",
     "secret": "wyner certs --secret FILE",
     "health": "wyner status RUN --healthy SERVICE",
     "figures": "make figures",
