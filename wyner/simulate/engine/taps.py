@@ -166,7 +166,7 @@ def listen(
             belief = tap.belief()
         with _told_of(name, "belief", TypeError, ValueError):
             belief = sound_belief(belief)
-        read, told = read_of(messages, belief)
+        read, of = read_of(messages, belief)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
-        out.append(TapResult(agreements if tap.guesses else 0, hits, told, read, *held))
+        out.append(TapResult(agreements if tap.guesses else 0, hits, of, read, *held))
     return out
