@@ -20,8 +20,8 @@ import pytest
 
 from protocol.messages import PlantStatus
 from tests.support.patience import PATIENCE_S
+from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
 from tests.support.scripted import ScriptedSource
-from tools.rehearsal import MESSAGE_TEXT, Rehearsal
 from wyner.dashboard.app import FRAME_NS, GO_ON, Ending, Watch, has_screen, speaks_unicode
 from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.keymap import KEYS
@@ -274,7 +274,7 @@ PROGRAM = """
 import sys, time
 from pathlib import Path
 from wyner.dashboard.app import one_stage, run_dashboard
-from tools.rehearsal import Rehearsal
+from tests.support.rehearsal import Rehearsal
 from tests.support.scripted import ScriptedSource
 source = ScriptedSource(Rehearsal().arrivals(100000))
 def until():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from protocol.agreement import AgreementRule, Gauge
 from protocol.messages import Message, PlantModel, PlantStatus
-from tools.rehearsal import Rehearsal
+from tests.support.rehearsal import Rehearsal
 from wyner.dashboard.plane import Axes, axes_of, draw, fits, outline, verdict
 
 

@@ -9,7 +9,6 @@ from importlib.metadata import version
 from typing import Final
 
 from runtime.command import Parser, carry_out
-from runtime.errors import UsageError
 from runtime.services import SERVICES
 
 COMMANDS: Final[dict[str, dict[str, str]]] = {
@@ -45,21 +44,6 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
 }
 """Subcommands by group, with their lines in the help; the module is ``wyner.cli.NAME``. Services
 bring theirs. Neighbours of one line share it."""
-
-GONE: Final = {
-    "replay": "wyner score RUN --decode",
-    "secrecy": "wyner score RUN",
-    "unsealed": "wyner score RUN --unsealed",
-    "plot": "wyner sweep ROWS.csv --plot",
-    "bound": "wyner design SCENARIO --noise",
-    "capacity": "wyner design SCENARIO --alphas",
-    "knowledge": "wyner scenarios SCENARIO --knowledge",
-    "rotate": "python examples/rotate_keys.py",
-    "secret": "wyner certs --secret FILE",
-    "health": "wyner status RUN --healthy SERVICE",
-    "figures": "make figures",
-}
-"""Commands of former versions, and what does their work now."""
 
 
 def groups() -> dict[str, dict[str, str]]:
@@ -134,8 +118,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = next((a for a in arguments if not a.startswith("-")), None)
 
     def command() -> int:
-        if name in GONE:
-            raise UsageError(f"{name}: is no command any more; `{GONE[name]}` does its work")
         args = build_parser(name).parse_args(arguments)
         return int(args.run(args))
 
