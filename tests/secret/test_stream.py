@@ -1,5 +1,7 @@
 """The key stream: each digit is named once, held until it has served, and gone afterwards."""
 
+from itertools import pairwise
+
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -29,7 +31,7 @@ def test_both_ends_find_the_same_digits_in_order_and_each_once(
         named.append(position)
         plant.drop_before(Position(position.block, position.at + count))
         assert plant.at(position, count) is None
-    assert all(b.at >= a.at + count for a, b in zip(named, named[1:], strict=False))
+    assert all(b.at >= a.at + count for a, b in pairwise(named))
     assert len(whole) - len(named) * count <= (count - 1) * len(keys)
     assert controller.left == len(whole)
 
