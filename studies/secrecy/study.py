@@ -1,7 +1,7 @@
 """The secrecy study: which eavesdropper is measured under which condition, and a row for each run.
 
 ``python -m studies.figures --measure NAME`` adds to a figure's data the rows that they lack,
-for one run costs seconds to minutes here: a run that this code measured already is not measured again.
+for one run costs seconds to minutes here: what this code has measured is not measured again.
 """
 
 import csv
