@@ -41,6 +41,10 @@ def lock_step(steps: int, missed: frozenset[int] = frozenset()) -> list[Measurem
     return [*out, measurement(steps, applied)]
 
 
+def of_session(session: str, messages: list[Measurement | Offer]) -> list[Measurement | Offer]:
+    return [m.model_copy(update={"session": session}) for m in messages]
+
+
 def hear(messages: list[Measurement | Offer]) -> list[Transition]:
     transcript = Transcript()
     return [t for m in messages for t in transcript.hear(m)] + transcript.flush()
@@ -145,7 +149,7 @@ def test_a_sender_who_falls_silent_is_waited_for_a_bounded_time() -> None:
 def test_a_new_session_starts_afresh_and_the_old_one_is_over() -> None:
     transcript = Transcript()
     heard = [t for m in lock_step(10) for t in transcript.hear(m)]
-    second = [m.model_copy(update={"session": B}) for m in lock_step(CONFIRMED)]
+    second = of_session(B, lock_step(CONFIRMED))
     second.insert(1, offer(10, A))  # its connection was slower
     heard += [t for m in second for t in transcript.hear(m)]
     steps = [(A, k) for k in range(10)] + [(B, k) for k in range(CONFIRMED)]
@@ -156,15 +160,19 @@ def test_a_new_session_starts_afresh_and_the_old_one_is_over() -> None:
 
 
 def test_a_session_that_ends_soon_after_it_began_is_heard_too() -> None:
-    second = [measurement(0, -1, B), offer(0, B), measurement(1, 0, B)]
+    second: list[Measurement | Offer] = [
+        measurement(0, -1, B),
+        offer(0, B),
+        measurement(1, 0, B),
+    ]
     heard = hear([*lock_step(10), *second])
     assert [(t.session, t.k) for t in heard] == [(A, k) for k in range(10)] + [(B, 0)]
-    third = [m.model_copy(update={"session": C}) for m in lock_step(20)]
+    third = of_session(C, lock_step(20))
     heard = hear([*lock_step(10), *second, *third])
     assert [(t.session, t.k) for t in heard][10:] == [(B, 0), *((C, k) for k in range(20))]
 
 
-STRAYS = [
+STRAYS: list[Measurement | Offer] = [
     measurement(5, 4, B),
     measurement(0, -1, B),
     offer(5, B),
@@ -207,8 +215,7 @@ def test_strays_again_and_again_cost_nothing_either() -> None:
 
 def test_a_session_that_was_taken_for_over_is_followed_again() -> None:
     first, second = lock_step(200), lock_step(60)
-    other = [m.model_copy(update={"session": B}) for m in second]
-    heard = hear([*first[:200], *other, *first[200:]])
+    heard = hear([*first[:200], *of_session(B, second), *first[200:]])
     assert [t.session for t in heard] == [A] * 99 + [B] * 60 + [A] * 100
     assert [t.k for t in heard if t.session == A] == [*range(99), *range(100, 200)]
     assert [t.k for t in heard if t.gap] == [100]
