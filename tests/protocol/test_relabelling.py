@@ -45,7 +45,7 @@ def test_of_sixteen_symbols_the_labelling_is_found() -> None:
     labels = tuple(draw.sample(range(16), 16))
     pairs = names(labels, 300, 60, draw)
     its = known([pairs], 16)
-    assert 16 > ENUMERATED
+    assert ENUMERATED < 16
     assert its.labels == (labels,)
     assert its.right == right_under(pairs, labels) >= 240
     assert its.named < 60

@@ -3,7 +3,6 @@
 from binascii import b2a_base64
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from collections import Counter
 from contextlib import contextmanager
 from dataclasses import dataclass
 from random import Random
