@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from runtime.errors import Failure
+from runtime.files import read_regular
 from runtime.run_folder import HEALTH
 from runtime.services import Look
 
@@ -19,7 +20,7 @@ def look_at_status(folder: Path, now_s: float) -> Look:
 
     path = folder / "status.json"
     try:
-        status = from_json(path.read_bytes())
+        status = from_json(read_regular(path))
         age_s = now_s - status["t_ns"] / 1e9
         count = int(status["transitions"])
         phase = status["phase"]
@@ -43,6 +44,6 @@ def look_at_line(folder: Path, now_s: float) -> Look:
     path = folder / HEALTH
     try:
         written_ns = path.stat().st_mtime_ns
-        return Look(now_s - written_ns / 1e9, written_ns, path.read_text(encoding="utf-8"))
+        return Look(now_s - written_ns / 1e9, written_ns, read_regular(path).decode())
     except OSError as error:
         raise Failure(f"{path}: cannot be read: {error.strerror}") from None
