@@ -102,7 +102,7 @@ def in_time() -> Iterator[None]:
 
 
 @pytest.fixture
-def said(capsys: pytest.CaptureFixture[str], in_time: None) -> Callable[[list[str]], str]:  # noqa: ARG001
+def said(capsys: pytest.CaptureFixture[str], in_time: None) -> Callable[[list[str]], str]:
     def told(arguments: list[str]) -> str:
         signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
         code = main(arguments)
@@ -129,7 +129,7 @@ def test_no_command_waits_at_a_pipe_in_a_run(
     (run / file).unlink(missing_ok=True)
     os.mkfifo(run / file)
     for command in LOOKING:
-        said([word.replace("RUN", str(run)).replace("OUT", str(tmp_path / "o")) for word in command])
+        said([w.replace("RUN", str(run)).replace("OUT", str(tmp_path / "o")) for w in command])
 
 
 @pytest.mark.parametrize("command", NAMED, ids=" ".join)
