@@ -11,7 +11,7 @@ import pytest
 from protocol.secret.records import Side
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
-from tests.campaigns import exhaustive, fuzz, live, schedules, spoiled, spoiled_stores
+from tests.campaigns import exhaustive, fuzz, live, schedules
 from tests.secret.test_guarded_link import WRONG_GUARDS
 from tests.secret.test_keyed_coin import WRONG
 
@@ -64,22 +64,6 @@ def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert schedules.main(["--networks", "--count", "60", "--results", str(results)]) == 0
     assert json.loads(results.read_text())["broken"] == []
-
-
-@pytest.mark.long
-def test_spoiled_journals_are_told_or_end_the_session(tmp_path: Path) -> None:
-    results = tmp_path / "results.json"
-    assert spoiled.main(["--count", "10", "--results", str(results)]) == 0
-    assert json.loads(results.read_text())["counts"]["refused"] > 0
-
-
-@pytest.mark.long
-def test_spoiled_key_stores_are_told_and_give_nothing_twice(tmp_path: Path) -> None:
-    results = tmp_path / "results.json"
-    assert spoiled_stores.main(["--count", "5", "--results", str(results)]) == 0
-    counts = json.loads(results.read_text())["counts"]
-    assert counts["refused"] > 0
-    assert counts["keys"] > 50
 
 
 @pytest.mark.parametrize("side", ["controller", "plant"])

@@ -21,7 +21,7 @@ from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
 from tests.support.patience import PATIENCE_S
-from wyner.cli.main import GONE, commands, main
+from wyner.cli.main import commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESENT = list(commands())
@@ -86,19 +86,6 @@ def test_the_help_lists_every_command_that_is_there(capsys: pytest.CaptureFixtur
     lines = out.splitlines()
     assert len(lines) < 24
     assert max(map(len, lines)) <= 80
-
-
-@pytest.mark.parametrize("name", GONE)
-def test_a_command_of_a_former_version_names_the_one_that_does_its_work(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (line,) = usage_error(capsys, name, "anything")
-    assert f"`{GONE[name]}`" in line
-    program, command, *_ = GONE[name].split()
-    if program == "python":
-        assert Path(__file__).resolve().parents[2].joinpath(command).is_file()
-    else:
-        assert program == "make" or command in PRESENT
 
 
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:

@@ -13,7 +13,7 @@ from protocol.topics import key_of
 from runtime.inbox import OVERHEAD
 from runtime.memory_bus import MemoryBus, MemoryHub
 from tests.dashboard.states import batches, plant_of, state_after
-from tools.rehearsal import MESSAGE_TEXT
+from tests.support.rehearsal import MESSAGE_TEXT
 from wyner.dashboard import source as source_module
 from wyner.dashboard.headless import secrecy_line
 from wyner.dashboard.model import (

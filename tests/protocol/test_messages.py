@@ -24,7 +24,7 @@ from protocol.messages import (
 )
 from protocol.secret.nonces import fresh_nonce
 from protocol.topics import BASE, check_loop, key_of
-from tools.rehearsal import Rehearsal
+from tests.support.rehearsal import Rehearsal
 
 ALL = (*FIELD, *MANAGEMENT, *ADVERSARY)
 SESSION = "0123456789abcdef"

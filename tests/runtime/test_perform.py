@@ -15,8 +15,8 @@ from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.end_in_hand import kept
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
+from tests.support.rehearsal import Rehearsal
 from tests.support.two_ends import LineEnds, Name
-from tools.rehearsal import Rehearsal
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
 OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)

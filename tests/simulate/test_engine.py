@@ -20,6 +20,8 @@ from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
 from runtime.sandbox import SandboxError
 from runtime.scenario_file import load_scenario
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
 from wyner.simulate.engine import (
     Draws,
     Runs,
@@ -414,6 +416,39 @@ def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
     blind = simulate_runs(scenario, law, seed=12, runs=range(1), steps=9)
     with pytest.raises(ValueError, match="record=True"):
         listen(blind, transfer(blind), names, 0)
+
+
+class Reads(Eavesdropper):
+    """Had one of the messages whole, and no more."""
+
+    name = "reads"
+    guesses = False
+    had: tuple[bytes, ...] = (b"Ahoy",)
+    count = 1
+
+    def observe(self, transition: Transition) -> Guess:
+        return Guess(transition.k, (0.25,) * 4, 0.5)
+
+    def belief(self) -> Belief:
+        return Belief(whole=self.had, whole_count=self.count)
+
+
+class ReadsMany(Reads):
+    """Had a hundred, and keeps the last two."""
+
+    had = (b"Ahoy", b"Ahoy")
+    count = 100
+
+
+def test_a_message_read_once_counts_once_however_often_it_was_sent() -> None:
+    scenario, law = system("packed")
+    runs = simulate_runs(scenario, law, seed=12, runs=range(1), steps=200, record=True)
+    sent = transfer(runs, payloads=[b"Ahoy"] * 100)
+    once, many, oracle = listen(runs, sent, (Reads, ReadsMany, "oracle"), 0)
+    assert once.delivered > 2
+    assert once.read == 1
+    assert (many.delivered, many.read) == (2, 2)
+    assert (oracle.delivered, oracle.read) == (once.delivered, once.delivered)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Eavesdroppers on simulated runs: the classes that listen live, fed the same public messages."""
 
 from binascii import b2a_base64
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.secret.nonces import NONCE_BYTES
 from runtime.sandbox import SandboxError
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Eavesdropper
+from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper
 from tap_service.sandboxed import guarded
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
@@ -29,9 +30,10 @@ class TapResult:
     right : int
         Of these, the ones that she guessed right at once.
     delivered : int
-        Whole messages that the plant recovered.
+        Whole messages that the plant recovered; the last ones, where she keeps no more of hers.
     read : int
-        Of these, the ones among her whole messages in the end.
+        Of these, the ones among her whole messages in the end. One that she read once counts once,
+        however often the same text was sent.
     key_blocks, key_bits : int
         Blocks that made keys, and the bits of their rows that one who goes for keys can compute.
     """
@@ -97,6 +99,16 @@ def _told_of(name: str, where: str, *unsound: type[Exception]) -> Iterator[None]
         raise SandboxError(f"eavesdropper {name}: {where}: {what}") from None
 
 
+def read_of(messages: Sequence[bytes], belief: Belief) -> tuple[int, int]:
+    """How many of the messages she had whole, and of how many that can be told.
+
+    She keeps the last of hers alone, so they stand beside as many of the last messages.
+    """
+    if belief.whole_count > len(belief.whole):
+        messages = messages[-len(belief.whole) :]
+    return (Counter(messages) & Counter(belief.whole)).total(), len(messages)
+
+
 def listen(
     runs: Runs, link: Transfer, names: Sequence[str | type[Eavesdropper]], place: int
 ) -> list[TapResult]:
@@ -154,7 +166,7 @@ def listen(
             belief = tap.belief()
         with _told_of(name, "belief", TypeError, ValueError):
             belief = sound_belief(belief)
-        read = sum(m in belief.whole for m in messages)
+        read, of = read_of(messages, belief)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
-        out.append(TapResult(agreements if tap.guesses else 0, hits, len(messages), read, *held))
+        out.append(TapResult(agreements if tap.guesses else 0, hits, of, read, *held))
     return out
