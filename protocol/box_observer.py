@@ -203,8 +203,9 @@ class BoxObserver:
         self, box: Box, u: Sequence[float], y_next: Sequence[float]
     ) -> list[Interval] | None:
         """The box after one candidate; None where y(k+1) rules it out."""
-        before: list[Interval] | None = list(zip(box.low, box.high, strict=True))
-        pushes = self._pushes(before, u)
+        parts = list(zip(box.low, box.high, strict=True))
+        before: list[Interval] | None = parts
+        pushes = self._pushes(parts, u)
         after: list[Interval] | None = None
         for _ in range(PASSES):
             assert before is not None
