@@ -16,8 +16,8 @@ from plant_service.attacked import AttackedPlant
 from plant_service.plant import Disturbances, LinearModel
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Attack, Scenario, attack_of
-from protocol.streams import noise
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.chance import noise
 from runtime.errors import UsageError
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.scenario_file import attack_option, scenario_of
