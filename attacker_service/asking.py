@@ -7,8 +7,11 @@ from collections.abc import Iterable, Sequence
 from math import isfinite
 from typing import Any, Final
 
+from pydantic import ValidationError
+
 from attacker_service import LACKS
 from protocol.link.events import AttackBegan
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Attack, Scenario
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -17,6 +20,9 @@ from runtime.sandbox import START_S, SandboxError, SandboxProcess, acquire, give
 
 ANSWER_S: Final = 2.0
 """Seconds that an attack has for a step."""
+
+LONGEST: Final = 1 << 16
+"""Bytes of a message that an attack reads at most; the ends' own are far shorter."""
 
 BusMessage = tuple[str, bytes]
 """A message's topic and payload."""
@@ -42,6 +48,46 @@ def brief(scenario: Scenario, attack: Attack, seed: int | None) -> dict[str, Any
     }
 
 
+class Sieve:
+    """Tells the loop's own messages from whatever else is on its bus: an attack sees no junk.
+
+    Parameters
+    ----------
+    scenario : Scenario
+
+    Attributes
+    ----------
+    ignored : int
+        Messages that were none of the loop's.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.ignored = 0
+        self._n = scenario.n
+        self._offered = [scenario.m] * scenario.secrecy.candidates
+
+    def read(self, kind: type[FieldMessage], payload: bytes) -> FieldMessage | None:
+        """The message; None, and counted, where it is none, or of another loop's shape."""
+        try:
+            message = kind.model_validate_json(payload) if len(payload) <= LONGEST else None
+        except ValidationError:
+            message = None
+        if isinstance(message, Measurement):
+            fits = len(message.x) == self._n and len(message.x_after) in (0, self._n)
+        elif isinstance(message, Offer):
+            fits = [len(u) for u in message.candidates] == self._offered
+        else:
+            fits = message is not None
+        self.ignored += not fits
+        return message if fits else None
+
+    def tell(self) -> None:
+        """Say in a line how many were ignored."""
+        if self.ignored:
+            log = logger("attacker")
+            log.info("attack: %d messages on the bus were none of the loop's", self.ignored)
+
+
 class Attacker:
     """An attack in its own process. Where it fails, the truth passes from then on.
 
@@ -60,6 +106,8 @@ class Attacker:
         Every parameter, as it is traced.
     failed : str
         Why it is over; empty while it is not.
+    sieve : Sieve
+        What its messages go through first.
 
     Raises
     ------
@@ -71,6 +119,7 @@ class Attacker:
         if scenario.plant.C is not None:
             raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         self.failed = ""
+        self.sieve = Sieve(scenario)
         self._process: SandboxProcess = acquire("attacker_service.sandboxed")
         try:
             made = self._process.ask("make", brief(scenario, attack, seed), START_S)
@@ -128,4 +177,5 @@ class Attacker:
 
     def close(self) -> None:
         """Let go of it."""
+        self.sieve.tell()
         give_back(self._process)

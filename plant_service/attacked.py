@@ -6,10 +6,12 @@ from typing import Final, Self
 from attacker_service.asking import Attacker, BusMessage
 from plant_service.plant import Plant
 from protocol.link.session import Truth
-from protocol.messages import FIELD
+from protocol.messages import FIELD, Measurement, Offer
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus, Channel, Publisher
+
+_TYPES: Final = {kind.topic: kind for kind in FIELD}
 
 HEARD: Final = 4096
 """Messages that may wait for her; the oldest go first."""
@@ -40,6 +42,7 @@ class AttackedPlant:
         self._x = x
         self._u: Vector = ()
         self._told = ""
+        self._session = ""
         self.heard: deque[BusMessage] = deque(maxlen=HEARD)
 
     def prepare(self, k: int) -> None:
@@ -56,13 +59,29 @@ class AttackedPlant:
         """x(k+1) as it is reported; the true one is in :attr:`truth`."""
         self._x = reported = self._plant.end(k)
         if self._attacker.at == "sensor":
-            heard = [self.heard.popleft() for _ in range(len(self.heard))]
+            heard = self._of_the_loop()
             reported = self._attacker.vector("reading", k + 1, self._x, heard)
         failed = "" if self._told else self._attacker.failed
         self._told = self._attacker.failed
         inner = self._plant.truth  # of noisy sensors
         self.truth = Truth(self._x if inner is None else inner.x_next, self._u, failed)
         return reported
+
+    def _of_the_loop(self) -> list[BusMessage]:
+        """What she has heard since the last step, without junk and without other sessions' offers.
+
+        Measurements are the plant's own, as it published them.
+        """
+        taken: list[BusMessage] = []
+        for topic, payload in [self.heard.popleft() for _ in range(len(self.heard))]:
+            message = self._attacker.sieve.read(_TYPES[topic], payload)
+            if isinstance(message, Measurement):
+                self._session = message.session
+            if isinstance(message, Offer) and message.session != self._session:
+                self._attacker.sieve.ignored += 1
+            elif message is not None:
+                taken.append((topic, payload))
+        return taken
 
     def safe(self, why: str) -> None:
         """As the plant."""
