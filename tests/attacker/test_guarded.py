@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 from attacker_service import asking
-from attacker_service.asking import Attacker
+from attacker_service.attacker import Attacker
 from attacker_service.relay import Rewriter
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
