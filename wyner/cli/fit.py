@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
             lambda s: make_law(s, synthesise(s)),
             plan,
             lambda line: print(f"wyner: {line}", file=sys.stderr),
+            path.parent,
         )
     except ScenarioError as error:
         raise UsageError(error.problems) from None
