@@ -12,7 +12,7 @@ from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.vectors import Vector
 
 PATIENCE = 4
@@ -132,13 +132,8 @@ class Transcript:
         return len(self._x) + len(self._offers) + len(self._after) + len(self._missed)
 
     def hear(self, message: FieldMessage) -> list[Transition]:
-        """Take one message; the transitions that are finished by it, in order.
-
-        A sealed message passes beside the loop: it finishes none.
-        """
+        """Take one message; the transitions that are finished by it, in order."""
         finished: list[Transition] = []
-        if isinstance(message, Sealed):
-            return finished
         if message.session != self._session:
             if message.session in self._ended:
                 self.late += 1
