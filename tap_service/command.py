@@ -210,9 +210,10 @@ def read_knowledge(path: str) -> "Knowledge":
     from protocol.knowledge import Knowledge
     from protocol.wrong_fields import expected_of
     from runtime.errors import UsageError
+    from runtime.files import read_regular
 
     try:
-        text = Path(path).read_bytes()
+        text = read_regular(Path(path))
     except OSError as error:
         raise UsageError(f"--knowledge: {path}: cannot be read: {error.strerror}") from None
     try:

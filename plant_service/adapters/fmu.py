@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 from plant_service.adapters.base import PlantError
 from protocol.vectors import Vector
 from runtime.errors import needs
+from runtime.files import read_regular
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription
@@ -136,7 +137,7 @@ def _fresh_seed() -> int:
 
 def _check_hash(path: Path, sha256: str) -> None:
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = hashlib.sha256(read_regular(path)).hexdigest()
     except OSError as error:
         raise PlantError(f"{path}: cannot be read: {error.strerror}") from None
     if digest != sha256.lower():

@@ -95,6 +95,7 @@ class _Plant:
     def __init__(self, far: RemotePlant) -> None:
         self.far = far
         self.close = far.close
+        self.actions: tuple[tuple[float, float], ...] | None = None
 
     def reset(self, seed: int | None) -> Vector:
         return tuple(self.far.start(seed)[0])
@@ -123,6 +124,7 @@ def isolated(table: Any, start: Vector, folder: Path) -> PlantAdapter:
     }
     for name in far.told["abilities"]:
         setattr(plant, name, given[name])
+    plant.actions = far.told["actions"]
     return SimulatedPlant(plant, table.period_s)
 
 
@@ -152,6 +154,7 @@ class PlantServer:
             return {
                 "device": not isinstance(adapter, SimulatedPlant),
                 "abilities": [name for name in ABILITIES if hasattr(core, name)],
+                "actions": getattr(core, "actions", None),
             }
         adapter = self._adapter
         assert adapter is not None

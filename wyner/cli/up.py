@@ -214,7 +214,6 @@ def run_session(
                 ending = run_dashboard(
                     source,
                     until=watching.over,
-                    run_dir=run_dir,
                     story=options.story,
                     conclude=conclude if stays else None,
                     title=title,
