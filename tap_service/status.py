@@ -15,7 +15,7 @@ from pydantic_core import to_json
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
 from protocol.text import printable, readable
-from runtime.sandbox import SandboxError
+from runtime.child import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
@@ -156,7 +156,7 @@ class Listener:
 
 def _in_short(error: Exception) -> str:
     """An error on one line."""
-    if isinstance(error, SandboxError):
+    if isinstance(error, GuestError):
         return str(error)
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
