@@ -32,7 +32,6 @@ from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
-from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -175,7 +174,7 @@ class PlantService(EndService[PlantCore]):
         try:
             channel = _channel(config)
             super().__init__(
-                config, opened, channel, Offer, OpeningEnd, log, field, management, stopping, clock
+                config, opened, channel, Offer, log, field, management, stopping, clock
             )
         except BaseException:
             let_go(opened[0])
