@@ -357,7 +357,7 @@ def test_tables_of_free_names_make_a_live_plant(
     assert loop.wrong() == []
     monkeypatch.syspath_prepend(tmp_path)
     scenario = environment(tmp_path, "Own")
-    given = dict(zip(("file", "sha256"), map(str, fmu), strict=True))
+    given: dict[str, object] = dict(zip(("file", "sha256"), map(str, fmu), strict=True))
     given |= {"kind": "fmu", "inputs": ["u"], "outputs": ["place"]}
     data = scenario.model_dump(exclude_unset=True)
     del data["plant"]["id"]
