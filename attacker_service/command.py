@@ -49,7 +49,7 @@ def run_attacker(options: AttackerOptions) -> int:
     UsageError
         When an option's value is wrong, or no such attack is at the bus.
     """
-    from attacker_service.asking import Attacker
+    from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
     from runtime.bus import TransportError
     from runtime.scenario_file import attack_option, scenario_of
@@ -70,8 +70,7 @@ def run_attacker(options: AttackerOptions) -> int:
             ZenohBus(listen=[options.controller_side]) as controller,
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
+            attacker.sieve.tell()
     except TransportError as error:
         raise UsageError(str(error)) from None
-    finally:
-        attacker.close()
     return DONE
