@@ -49,7 +49,7 @@ def run_attacker(options: AttackerOptions) -> int:
     UsageError
         When an option's value is wrong, or no such attack is at the bus.
     """
-    from attacker_service.asking import Attacker
+    from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
     from runtime.bus import TransportError
     from runtime.link_watchdog import watched
@@ -73,8 +73,7 @@ def run_attacker(options: AttackerOptions) -> int:
             watched(stopping, logger("attacker"), plant, controller),
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
+            attacker.sieve.tell()
     except TransportError as error:
         raise UsageError(str(error)) from None
-    finally:
-        attacker.close()
     return DONE

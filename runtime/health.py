@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from runtime.errors import Failure
-from runtime.run_folder import HEALTH
+from runtime.files import read_regular
 from runtime.services import Look
 
 
@@ -19,7 +19,7 @@ def look_at_status(folder: Path, now_s: float) -> Look:
 
     path = folder / "status.json"
     try:
-        status = from_json(path.read_bytes())
+        status = from_json(read_regular(path))
         age_s = now_s - status["t_ns"] / 1e9
         count = int(status["transitions"])
         phase = status["phase"]
@@ -30,19 +30,3 @@ def look_at_status(folder: Path, now_s: float) -> Look:
     detail = f" ({status['detail']})" if status.get("detail") else ""
     stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""
     return Look(age_s, count, f"{phase}{detail}, {count} transitions{stopped}")
-
-
-def look_at_line(folder: Path, now_s: float) -> Look:
-    """Look at the line that a service with nothing to count writes again each second.
-
-    Raises
-    ------
-    Failure
-        When there is none.
-    """
-    path = folder / HEALTH
-    try:
-        written_ns = path.stat().st_mtime_ns
-        return Look(now_s - written_ns / 1e9, written_ns, path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise Failure(f"{path}: cannot be read: {error.strerror}") from None

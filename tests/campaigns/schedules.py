@@ -26,7 +26,6 @@ from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
-from protocol.defence import key_digits
 from protocol.link import coins, guarded
 from protocol.link.events import Alarm, Event, Forged, Interrupted, Missed
 from protocol.link.session import CountedTransition
@@ -34,6 +33,7 @@ from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Network, Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
+from protocol.secret import key_digits
 from protocol.vectors import Vector
 from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
@@ -44,7 +44,7 @@ from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 SAVED_S: Final = 60.0
 """Seconds after which what was found is saved, and told."""
@@ -390,7 +390,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
     done = {**dict.fromkeys(COUNTED, 0), "broken": [], "versions": {}, **done}
-    version = code_version()
+    version = code_version("tests.campaigns.schedules", without=())
     done["versions"].setdefault(version, [done["schedules"], 0])
     began, until = time.monotonic(), time.monotonic() + args.seconds
     saved = began

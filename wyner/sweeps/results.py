@@ -19,8 +19,9 @@ from protocol.statistics import (
     mean_sequence,
     share_over_runs,
 )
-from runtime.files import PUBLIC_FILE, write_atomically
-from wyner.sweeps.grid import Point, Row, SweepError, canonical, code_version
+from runtime.files import PUBLIC_FILE, read_regular, refuse_irregular, write_atomically
+from wyner.sweeps.code import loop_version
+from wyner.sweeps.grid import Point, Row, SweepError, canonical
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
 SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
@@ -88,6 +89,7 @@ class Results:
         self.columns = (*FIXED, *fields, *MEASURED, *tap_columns(taps))
         self.rows: list[Row] = []
         path.parent.mkdir(parents=True, exist_ok=True)
+        refuse_irregular(path)
         try:
             self._file: IO[bytes] = path.open("a+b" if resume else "x+b")
         except FileExistsError:
@@ -115,10 +117,10 @@ class Results:
             )
         whole = data[: data.rfind(b"\n") + 1]
         self.rows = _numbers(self.path, _table(self.path, whole))
-        foreign = sorted({r["version"] for r in self.rows} - {code_version()})
+        foreign = sorted({r["version"] for r in self.rows} - {loop_version()})
         if foreign:
             raise SweepError(
-                f"{self.path}: has rows of code version {foreign[0]}, this is {code_version()}; "
+                f"{self.path}: has rows of code version {foreign[0]}, this is {loop_version()}; "
                 "--output names another file"
             )
         self._file.truncate(len(whole))
@@ -133,7 +135,7 @@ class Results:
         """Append one row; returns it as a reader will see it."""
         row = {
             "task": point.task,
-            "version": code_version(),
+            "version": loop_version(),
             "scenario": point.scenario.name,
             "variant": point.variant,
             **{name: canonical(value) for name, value in point.fields.items()},
@@ -168,7 +170,7 @@ def read_table(path: Path) -> list[Row]:
         When the file cannot be read, has no rows, or its last line is torn.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
     if not data.endswith(b"\n"):
