@@ -19,11 +19,12 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.peer import Peer
 from protocol.messages import Offer
 from protocol.scenario import Attack
-from protocol.streams import COIN, SENSOR, Stream, noise, symbols
+from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
+from runtime.chance import noise, symbols
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
-from runtime.files import write_atomically
+from runtime.files import read_regular, write_atomically
 from runtime.fleet import SLOTS, Fleet, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet_host import run_fleet
@@ -31,7 +32,6 @@ from runtime.ids import new_id
 from runtime.journal import PlantJournal
 from runtime.journal_files import JournalError
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
-from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -164,7 +164,7 @@ class PlantService(EndService[PlantCore]):
     ) -> None:
         self._safe_state = config.run_dir / PLANT_SAFE
         if self._safe_state.exists():
-            why = self._safe_state.read_text(encoding="utf-8").strip()
+            why = read_regular(self._safe_state).decode().strip()
             raise UsageError(
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
@@ -174,7 +174,7 @@ class PlantService(EndService[PlantCore]):
         try:
             channel = _channel(config)
             super().__init__(
-                config, opened, channel, Offer, OpeningEnd, log, field, management, stopping, clock
+                config, opened, channel, Offer, log, field, management, stopping, clock
             )
         except BaseException:
             let_go(opened[0])

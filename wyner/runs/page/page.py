@@ -12,7 +12,7 @@ import numpy as np
 
 from protocol.scenario import Scenario
 from protocol.text import readable
-from runtime.files import write_atomically
+from runtime.files import read_regular, write_atomically
 from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
 from wyner.runs.check.base import Result
@@ -314,7 +314,7 @@ def _checks(results: Sequence[Result]) -> Iterator[str]:
 
 def _about(e: Evidence) -> Iterator[str]:
     try:
-        manifest = json.loads((e.run_dir / MANIFEST).read_text(encoding="utf-8"))
+        manifest = json.loads(read_regular(e.run_dir / MANIFEST))
     except (OSError, ValueError):
         manifest = {}
     told = {name: value for name, value in manifest.items() if name not in (FILES, ITSELF)}

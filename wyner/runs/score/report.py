@@ -447,8 +447,4 @@ def held_line(held: KeysHeld) -> str:
     line = f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
     if held.unplaced:
         line += f"; {held.unplaced} transitions fell in no block that it could place"
-    if held.sealed:
-        known, bits = (sum(getattr(t, f) for t in held.sealed) for f in ("known_bits", "bits"))
-        line += f"; reads {known} of {bits} bits of sealed text"
-        line += "".join(f', "{t.text}"' for t in held.sealed if t.known_bits)
     return line
