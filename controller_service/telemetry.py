@@ -31,10 +31,10 @@ class MessageQueue(Protocol):
     """How many there ever were."""
 
     def payload(self, number: int) -> bytes | None:
-        """Message ``number``, or None while it is not queued."""
+        """Message ``number``; None while it is not queued, and once it was delivered."""
 
-    def queued_as(self, identifier: str) -> bytes | None:
-        """The message that was ever queued under this identifier, or None."""
+    def crc_of(self, identifier: str) -> int | None:
+        """The CRC-32 of the message that was queued under this identifier, or None."""
 
     def identifier(self, number: int) -> str:
         """Identifier of the queued message ``number``."""
