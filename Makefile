@@ -83,7 +83,7 @@ ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap
 ROOM_attacker := attacker
-ROOM_wyner := advice api bound capacity cli dashboard deployment fit kme runs simulate sweeps system
+ROOM_wyner := advice api bound capacity cli dashboard deployment fit runs simulate sweeps system
 ROOM_studies := studies
 ROOM_house := house benchmarks campaigns examples tools
 
@@ -143,9 +143,6 @@ lock:
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 	  --no-header --no-emit-index-url --upgrade --extra dev -c requirements/runtime.txt \
 	  pyproject.toml -o requirements/dev.txt
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
-	  --no-header --no-emit-index-url --extra kme -c requirements/dev.txt \
-	  pyproject.toml -o requirements/image.txt
 
 clean:
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -92,12 +92,12 @@ def _names(args: argparse.Namespace) -> list[str]:
 
 def _watch(args: argparse.Namespace, results: dict[str, Any]) -> int:
     """Add to the record, or say what fell since."""
-    from wyner.sweeps.grid import code_version
+    from wyner.sweeps.code import loop_version
 
     try:
         entries = record.read()
         if args.name == "record":
-            entry = record.add(results, code_version())
+            entry = record.add(results, loop_version())
             print(json.dumps(entry) if args.json else f"{record.RECORD.name}: {entry['ratios']}")
             return DONE
     except ValueError as error:

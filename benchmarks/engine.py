@@ -21,7 +21,7 @@ from protocol.streams import COIN, DISTURBANCE, Stream
 from protocol.vectors import Vector
 from wyner.simulate.engine import chunks, follow, simulate_runs
 from wyner.simulate.single import closed_loop
-from wyner.sweeps.grid import ROOT
+from wyner.sweeps.code import ROOT
 
 SEED: Final = 1
 ROUNDS: Final = 5

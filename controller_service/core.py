@@ -62,8 +62,12 @@ LARGEST_STATE: Final = 1e150
 """Largest component of a state: sums and quotients of larger ones may be infinite."""
 
 STALE: Final = 64
-"""Old measurements in a row after which the session ends: the journal is ahead of the plant, for
-it answered a step that the plant never made. A network that reorders delays fewer."""
+"""Old measurements in a row, counted once in :data:`STALE_S`, after which the session ends: the
+journal is ahead of the plant, for it answered a step that the plant never made."""
+
+STALE_S: Final = 0.04
+"""Seconds in which any number of old measurements count once: a paused process or a replay brings
+hundreds at once, and they say nothing of the journal. A plant repeats its own each 0.05 s."""
 
 HALTED: Final = (
     "an alarm has ended the offers (look at the plant, then wyner controller --clear-alarm)"
@@ -123,9 +127,9 @@ class ControllerCore:
 
     Attributes
     ----------
-    now, plant_at, greeting_at : float
+    now, plant_at, greeting_at, stale_at : float
         The timers, in seconds: what it was told last, when the plant measured, when it may greet
-        again. They move together with the clock.
+        again, when an old measurement counts again. They move together with the clock.
     running_s : float
         Seconds after which a plant that has not measured is away.
     """
@@ -174,6 +178,7 @@ class ControllerCore:
         self._under_way: tuple[Measurement, Offer, SenderRecord, _Judged | None] | None = None
         """The step that waits to be counted, with what :meth:`_report` made of its measurement."""
         self._stale = 0
+        self.stale_at = -inf
         # the frame under way
         self._fresh = fresh
         self._frame: tuple[int, bytes] = (-1, b"")
@@ -250,18 +255,26 @@ class ControllerCore:
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
         """A measurement, a hello or announcement of the plant, or the operator's command."""
         self.now = now
-        try:
-            if kind is Measurement:
-                return self._measured(Measurement.from_wire(payload))
-            if kind is PlantHello:
-                return self._heard_hello(PlantHello.model_validate_json(payload))
-            if kind is BlockAnnouncement:
-                return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
-            return self._commanded(SendCommand.model_validate_json(payload))
+        try:  # what is received, and that alone: a wrong message of this end's own is a fault in it
+            message = (
+                Measurement.from_wire(payload)
+                if kind is Measurement
+                else kind.model_validate_json(payload)
+            )
         except ValidationError as error:
             names = {Measurement: "measurement", PlantHello: "hello", BlockAnnouncement: "word"}
             what = names.get(kind, "command")
             return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
+        match message:
+            case Measurement():
+                return self._measured(message)
+            case PlantHello():
+                return self._heard_hello(message)
+            case BlockAnnouncement():
+                return self._heard_announcement(message)
+            case SendCommand():
+                return self._commanded(message)
+        raise TypeError(f"{kind.__name__}: expected one of {self.hears}")
 
     def wake_at(self) -> float:
         """When the next status is due."""
@@ -353,8 +366,7 @@ class ControllerCore:
             return self._remind() if answer == "remind" else NOTHING_TO_DO
         self.plant_at = self.now
         if measurement.k < record.k:
-            self._stale += 1
-            return NOTHING_TO_DO if self._stale < STALE else self._diverged(measurement)
+            return self._old(measurement)
         self._stale = 0
         before = record.offer
         if before is not None and measurement.k == before.k:
@@ -397,6 +409,13 @@ class ControllerCore:
         )
         self._under_way = measurement, offer, following, judged
         return self._offers(offer, measurement)
+
+    def _old(self, measurement: Measurement) -> Actions:
+        """It is of a step that was answered before: held back by the network, or replayed."""
+        if self.now >= self.stale_at:
+            self.stale_at = self.now + STALE_S
+            self._stale += 1
+        return NOTHING_TO_DO if self._stale < STALE else self._diverged(measurement)
 
     def _malformed_states(self, measurement: Measurement) -> str:
         """What is wrong with a measurement's vectors; nothing where they are the plant's."""

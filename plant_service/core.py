@@ -288,15 +288,21 @@ class PlantCore:
         self.now = now
         if not self._running:
             self.pacing.tick(now, running=False)
-        try:
-            if kind is Offer:
-                return self._offered(Offer.from_wire(payload))
-            if kind is BlockAnnouncement:
-                return self._heard_announcement(BlockAnnouncement.model_validate_json(payload))
-            return self._heard_hello(ControllerHello.model_validate_json(payload))
+        try:  # what is received, and that alone: a wrong message of this end's own is a fault in it
+            message = (
+                Offer.from_wire(payload) if kind is Offer else kind.model_validate_json(payload)
+            )
         except ValidationError as error:
             what = {Offer: "offer", BlockAnnouncement: "word"}.get(kind, "hello")
             return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
+        match message:
+            case Offer():
+                return self._offered(message)
+            case BlockAnnouncement():
+                return self._heard_announcement(message)
+            case ControllerHello():
+                return self._heard_hello(message)
+        raise TypeError(f"{kind.__name__}: expected one of {self.hears}")
 
     def wake_at(self) -> float:
         """The earliest of tick, repeat, hello, silence, status and watchdog."""

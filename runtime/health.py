@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from runtime.errors import Failure
-from runtime.run_folder import HEALTH
 from runtime.services import Look
 
 
@@ -30,19 +29,3 @@ def look_at_status(folder: Path, now_s: float) -> Look:
     detail = f" ({status['detail']})" if status.get("detail") else ""
     stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""
     return Look(age_s, count, f"{phase}{detail}, {count} transitions{stopped}")
-
-
-def look_at_line(folder: Path, now_s: float) -> Look:
-    """Look at the line that a service with nothing to count writes again each second.
-
-    Raises
-    ------
-    Failure
-        When there is none.
-    """
-    path = folder / HEALTH
-    try:
-        written_ns = path.stat().st_mtime_ns
-        return Look(now_s - written_ns / 1e9, written_ns, path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise Failure(f"{path}: cannot be read: {error.strerror}") from None

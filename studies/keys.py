@@ -19,16 +19,6 @@ from protocol.secret.nonces import NONCE_BYTES
 from runtime.keys.key_maker import PUBLIC_TAG_BYTES
 from tap_service.inference.key_solver import bits_held
 
-SOURCES: Final = (
-    "studies/keys.py",
-    "protocol/gilbert_elliott.py",
-    "protocol/secret/authentication.py",
-    "protocol/secret/bound.py",
-    "protocol/secret/extractor.py",
-    "tap_service/inference/key_solver.py",
-)
-"""Where the numbers of this module come from."""
-
 TRANSITIONS: Final = 256
 COPIES: Final = 2 * TRANSITIONS
 BLOCKS: Final = 40

@@ -1,6 +1,5 @@
-"""Those who are no services of the loop: who watches, who sends, and who hands out its keys."""
+"""Those who are no services of the loop: who watches and who sends."""
 
-from runtime.health import look_at_line
 from runtime.services import (
     CONTROLLER_MANAGEMENT,
     PLANT_MANAGEMENT,
@@ -26,5 +25,3 @@ register(
         publishes={"management": ("management/command/send", "management/command/seal")},
     )
 )
-for _side in ("controller", "plant"):
-    register(Service(name=f"kme-{_side}", health=look_at_line))

@@ -21,7 +21,6 @@ from wyner.capacity.table import dither_price
 SIZES: Final = (2, 3, 4, 5, 6, 8, 12, 16)
 SCENARIO: Final = "packed"
 COLUMNS: Final = ("scenario", "dither", "M", "pass", "variance", "state_price", "input_price")
-SOURCES: Final = ("studies/attacks/watermark.py", "wyner/capacity/table.py")
 
 
 def least(mu: float) -> float:

@@ -50,12 +50,6 @@ TARGETS: Final = {
     "plant": _of_end("plant"),
     "controller": _of_end("controller"),
     "tap": (("write", "tap/capture"), ("rename", "tap/"), ("send", "socket")),
-    "kme-plant": (("pwrite64", "plant/keys"), ("fdatasync", "plant/keys"), ("send", "socket")),
-    "kme-controller": (
-        ("pwrite64", "controller/keys"),
-        ("fdatasync", "controller/keys"),
-        ("send", "socket"),
-    ),
 }
 
 

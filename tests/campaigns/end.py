@@ -404,6 +404,7 @@ class End:
             endpoint.plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all
             endpoint.greeting_at = -inf
+            endpoint.stale_at = -inf
             endpoint.coins.wait_s = AGAIN_S
             return
         pacing = endpoint.pacing

@@ -23,7 +23,7 @@ from runtime.logs import logger
 from tests.campaigns.loop import rules_of
 from tests.support.mail import Mail
 from tests.support.two_ends import LineEnds, Name
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 NUMBERS = (0, -1, 1, 2**63, -(2**63), 10**400, 1e308, -1e308, 5e-324, 0.1, True, None, "", "NaN")
 TEXTS = ("", "x" * 5000, "\x1b[31m", "\u202e", "0" * 16, "../../etc")
@@ -168,7 +168,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--who", default=",".join(HEARS), help="of these")
     parser.add_argument("--results", type=Path, default=Path("campaign-fuzz.json"))
     args = parser.parse_args(argv)
-    told: dict[str, object] = {"version": code_version()}
+    told: dict[str, object] = {"version": code_version("tests.campaigns.fuzz", without=())}
     for who in args.who.split(","):
         before, until = megabytes(), time.monotonic() + args.seconds
         began, lines = time.monotonic(), _Lines()

@@ -1,7 +1,7 @@
 """SIGKILL and SIGSTOP of live services: ``python -m tests.campaigns.kills --kills 1000``.
 
-Each run is a whole loop of processes: controller, plant, tap, two key servers, and in every other
-run a router. Any of them is killed at random instants and started again, or frozen for up to six
+Each run is a whole loop of processes: controller, plant, tap, and in every other run a
+router. Any of them is killed at random instants and started again, or frozen for up to six
 seconds, while others are killed; :mod:`tests.campaigns.traffic` says what must have come of it.
 With ``--jumps`` the wall clock of all of them is set by hours again and again, both ways (needs
 a C compiler): nothing may depend on it. With ``--apart`` each has a wall clock of its own that is
@@ -39,7 +39,7 @@ FROZEN_S: Final = 6.0
 RELAY: Final = (0.02, 0.05, 0.001)
 """Its odds: loss, repeat, and the longest delay in seconds."""
 
-SERVICES: Final = ("controller", "plant", "tap", "router", "relay", "kme-controller", "kme-plant")
+SERVICES: Final = ("controller", "plant", "tap", "router", "relay")
 LARGEST_JUMP_S: Final = 48 * 3600
 KINDS: Final = {
     "kills": "campaign-kills.json",

@@ -28,7 +28,6 @@ from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 from tests.campaigns.relay import main as pass_on
-from tests.support.key_sites import Sites
 from wyner.cli.main import main
 from wyner.deployment.certificates import ensure_certificates
 from wyner.fit.toml import as_toml
@@ -41,9 +40,7 @@ PRELOADED: Final = (
     "tap_service.command",
     "tap_service.service",
     "wyner.cli.router",
-    "wyner.cli.kme",
     "wyner.cli.send",
-    "wyner.kme.server",
 )
 
 PR_SET_PDEATHSIG: Final = 1
@@ -186,17 +183,8 @@ def wait_for(holds: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
-class RunSites(Sites):
-    """Key servers over the stores of one run."""
-
-    def run_dir(self, side: str) -> Path:
-        """Both ends of a run share its folder."""
-        del side
-        return self.folder / "run"
-
-
 class LiveLoop:
-    """Controller, plant, tap, key servers and, where asked, a router, as processes.
+    """Controller, plant, tap and, where asked, a router, as processes.
 
     Parameters
     ----------
@@ -262,11 +250,6 @@ class LiveLoop:
         self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
         told = ["--message-file", str(folder / "message")]
         self._add("controller", [*common["controller"], *told, *ends["controller"]])
-        self.sites = RunSites(folder, keys=0)
-        for side in ("controller", "plant"):
-            name = f"kme-{side}"
-            log = folder / f"{name}.log"
-            self.processes[name] = Process(name, self.sites.command(side), log)
         if boots is not None:
             for place, process in enumerate(self.processes.values()):
                 process.place, process.boots = place, boots

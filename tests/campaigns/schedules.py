@@ -44,7 +44,7 @@ from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 SAVED_S: Final = 60.0
 """Seconds after which what was found is saved, and told."""
@@ -390,7 +390,7 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
     done = {**dict.fromkeys(COUNTED, 0), "broken": [], "versions": {}, **done}
-    version = code_version()
+    version = code_version("tests.campaigns.schedules", without=())
     done["versions"].setdefault(version, [done["schedules"], 0])
     began, until = time.monotonic(), time.monotonic() + args.seconds
     saved = began

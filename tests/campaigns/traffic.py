@@ -1,16 +1,13 @@
 """What goes over a live loop while it is ill-treated, and what must have come of it at the end.
 
-Every message must be there once, no key may have been given out twice, every service must end with
-code 0 when it is asked to, and `wyner check` must pass.
+Every message must be there once, every service must end with code 0 when it is asked to, and
+`wyner check` must pass.
 """
 
 import base64
-import multiprocessing
 import random
 import time
 from collections import Counter
-from contextlib import suppress
-from multiprocessing.connection import Connection
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -29,64 +26,8 @@ AT_LAST_S: Final = 120.0
 """Seconds that a loop has to deliver what is queued, once all is well."""
 
 
-class Customer:
-    """Two applications that fetch keys whenever the servers are there, and note what they got.
-
-    They are a process of their own: who forks services must not have a second thread, or a child
-    may be born with a lock that nobody gives back.
-    """
-
-    def __init__(self, loop: LiveLoop) -> None:
-        self.sites = loop.sites
-        self.got: dict[str, list[tuple[str, str]]] = {"alice": [], "bob": []}
-        self.wrong: list[str] = []
-        fork = multiprocessing.get_context("fork")
-        self.over = fork.Event()
-        self._told, theirs = fork.Pipe()
-        self._process = fork.Process(target=self._run, args=(theirs,), daemon=True)
-
-    def start(self) -> None:
-        """Begin to fetch."""
-        self._process.start()
-
-    def stop(self) -> None:
-        """Fetch no more; take what was noted."""
-        self.over.set()
-        if self._told.poll(60):
-            self.got, self.wrong = self._told.recv()
-        else:
-            self.wrong.append("the applications do not end")
-        self._process.join(10)
-
-    def _run(self, told: Connection) -> None:
-        """Fetch until told that it is over."""
-        while not self.over.wait(0.05):
-            for key_id, key in self._ask("controller", "alice", "bob/enc_keys"):
-                self.got["alice"].append((key_id, key))
-                for same in self._ask("plant", "bob", f"alice/dec_keys?key_ID={key_id}"):
-                    self.got["bob"].append(same)
-                    if same != (key_id, key):
-                        self.wrong.append(f"key {key_id} differs")
-        told.send((self.got, self.wrong))
-
-    def _ask(self, side: str, name: str, path: str) -> list[tuple[str, str]]:
-        with suppress(OSError, ValueError, AssertionError, KeyError):
-            code, told = self.sites.ask(side, name, f"/api/v1/keys/{path}")
-            if code == 200:
-                return [(k["key_ID"], k["key"]) for k in told["keys"]]
-        return []
-
-    def judged(self) -> list[str]:
-        """What was wrong with the keys."""
-        for name, got in self.got.items():
-            for what, place in (("id", 0), ("key", 1)):
-                seen = Counter(one[place] for one in got)
-                self.wrong += [f"{name} got {what} {x} twice" for x, n in seen.items() if n > 1]
-        return self.wrong
-
-
 class Traffic:
-    """A loop that runs inside ``with``, its messages and its customer.
+    """A loop that runs inside ``with``, and its messages.
 
     Attributes
     ----------
@@ -103,10 +44,8 @@ class Traffic:
         self.sealed: dict[str, str] = {}
         self.wrong: list[str] = []
         self.operators: list[Process] = []
-        self.customer = Customer(loop)
 
     def __enter__(self) -> "Traffic":
-        self.customer.start()
         self.loop.start()
         return self
 
@@ -120,8 +59,7 @@ class Traffic:
         self.operators.append(self.loop.send(name, text, sealed=sealed))
 
     def arrive(self) -> None:
-        """All is well now: wait until every message has arrived; no key goes elsewhere."""
-        self.customer.over.set()
+        """All is well now: wait until every message has arrived."""
         if not wait_for(lambda: all_done(self.operators), AT_LAST_S):
             self.wrong.append("an operator has no answer")
         well = self.loop.mark()
@@ -136,7 +74,6 @@ class Traffic:
         error: BaseException | None,
         trace: TracebackType | None,
     ) -> None:
-        self.customer.stop()
         self.wrong += self.loop.stop()
         for operator in self.operators:
             operator.kill()
@@ -144,9 +81,7 @@ class Traffic:
     def judged(self, counts: Counter[str]) -> list[str]:
         """What was wrong with a run that is over; adds its figures to ``counts``."""
         counts["messages"], counts["sealed"] = len(self.expected), len(self.sealed)
-        counts["keys"] = len(self.customer.got["alice"])
         run_dir = self.loop.run_dir
-        self.wrong += self.customer.judged()
         try:
             self.wrong += _recovered(run_dir, self.expected, counts)
             if self.sealed:

@@ -16,8 +16,8 @@ import pytest
 from wyner.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
-ELSEWHERE = {"rotate_keys", "lesson"}
-"""Run beside two key servers (`tests/kme/test_recipes.py`), and a page (`test_lesson.py`)."""
+ELSEWHERE = {"lesson"}
+"""A page (`test_lesson.py`)."""
 PROGRAMS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.stem not in ELSEWHERE)
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 

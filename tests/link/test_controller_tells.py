@@ -2,12 +2,13 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
-from controller_service.core import GREETING_S, STALE, ControllerCore
+from controller_service.core import GREETING_S, STALE, STALE_S, ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.defence.key_digits import digits
@@ -906,14 +907,33 @@ def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session(
     """A session that ends, or begins, has had none of them."""
     old = measurement(k=2, applied_k=1)
     end = Told().at_work()
-    for _ in range(STALE - 1):
-        assert end.hears(old, 1.0) == NOTHING_TO_DO
-    end.hears(hello(session=NEW), 2.0)
+    for i in range(STALE - 1):
+        assert end.hears(old, 1.0 + i * STALE_S) == NOTHING_TO_DO
+    end.hears(hello(session=NEW), 10.0)
     assert end.core.record.session == NEW
-    end.hears(measurement(session=NEW, k=7, applied_k=-1, x_after=()), 3.0)
+    end.hears(measurement(session=NEW, k=7, applied_k=-1, x_after=()), 11.0)
     old = old.model_copy(update={"session": NEW})
-    for _ in range(STALE - 1):
-        assert end.hears(old, 4.0) == NOTHING_TO_DO
+    for i in range(STALE - 1):
+        assert end.hears(old, 12.0 + i * STALE_S) == NOTHING_TO_DO
     assert end.notices[-1:] != [("warning", "refusals")]
-    end.hears(old, 5.0)
+    end.hears(old, 20.0)
     assert end.core.record.session is None
+
+
+def test_a_burst_of_old_measurements_ends_no_session() -> None:
+    """A replay, or what a network held back: thousands at once, each of another step or one."""
+    end = Told().at_work()
+    for k in 10 * STALE * (0, 1, 2):
+        assert end.hears(measurement(k=k, applied_k=-1, x_after=()), 1.0) == NOTHING_TO_DO
+    said = end.hears(measurement(k=4, applied_k=3), 1.0)
+    assert any(isinstance(message, Offer) for message in said.publish)
+    assert end.core.record.session == S
+
+
+def test_a_wrong_message_of_its_own_is_no_malformed_input(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is a fault of this end, and told as one, not blamed on what came."""
+    end = Told().at_work()
+    monkeypatch.setattr(end.core, "_propose", lambda _x: ((nan,), (1.0,)))
+    with pytest.raises(ValidationError, match="candidates"):
+        end.core.receive(Measurement, measurement(k=4, applied_k=3).wire(), 1.0)
+    assert end.core.malformed == 0

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from math import inf
+from math import inf, nan
 from typing import Any
 
 import pytest
+from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
 from plant_service.core import (
@@ -590,6 +591,16 @@ def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
         assert (notice.level, notice.subject) == ("warning", "malformed")
         assert notice.text.split(":")[0] == name
         assert (end.core.malformed, end.core.record) == (number + 1, record)
+
+
+def test_a_wrong_message_of_its_own_is_no_malformed_input() -> None:
+    """The plant has moved by then: what it reads is at fault, and not the offer."""
+    machine = Machine()
+    machine.x_next = (nan,)
+    end = Told(machine=machine, step_s=None).met()
+    with pytest.raises(ValidationError, match="x_after"):
+        end.core.receive(Offer, OFFER.wire(), 0.0)
+    assert end.core.malformed == 0
 
 
 @pytest.mark.parametrize("malformed", [{"coin_key": "k0"}, {"coin_from": 3}, {"coin_last": "k0"}])

@@ -37,7 +37,6 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     "operate": {
         "router": "a Zenoh router, with access control",
         "certs": "for mutual TLS; --secret to sign key blocks with",
-        "kme": "serve the keys made to applications (ETSI 014)",
         "status": "what a run's services last said; --healthy",
         "bench": "how fast wyner is here; did a change slow it?",
     },

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from protocol.topics import DEFAULT_LOOP
 from runtime.bus_options import BusOptions
-from runtime.errors import Failure, UsageError
+from runtime.errors import Failure
 from runtime.services import CONTROLLER_MANAGEMENT, SERVICES
 
 if TYPE_CHECKING:
@@ -82,16 +82,3 @@ def joined(
     }
     connect = [f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())]
     return loop, replace(buses, loop=loop.loop, connect=connect)
-
-
-def host_port(option: str, text: str) -> tuple[str, int]:
-    """A host and a port as an option names them.
-
-    Raises
-    ------
-    UsageError
-    """
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UsageError(f"{option}: got {text!r}, expected HOST:PORT")
-    return host.strip("[]"), int(port)

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 from protocol.statistics import COUNTED, PROVED
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
-from runtime.health import look_at_line
 from wyner.cli.healthy import add_options, check_health
 
 if TYPE_CHECKING:
@@ -57,28 +56,19 @@ def run(args: argparse.Namespace) -> int:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     if controller.keys_stopped and not plant.keys_stopped:
         warnings.append(f"keys stopped at the controller: {controller.keys_stopped}")
-    served = _key_servers(run_dir)
-    for name, (age_s, line) in served.items():
-        if line.startswith("bad"):
-            warnings.append(f"{name}: {line.removeprefix('bad: ')}")
-        elif age_s > OLD_S and not line.startswith("stopped"):
-            warnings.append(f"{name} last spoke {age_s:.0f} s ago")
     if args.json:
         told: dict[str, Any] = {
             "plant": plant.model_dump(),
             "controller": controller.model_dump(),
         }
-        servers = {name: line for name, (_, line) in served.items()}
-        told |= {**servers, "claim": claim, "distance": distance, "pads": pads}
+        told |= {"claim": claim, "distance": distance, "pads": pads}
         bare = {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED}
         print(json.dumps({**told, "no_interval": bare, "warnings": warnings}))
     else:
-        rows = (f"{name:<11} {line}" for name, (_, line) in served.items())
         lines = (
             *_lines(plant, controller, claim),
             *_lines_of_distance(plant, distance),
             *_lines_of_pads(pads),
-            *rows,
         )
         for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
@@ -95,18 +85,6 @@ def _run_dir(given: Path | None) -> Path:
     if len(loops) != 1:
         raise UsageError(f"RUN_DIR: runs that go on: {names_of(loops)}; expected one, or a folder")
     return Path(loops[0].run_dir)
-
-
-def _key_servers(run_dir: Path) -> dict[str, tuple[float, str]]:
-    """The age and the health line of each key server that has ever served this run."""
-    found = {}
-    for name in ("kme-controller", "kme-plant"):
-        try:
-            look = look_at_line(run_dir / name, time.time())
-        except Failure:
-            continue
-        found[name] = look.age_s, look.text
-    return found
 
 
 def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":

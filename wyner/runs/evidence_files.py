@@ -1,7 +1,7 @@
 """Which files of a run's folder are evidence, and what holds each of them to what it was.
 
 A file that matches none of the patterns is no evidence: a page, a table or a copy that somebody put
-there. What goes on being written beside a run that is over (a key server's line, a lock) is none
+there. What goes on being written beside a run that is over (a lock) is none
 either.
 """
 
@@ -55,7 +55,6 @@ KINDS: Final = (
     FileKind("controller/log", True, SEAL),
     FileKind("tap/log", True, SEAL),
     FileKind("*/health", False, "a line for health checks, written anew"),
-    FileKind("kme-*/*", False, "a key server's own, beside a run that is over"),
     FileKind("*/.*", False, "on its way to its name, or the one before it"),
     FileKind("*/keys.sqlite3-journal", False, "SQLite's own, empty between two writes"),
     FileKind("*/log.old", False, "a log that was begun again"),

@@ -20,7 +20,8 @@ from protocol.statistics import (
     share_over_runs,
 )
 from runtime.files import PUBLIC_FILE, write_atomically
-from wyner.sweeps.grid import Point, Row, SweepError, canonical, code_version
+from wyner.sweeps.code import loop_version
+from wyner.sweeps.grid import Point, Row, SweepError, canonical
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
 SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
@@ -115,10 +116,10 @@ class Results:
             )
         whole = data[: data.rfind(b"\n") + 1]
         self.rows = _numbers(self.path, _table(self.path, whole))
-        foreign = sorted({r["version"] for r in self.rows} - {code_version()})
+        foreign = sorted({r["version"] for r in self.rows} - {loop_version()})
         if foreign:
             raise SweepError(
-                f"{self.path}: has rows of code version {foreign[0]}, this is {code_version()}; "
+                f"{self.path}: has rows of code version {foreign[0]}, this is {loop_version()}; "
                 "--output names another file"
             )
         self._file.truncate(len(whole))
@@ -133,7 +134,7 @@ class Results:
         """Append one row; returns it as a reader will see it."""
         row = {
             "task": point.task,
-            "version": code_version(),
+            "version": loop_version(),
             "scenario": point.scenario.name,
             "variant": point.variant,
             **{name: canonical(value) for name, value in point.fields.items()},

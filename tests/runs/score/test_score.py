@@ -387,20 +387,3 @@ def test_a_row_of_the_data_comes_out_again() -> None:
     for task in again:
         row = {name: str(value) for name, value in measure(task).items()}
         assert row | {"version": ""} == rows[task.id] | {"version": ""}
-
-
-def test_measuring_adds_the_rows_that_are_missing_and_no_others(tmp_path: Path) -> None:
-    from studies import DATA
-    from studies.measurements import MEASUREMENTS
-
-    whole = (DATA / "secrecy-alpha.csv").read_text(encoding="utf-8").splitlines()
-    path = tmp_path / "secrecy-alpha.csv"
-    torn = whole[-2][:30]  # as a kill leaves it
-    path.write_text("\n".join([*whole[:-2], torn]), encoding="utf-8")
-    for _ in range(2):
-        MEASUREMENTS["secrecy-alpha"](path)
-        lines = path.read_text(encoding="utf-8").splitlines()
-        assert lines[:-2] == whole[:-2]
-        for line, shipped in zip(lines[-2:], whole[-2:], strict=True):
-            task, _, *measured = line.split(",")
-            assert [task, *measured] == shipped.split(",")[:1] + shipped.split(",")[2:]
