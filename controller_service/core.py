@@ -20,7 +20,7 @@ from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phas
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
-from protocol.link.events import Alarm, Event, SessionBegan
+from protocol.link.events import FELL_BACK, Alarm, Event, SessionBegan
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
@@ -113,6 +113,8 @@ class ControllerCore:
         answer.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
+    fell_back : bool
+        The journal may lack its newest steps: its session ends.
     coin_keys : iterable of Key
         That the key store holds for the session's coin, in order.
     predict : callable, optional
@@ -156,6 +158,7 @@ class ControllerCore:
         measurement: Measurement | None = None,
         offer: Offer | None = None,
         contributions: Iterable[Contribution] = (),
+        fell_back: bool = False,
         coin_keys: Iterable[Key] = (),
         predict: Predict | None = None,
         message: bytes | None = None,
@@ -202,6 +205,7 @@ class ControllerCore:
         self.plant_at = self.greeting_at = -inf
         # what waits for `finish_step`
         self._starting = False
+        self._fell_back = fell_back and read.session is not None
         self._first_message = message
         self._blocks_differ = False
         # the status
@@ -298,6 +302,10 @@ class ControllerCore:
             actions = self._end_session(
                 "blocks differ", "a key block differs from the plant's; session ended"
             )
+        elif self._fell_back:
+            self._fell_back = False
+            self._drop_session()
+            actions = self._saved(Actions((SessionBegan(None, FELL_BACK),)))
         elif self._first_message is not None:
             actions = self._queue(SendCommand(id=INITIAL_ID, payload=self._first_message))
             self._first_message = None
@@ -348,7 +356,7 @@ class ControllerCore:
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         self._health_at = now
-        return self._erasing_rows(self._status())._replace(notices=waiting_notice(self.keying))
+        return self._status()._replace(notices=waiting_notice(self.keying))
 
     # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
 

@@ -116,6 +116,7 @@ def open_controller(
         measurement=loaded.measurement,
         offer=loaded.offer,
         contributions=loaded.rows,
+        fell_back=loaded.fell_back,
         coin_keys=for_coin,
         predict=predict,
         message=config.message,

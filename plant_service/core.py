@@ -23,6 +23,7 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.coins import AppliedCoins
 from protocol.link.events import (
+    FELL_BACK,
     NEW_JOURNAL,
     AttackBegan,
     Interrupted,
@@ -791,9 +792,8 @@ class PlantCore:
             self._fell_back = False
             self._begin_session()
             self.state = first_state(self.record)
-            why = "the machine was started again, and the newest steps may be lost"
-            notice = Notice(f"{why}; new session {self.record.session}", "warning")
-            actions = self._anew(why, notice, actions)
+            notice = Notice(f"{FELL_BACK}; new session {self.record.session}", "warning")
+            actions = self._anew(FELL_BACK, notice, actions)
         return actions
 
     # --- sessions ---------------------------------------------------------------------------------

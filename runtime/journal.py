@@ -47,6 +47,13 @@ CHECKPOINT_PAGES: Final = 2000
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
+_STEP: Final = (
+    "INSERT INTO step VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET"
+    " record = excluded.record, offer = excluded.offer, coin = excluded.coin,"
+    " measurement = excluded.measurement, check_ = excluded.check_"
+)
+"""Writes over the row, which takes a third of the time of a new one in its place."""
+
 R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
 
 
@@ -229,14 +236,14 @@ class Journal(ABC, Generic[R]):
         """Within a transaction."""
         record, offer, measurement = actions.record, actions.offer, actions.measurement
         assert record is not None
-        self._put(
-            "step",
+        step = (
             0,
             self.adapter.dump_json(record),
             b"" if offer is None else offer.wire(),
             actions.coin,
             b"" if measurement is None else measurement.wire(),
         )
+        self._db.execute(_STEP, (*step, check_of(*step)))
         if self._saved is None or record.session != self._saved.session:
             for table in self.of_session:
                 self._db.execute(f"DELETE FROM {table}")
@@ -255,6 +262,7 @@ class Journal(ABC, Generic[R]):
         for table in self.tables:
             self._db.execute(f"DELETE FROM {table.split()[0]}")
         self._saved = None
+        self.load()
 
     def close(self) -> None:
         """Close the file, which is then whole on the disk; it can be opened again."""
@@ -288,10 +296,13 @@ class ControllerJournal(Journal[SenderRecord]):
         " check_ INTEGER)",
     )
 
-    def __init__(self, path: Path | None, scenario: str) -> None:
-        super().__init__(path, scenario)
-        last = "number = (SELECT MAX(number) FROM outbox)"
-        self.queued: int = sum(number + 1 for number, *_ in self._get("outbox", last))
+    queued: int
+
+    def load(self) -> Loaded[SenderRecord]:
+        """What was saved last."""
+        last = self._get("outbox", "number = (SELECT MAX(number) FROM outbox)")
+        self.queued = last[0][0] + 1 if last else 0
+        return super().load()
 
     def _write_more(self, actions: Actions) -> None:
         record = actions.record
@@ -310,11 +321,6 @@ class ControllerJournal(Journal[SenderRecord]):
         """Add a message to the queue."""
         self._put("outbox", self.queued, command.id, crc32(command.payload), command.payload)
         self.queued += 1
-
-    def forget(self) -> None:
-        """Lose all that was saved; for simulations."""
-        super().forget()
-        self.queued = 0
 
     def crc_of(self, identifier: str) -> int | None:
         """The CRC-32 of the message that was queued under this identifier, or None."""
