@@ -49,7 +49,7 @@ def run_attacker(options: AttackerOptions) -> int:
     UsageError
         When an option's value is wrong, or no such attack is at the bus.
     """
-    from attacker_service.asking import Attacker
+    from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
     from runtime.bus import TransportError
     from runtime.scenario_file import attack_option, scenario_of
@@ -72,6 +72,4 @@ def run_attacker(options: AttackerOptions) -> int:
             Relay(attacker, plant, controller, loop).run(stopping)
     except TransportError as error:
         raise UsageError(str(error)) from None
-    finally:
-        attacker.close()
     return DONE

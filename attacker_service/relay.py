@@ -6,7 +6,7 @@ on here. A message that comes again is rewritten as it was before.
 
 import queue
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple, Protocol, TypeVar
 
 from pydantic import ValidationError
@@ -33,13 +33,13 @@ class _Passed(NamedTuple):
 
 
 class Asked(Protocol):
-    """An attack on the bus, as :class:`attacker_service.asking.Attacker` asks it."""
+    """An attack on the bus, such as :class:`attacker_service.attacker.Attacker`."""
 
-    def vector(self, what: str, k: int, true: Vector, beside: Iterable[object] = ()) -> Vector:
-        """What it puts in place of a ``true`` vector of step ``k``."""
+    def candidates(self, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
+        """The candidates of step k that the plant gets."""
 
-    def vectors(self, what: str, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
-        """The same of vectors."""
+    def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
+        """The x(k) that the controller gets."""
 
 
 class Rewriter:
@@ -69,15 +69,15 @@ class Rewriter:
     def _offer(self, offer: Offer) -> Offer:
         at = offer.session, offer.k
         if at not in self._candidates:
-            found = self._attacker.vectors("offer", offer.k, offer.candidates)
+            found = self._attacker.candidates(offer.k, offer.candidates)
             _keep(self._candidates, at, found)
         return offer.model_copy(update={"candidates": self._candidates[at]})
 
     def _measurement(self, m: Measurement) -> Measurement:
         at = m.session, m.k
         if at not in self._x:
-            beside = (m.applied_k == m.k - 1,)
-            _keep(self._x, at, self._attacker.vector("measurement", m.k, m.x, beside))
+            applied = m.applied_k == m.k - 1
+            _keep(self._x, at, self._attacker.state(m.k, m.x, applied=applied))
         after = self._x.get((m.session, m.applied_k + 1), m.x_after) if m.x_after else ()
         return m.model_copy(update={"x": self._x[at], "x_after": after})
 

@@ -3,8 +3,8 @@
 import secrets
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from attacker_service.asking import Attacker
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
 from plant_service.attacked import AttackedPlant
@@ -30,6 +30,9 @@ from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.network import round_trip_s
+
+if TYPE_CHECKING:
+    from attacker_service.attacker import Attacker
 
 
 def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
@@ -138,9 +141,7 @@ def open_core(
             if report is not None:
                 noisy.recall(report.k, report.x, u)
             plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and attacker.at == "bus":
-            attacker.close()
-        elif attacker is not None:
+        if attacker is not None and attacker.at != "bus":
             x = scenario.initial_state if x is None else x
             plant = AttackedPlant(plant, attacker, x)
         if attacker is not None and telemetry is not None:
@@ -177,3 +178,10 @@ def open_core(
         plant.safe("its service could not start")
         plant.close()
         raise
+
+
+def _attacker(scenario: Scenario, attack: Attack, seed: int | None) -> "Attacker":
+    """The attack; its code is loaded where there is one."""
+    from attacker_service.attacker import Attacker
+
+    return Attacker(scenario, attack, seed)

@@ -23,7 +23,7 @@ from protocol.streams import COIN, SENSOR, Stream, noise, symbols
 from runtime.bus import Bus
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
-from runtime.files import write_atomically
+from runtime.files import read_regular, write_atomically
 from runtime.fleet import SLOTS, Fleet, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet_host import run_fleet
@@ -163,7 +163,7 @@ class PlantService(EndService[PlantCore]):
     ) -> None:
         self._safe_state = config.run_dir / PLANT_SAFE
         if self._safe_state.exists():
-            why = self._safe_state.read_text(encoding="utf-8").strip()
+            why = read_regular(self._safe_state).decode().strip()
             raise UsageError(
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )

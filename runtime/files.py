@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 PRIVATE_FILE: Final = 0o600
 PRIVATE_FOLDER: Final = 0o700
@@ -22,10 +22,52 @@ PUBLIC_FILE: Final = 0o644
 
 
 class NotRegular(OSError):
-    """Something that is no regular file stands where a file was to be written."""
+    """Something that is no regular file stands where a file was to be written or read."""
 
-    def __init__(self, path: Path) -> None:
-        super().__init__(errno.EINVAL, "not a regular file (a link, a device or a pipe)", str(path))
+    def __init__(self, path: Path, what: str = "a link, a device or a pipe") -> None:
+        super().__init__(errno.EINVAL, f"not a regular file ({what})", str(path))
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to read it: the one way in which files that a user names are opened.
+
+    A pipe in its place would be waited at for ever, and a device may have no end.
+
+    Raises
+    ------
+    NotRegular
+        When it is something else, also behind a link.
+    OSError
+        With the file's name, when it cannot be opened.
+    """
+    _expect_regular(path, path.stat().st_mode)  # a device may act on being opened
+    file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        _expect_regular(path, os.fstat(file).st_mode)
+    except OSError:
+        os.close(file)
+        raise
+    return os.fdopen(file, "rb")
+
+
+def _expect_regular(path: Path, mode: int) -> None:
+    if stat.S_ISDIR(mode):
+        raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+    if not stat.S_ISREG(mode):
+        raise NotRegular(path, "a device, a pipe or a socket")
+
+
+def read_regular(path: Path) -> bytes:
+    """All of a regular file.
+
+    Raises
+    ------
+    NotRegular
+    OSError
+        With the file's name, when it cannot be read.
+    """
+    with open_regular(path) as file:
+        return file.read()
 
 
 def make_folder(folder: Path) -> None:

@@ -22,6 +22,7 @@ from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.topics import check_loop
 from protocol.wrong_fields import expected_of
 from runtime.errors import UsageError
+from runtime.files import read_regular
 
 SLOTS = 20
 """Phases over which the ticks of a fleet are spread: some at once cost less than each alone, and
@@ -80,7 +81,7 @@ def read_fleet(path: Path) -> dict[str, FleetLoop]:
         With a line for each wrong field.
     """
     try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+        tables = tomllib.loads(read_regular(path).decode())
     except OSError as error:
         raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:

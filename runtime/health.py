@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from runtime.errors import Failure
+from runtime.files import read_regular
 from runtime.services import Look
 
 
@@ -18,7 +19,7 @@ def look_at_status(folder: Path, now_s: float) -> Look:
 
     path = folder / "status.json"
     try:
-        status = from_json(path.read_bytes())
+        status = from_json(read_regular(path))
         age_s = now_s - status["t_ns"] / 1e9
         count = int(status["transitions"])
         phase = status["phase"]

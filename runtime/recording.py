@@ -33,7 +33,7 @@ from typing import Any, Final, NamedTuple
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import from_json, to_json
 
-from runtime.files import make_folder, open_private
+from runtime.files import make_folder, open_private, open_regular
 
 # --- lines of one file ----------------------------------------------------------------------------
 
@@ -210,7 +210,7 @@ class LineReader:
         OSError
             When the file cannot be read.
         """
-        with self.path.open("rb") as file:
+        with open_regular(self.path) as file:
             file.seek(self.offset)
             chunk = file.read(READ_BYTES)
         self.offset += len(chunk)
@@ -389,7 +389,7 @@ def first_part(path: Path) -> Path:
 def parts_of(path: Path) -> list[Path]:
     """The parts of the recording at ``path`` that are on disk, in order."""
     found = [p for p in path.parent.glob(f"{path.stem}.*.jsonl") if first_part(p) == path]
-    return sorted([*found, path] if path.is_file() else found, key=number_of)
+    return sorted([*found, path] if path.exists() else found, key=number_of)
 
 
 def ended(path: Path) -> bool:
@@ -400,7 +400,7 @@ def ended(path: Path) -> bool:
     OSError
         When its newest part cannot be read.
     """
-    with parts_of(path)[-1].open("rb") as file:
+    with open_regular(parts_of(path)[-1]) as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - 2 * END_BYTES))
         last = file.read().rpartition(b"\n{")[2]
     return last.startswith(f'"event":"{END}"'.encode()) and last.endswith(b"}\n")

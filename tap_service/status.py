@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from math import isfinite
 from operator import index
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 from pydantic_core import to_json
@@ -14,7 +15,7 @@ from pydantic_core import to_json
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
 from protocol.text import printable, readable
-from runtime.sandbox import SandboxError
+from runtime.child import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
@@ -26,6 +27,9 @@ SHOWN_TEXT: Final = 2000
 
 LARGEST_CONFIDENCE: Final = 1.0 + 1e-9
 """A probability at most; a sum of shares may exceed 1 by a rounding."""
+
+UNUSED: Final = ("foreign", "late", "jumped", "dropped", "malformed", "restarts")
+"""What a status counts of all that the tap heard and could not use."""
 
 ROUNDING: Final = 1e-6
 """By which the probabilities of a guess may miss a sum of 1."""
@@ -152,7 +156,7 @@ class Listener:
 
 def _in_short(error: Exception) -> str:
     """An error on one line."""
-    if isinstance(error, SandboxError):
+    if isinstance(error, GuestError):
         return str(error)
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
@@ -276,33 +280,50 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
     }
 
 
-def guess_line(session: str, name: str, guess: Guess, event: str = "guess") -> bytes:
+def guess_line(
+    session: str, name: str, guess: Guess, event: str = "guess", *, whole: bool = True
+) -> bytes:
     """The log line of one guess: step, likeliest symbol and its probability, agreement's.
 
-    ``session`` is the newest, for a guess that names none.
+    ``session`` is the newest, for a guess that names none. Where the tap lacked a message of the
+    step, it was not ``whole``, and the line says so.
     """
     p = max(guess.symbol)
+    hole = "" if whole else ',"hole":true'
     text = (
         f'{{"event":"{event}","name":"{name}","session":"{guess.session or session}","k":{guess.k},'
-        f'"symbol":{guess.symbol.index(p)},"p":{p:.6g},"agreed":{guess.agreed:.6g}}}'
+        f'"symbol":{guess.symbol.index(p)},"p":{p:.6g},"agreed":{guess.agreed:.6g}{hole}}}'
     )
     return text.encode()
 
 
 def belief_record(
-    session: str, listener: Listener, belief: Belief, *, last: bool, behind: int = 0
+    session: str,
+    listener: Listener,
+    belief: Belief,
+    *,
+    last: bool,
+    behind: int = 0,
+    counts: Mapping[str, int] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """One belief as it is written to ``beliefs.json``; payloads as base64.
 
     She is asked for the message symbols at the ``last`` alone; before they are None, and so they
-    are of one who failed. ``behind`` counts the steps captured that she has not looked at.
+    are of one who failed. ``behind`` counts the steps captured that she has not looked at, and
+    ``counts`` has what the tap could not use of what it heard (:data:`UNUSED`).
     """
     symbols = listener.message_symbols() if last else None
     return _record(session, listener.name, listener.steps, belief) | {
+        "unused": unused_of(counts),
         "failed": listener.failed,
         "behind": behind,
         "symbols": symbols,
     }
+
+
+def unused_of(counts: Mapping[str, int]) -> dict[str, int]:
+    """What the tap could not use, by name; 0 where it is not counted."""
+    return {name: counts.get(name, 0) for name in UNUSED}
 
 
 def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, Any]:
@@ -312,6 +333,7 @@ def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, An
         "steps": steps,
         "failed": "",
         "behind": 0,
+        "unused": unused_of({}),
         "message": base64.b64encode(belief.message).decode("ascii"),
         "whole": [base64.b64encode(w).decode("ascii") for w in belief.whole],
         "whole_count": belief.whole_count,

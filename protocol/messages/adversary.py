@@ -23,6 +23,13 @@ class TapStatus(Message):
         Messages that the tap has recorded, has heard and lost, and could not read.
     behind : int
         Captured steps that she has not looked at.
+    foreign, late : int
+        Messages that the tap heard and could not use: those of other sessions or of steps far
+        ahead, and those that came after their step was given out without them.
+    jumped : int
+        Steps that the tap skipped, as it heard nothing of them.
+    restarts : int
+        Times that the eavesdropper's process was started again.
     message : str
         Her best message so far; unprintable bytes are shown as ``·``.
     confidence : float
@@ -72,6 +79,10 @@ class TapStatus(Message):
     dropped: Count
     behind: Count
     malformed: Count
+    foreign: Count = 0
+    late: Count = 0
+    jumped: Count = 0
+    restarts: Count = 0
     message: str
     confidence: float
     candidates_left: Count

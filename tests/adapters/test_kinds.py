@@ -9,7 +9,10 @@ import pytest
 from plant_service.adapters import PlantError
 from plant_service.adapters.base import stepped
 from plant_service.adapters.ode import Ode
+from plant_service.adapters.registry import open_plant
 from protocol.integration import runge_kutta_step
+from protocol.scenario import Scenario
+from runtime.scenario_file import load_scenario
 from runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
 
@@ -196,3 +199,145 @@ def test_an_attribute_that_is_not_there_and_an_episode_that_ends() -> None:
     with pytest.raises(PlantError, match="episode has ended"):
         for _ in range(20):
             car.step((1.0,), 1.0)
+
+
+ENVIRONMENTS = """
+import gymnasium
+import numpy as np
+
+class Own(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-10.0, 10.0, (1,))
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x = np.zeros(1)
+        return self.x, {}
+
+    def step(self, u):
+        self.x = 0.9 * self.x + 0.1 * np.asarray(u)
+        return self.x, 0.0, False, False, {}
+
+class Discrete(Own):
+    action_space = gymnasium.spaces.Discrete(2)
+
+class Shared(Own):
+    def step(self, u):
+        self.x = 0.9 * self.x + 0.1 * np.asarray(u) + np.random.uniform(-0.01, 0.01, 1)
+        return self.x, 0.0, False, False, {}
+
+class Seedless(Own):
+    def reset(self):
+        self.x = np.zeros(1)
+        return self.x, {}
+
+class Bare(Own):
+    def reset(self, *, seed=None, options=None):
+        self.x = np.zeros(1)
+        return self.x
+
+class Four(Own):
+    def step(self, u):
+        return self.x, 0.0, False, {}
+
+class Rows(Own):
+    def reset(self, *, seed=None, options=None):
+        return {"x": 1.0}, {}
+
+for own in (Own, Discrete, Shared, Seedless, Bare, Four, Rows):
+    gymnasium.register(f"Wyner{own.__name__}-v0", entry_point=own)
+"""
+
+
+def environment(folder: Path, name: str, inputs: str = "[1.0]") -> Scenario:
+    (folder / "wyner_environments.py").write_text(ENVIRONMENTS)
+    text = f"""
+name = "own"
+[plant]
+kind = "gymnasium"
+id = "wyner_environments:Wyner{name}-v0"
+period_s = 0.1
+operating_point = {{ state = [0.0], input = [0.0] }}
+[plant.disturbance]
+enters = "none"
+[defender]
+A = [[0.9]]
+B = [[0.1]]
+[defender.disturbance]
+half_widths = [0.02]
+[control]
+law = "packed"
+horizon = 5
+inputs = {{ half_widths = {inputs} }}
+[secrecy]
+alpha = 8.0
+candidates = 2
+"""
+    path = folder / "own.toml"
+    path.write_text(text)
+    return load_scenario(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "inputs", "says"),
+    [
+        (
+            "Discrete",
+            "[1.0]",
+            r"action space is Discrete\(2\), expected a Box of one dimension",
+        ),
+        (
+            "Own",
+            "[1.5]",
+            "control.inputs: got input 1 from -1.5 to 1.5, expected it within -1 to 1, the "
+            "environment's action space",
+        ),
+    ],
+)
+def test_an_environment_takes_every_input_of_the_scenario(
+    name: str, inputs: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlantError, match=says) as raised:
+        open_plant(environment(tmp_path, name, inputs), tmp_path)
+    assert str(raised.value).count("\n") == 0
+    open_plant(environment(tmp_path, "Own"), tmp_path).close()
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("Seedless", "reset takes no seed, expected Gymnasium's interface of version 0.26"),
+        ("Bare", "reset returns no observation with its info"),
+        ("Four", "step returns other than five values"),
+        ("Rows", "expected a sequence of numbers"),
+    ],
+)
+def test_an_old_interface_is_named_in_one_line(
+    name: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    monkeypatch.syspath_prepend(tmp_path)
+    plant = open_plant(environment(tmp_path, name), tmp_path)
+    with pytest.raises(PlantError, match=says) as raised:
+        plant.start(1)
+        plant.apply((0.5,))
+        plant.sample()
+    assert "\n" not in str(raised.value)
+    plant.close()
+
+
+def test_the_seed_reaches_an_environment_that_draws_from_the_shared_generators(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    monkeypatch.syspath_prepend(tmp_path)
+    readings = []
+    for seed in (5, 5, 6):
+        plant = open_plant(environment(tmp_path, "Shared"), tmp_path)
+        plant.start(seed)
+        plant.apply((0.5,))
+        readings.append(plant.sample())
+        plant.close()
+    assert readings[0] == readings[1] != readings[2]

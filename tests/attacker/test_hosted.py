@@ -1,4 +1,4 @@
-"""An attack in its own process: what it is told, and what comes of one that fails."""
+"""An attack where it stands: what it is told, and what comes of one that fails."""
 
 import logging
 import queue
@@ -9,8 +9,7 @@ from typing import Any, TypeVar
 
 import pytest
 
-from attacker_service import asking
-from attacker_service.asking import Attacker
+from attacker_service.attacker import Attacker
 from attacker_service.relay import Relay
 from plant_service.attacked import AttackedPlant
 from plant_service.plant import Disturbances, LinearModel
@@ -69,10 +68,8 @@ def _one(plant: AttackedPlant, k: int) -> tuple[float, ...]:
     ("name", "why"),
     [
         ("Raises", "RuntimeError: out of ideas"),
-        ("Loops", "too slow: no answer within 0.5 s"),
         ("Short", "], expected 2 finite numbers"),
         ("Nan", "got [[nan, nan]], expected 2 finite numbers"),
-        ("Eats", "MemoryError"),
     ],
 )
 def test_one_that_fails_is_a_line_and_the_truth_passes(
@@ -80,9 +77,7 @@ def test_one_that_fails_is_a_line_and_the_truth_passes(
     why: str,
     scenario: Scenario,
     caplog: pytest.LogCaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(asking, "ANSWER_S", 0.5 if name == "Loops" else 10.0)
     plant = attacked(scenario, Attack(kind=f"{OWN}:{name}", onset=2))
     logging.getLogger("attacker").propagate = True
     with caplog.at_level(logging.ERROR):
@@ -196,4 +191,3 @@ def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scena
     assert passed.on(m) == said
     later = m.model_copy(update={"k": 4, "x": (0.0, 0.0)})
     assert passed.on(later).x_after == said.x, "the same state is said alike"
-    attacker.close()

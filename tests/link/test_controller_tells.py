@@ -11,7 +11,6 @@ from pydantic import ValidationError
 from controller_service.core import GREETING_S, STALE, STALE_S, ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
-from protocol.defence.key_digits import digits
 from protocol.link.coins import BATCH, LACKING_S
 from protocol.link.events import Alarm, SessionBegan
 from protocol.link.key_events import Appearances
@@ -33,6 +32,7 @@ from protocol.messages import (
 from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
+from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution, fresh_nonce
 from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask

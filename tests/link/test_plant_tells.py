@@ -20,7 +20,6 @@ from plant_service.core import (
     hex_digits,
 )
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
-from protocol.defence.key_digits import digits
 from protocol.link.events import (
     NEW_JOURNAL,
     AttackBegan,
@@ -49,6 +48,7 @@ from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
+from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution, fresh_nonce
 from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask

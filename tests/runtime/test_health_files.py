@@ -87,5 +87,7 @@ def test_the_last_status_that_is_lost_is_a_warning(
     assert "the last status is lost: no room" in caplog.text
 
 
-def test_a_writer_that_was_never_asked_ends(tmp_path: Path) -> None:
+def test_a_writer_that_was_never_asked_starts_no_thread_and_ends() -> None:
+    before = set(threading.enumerate())
     HealthWriter(lambda *_: None).close(30)
+    assert set(threading.enumerate()) <= before

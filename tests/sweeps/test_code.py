@@ -1,5 +1,6 @@
 """The version of the code: what it means changes it, and what is said about it does not."""
 
+import ast
 import subprocess
 import sys
 from collections.abc import Callable
@@ -9,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from wyner.sweeps import code
-from wyner.sweeps.code import DOORS, LOOP, ROOMS, ROOT, TAPS, code_of, same_code
+from wyner.sweeps.code import DOORS, LOOP, ROOMS, ROOT, TAPS, code_of, meaning, same_code
 
 A = '''"""What it is."""
 
@@ -153,3 +154,13 @@ def test_the_version_covers_what_a_measurement_imports(
 def _prefixes(name: str) -> list[str]:
     parts = name.split(".")
     return [".".join(parts[:length]) for length in range(1, len(parts) + 1)]
+
+
+def test_an_empty_end_of_an_f_string_is_no_meaning() -> None:
+    """Python 3.12.1 has one where others have none."""
+    text = ast.parse("f'{x:.3f} s'")
+    before = meaning(text)
+    for node in ast.walk(text):
+        if isinstance(node, ast.JoinedStr):
+            node.values.append(ast.Constant(""))
+    assert meaning(text) == before

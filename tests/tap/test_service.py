@@ -214,6 +214,43 @@ def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
     assert json.loads((tmp_path / TAP_STATUS).read_bytes())["unguessed"] == status.dropped
 
 
+def test_what_the_tap_could_not_use_is_in_its_status_its_beliefs_and_its_health(
+    run: Run, tmp_path: Path
+) -> None:
+    """A tap that no longer followed the true session looked like a secret that was kept."""
+    wire = Wire(config(run, tmp_path, names=("nearest-centre", "smoother")))
+    late, *others = run.messages[101], *run.messages[:101], *run.messages[102:]
+    for i, message in enumerate(others):
+        wire.send(message)
+        if i % 20 == 0:
+            wire.send(message.model_copy(update={"session": f"{i % 3:016x}"}))
+    wire.send(late)
+    wire.finish()
+    for name in ("nearest-centre", "smoother"):
+        (status,) = [s for s in wire.statuses if s.name == name][-1:]
+        assert (status.foreign, status.late, status.jumped) == (30, 1, 0)
+        assert (status.steps, status.lost) == (300, 1)
+        record = json.loads((tmp_path / BELIEFS).read_bytes())[name]
+        assert record["unused"]["foreign"] == 30
+        assert record["unused"]["late"] == 1
+    health = (tmp_path / "tap" / "health").read_text()
+    assert health.startswith("bad: ")
+    assert "not used: 30 messages of other sessions, 1 late, 0 dropped" in health
+    holes = [e["k"] for e in lines(tmp_path / GUESSES) if e.get("hole")]
+    assert holes == [50]
+
+
+def test_a_tap_that_is_started_again_says_so(run: Run, tmp_path: Path) -> None:
+    for times in range(3):
+        wire = Wire(config(run, tmp_path))
+        for message in run.messages:
+            wire.send(message)
+        wire.finish()
+        assert wire.statuses[-1].restarts == times
+        beliefs = json.loads((tmp_path / BELIEFS).read_bytes())
+        assert beliefs["nearest-centre"]["unused"]["restarts"] == times
+
+
 @pytest.mark.parametrize("names", [("list-decoder", "oracle"), ("nobody",)])
 def test_a_wrong_choice_is_told_before_anything_starts(
     run: Run, tmp_path: Path, names: tuple[str, ...]
@@ -324,6 +361,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     assert (record["failed"], record["behind"]) == ("", 0)
     assert [base64.b64decode(w) for w in record["whole"]] == list(run.payloads)
     assert wire.statuses[-1].steps == 1000
+    assert wire.statuses[-1].restarts == record["unused"]["restarts"] == 1
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -27,7 +27,7 @@ from runtime.errors import DONE, FAILED, INTERRUPTED
 from runtime.ids import new_id
 from runtime.inbox import Inbox
 from runtime.options import run_dir_of
-from runtime.shipped import SCENARIOS
+from runtime.scenario_file import scenario_of
 from wyner.cli.up import Background, Outcome, run_session
 from wyner.deployment.one_machine import RunOptions
 
@@ -79,8 +79,8 @@ ATTACKED_BY: Final = ("nearest-centre", "key-solver")
 """Who listens to the attacked runs: what the attack may use is what the key-solver holds, and those
 who go on to read the message would take half of their processor time."""
 
-DEAF: Final = "loss = 0.3"
-CLAIM: Final = "eps_E = 0.3"
+LISTENED: Final = {"tap.eavesdroppers": ATTACKED_BY}
+HEARS_ALL: Final = {"tap.loss": 0.0}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -250,9 +250,8 @@ def _sealed(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
 
 def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
-    text = _changed("keys", DEAF, CLAIM)
-
-    with _scenario("wired-tap", text) as scenario:
+    changes = {**HEARS_ALL, "keys.eps_E": 0.0}
+    with _scenario("wired-tap", "keys", changes) as scenario:
         options = _options(args, scenario, folder, told.slower, secret=True)
         outcome = run_session(options, stays=False, title=TITLES["control"], stage=stage)
     summary = outcome.summary
@@ -268,7 +267,7 @@ def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Sta
 
 def _caught(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
-    with _scenario("secret-key", _listened(_changed("watched"))) as scenario:
+    with _scenario("secret-key", "watched", LISTENED) as scenario:
         options = _attacked(args, scenario, folder, told.slower)
         outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
     found = outcome.summary["attack"] or {}
@@ -301,7 +300,7 @@ def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
             f"away while the screen shows {shown:.1f}."
         )
 
-    with _scenario("false-claim", _listened(_changed("watched", DEAF))) as scenario:
+    with _scenario("false-claim", "watched", LISTENED | HEARS_ALL) as scenario:
         outcome = run_session(
             _attacked(args, scenario, folder, told.slower),
             epilogue=lambda summary: [*before[:-1], line_of(summary)],
@@ -331,27 +330,17 @@ def _attacked(args: argparse.Namespace, scenario: str, folder: Path, slower: int
     )
 
 
-def _changed(scenario: str, *pieces: str) -> str:
-    """A shipped scenario's text, in which a tap hears all, or nothing is claimed of her."""
-    text = (SCENARIOS / f"{scenario}.toml").read_text(encoding="utf-8")
-    for piece in pieces:
-        if piece not in text:
-            raise ValueError(f"{scenario}.toml: expected {piece!r}")
-        text = text.replace(piece, piece.replace("0.3", "0.0"))
-    return text
-
-
-def _listened(text: str) -> str:
-    """A scenario's text, with `ATTACKED_BY` as its eavesdroppers."""
-    return text.replace("[tap]\n", f"[tap]\neavesdroppers = {list(ATTACKED_BY)}\n", 1)
-
-
 @contextmanager
-def _scenario(name: str, text: str) -> Iterator[str]:
-    """A file of that text for as long as a run needs it."""
+def _scenario(name: str, shipped: str, changes: Mapping[str, Any]) -> Iterator[str]:
+    """A file of a shipped scenario with some fields changed, for as long as a run needs it."""
+    from wyner.api import vary
+    from wyner.fit.toml import as_toml
+
+    changed = vary(scenario_of(shipped), changes)
+    tables = json.loads(changed.model_dump_json(exclude_none=True, exclude_unset=True))
     with tempfile.TemporaryDirectory() as where:
         path = Path(where) / f"{name}.toml"
-        path.write_text(text, encoding="utf-8")
+        path.write_text(as_toml(tables), encoding="utf-8")
         yield str(path)
 
 

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
+from runtime.files import read_regular
 from runtime.run_folder import HEALTH, loops_below
 from runtime.services import SERVICES, Look
 
@@ -169,6 +170,6 @@ def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, 
 def health_of(folder: Path) -> str:
     """The service's own line, ``ok`` or ``bad`` and why; empty where it has none."""
     try:
-        return (folder / HEALTH).read_text(encoding="utf-8", errors="replace").strip()
+        return read_regular(folder / HEALTH).decode(errors="replace").strip()
     except OSError:
         return ""

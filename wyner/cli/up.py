@@ -225,7 +225,6 @@ def run_session(
                 ending = run_dashboard(
                     source,
                     until=watching.over,
-                    run_dir=run_dir,
                     story=options.story,
                     conclude=conclude if stays else None,
                     title=title,
@@ -278,7 +277,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     from tap_service.capture.channel import View
     from tap_service.command import find_each, names_of
     from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.sandboxed import each_once, guarded
+    from tap_service.sandboxed import each_once, sandboxed
 
     text = options.eavesdropper
     asked = () if text is None else names_of([text])
@@ -287,7 +286,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     knowledge = scenario.knowledge()
 
     def find(name: str) -> None:
-        guarded(name).suits(knowledge)
+        sandboxed(name).suits(knowledge)
 
     find_each(asked, find, "--eavesdropper: ")
     its = scenario.tap.eavesdroppers
@@ -303,14 +302,12 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
 
 def _attack(options: RunOptions, scenario: "Scenario") -> "AttackBegan | None":
     """The attack with every parameter, made once before anything starts."""
-    from attacker_service.asking import Attacker
+    from attacker_service.attacker import Attacker
 
     attack = attack_option(options.attack, scenario.attack, options.steps)
     if attack is None:
         return None
-    attacker = Attacker(scenario, attack, options.seed)
-    attacker.close()
-    return attacker.began
+    return Attacker(scenario, attack, options.seed).began
 
 
 class Progress:

@@ -13,8 +13,8 @@ from wyner.dashboard.model import State, TapState
 from wyner.dashboard.parts import LABEL, VALUE_AT, Column, Row, fitting, line, table
 from wyner.dashboard.score import Score, SecrecyScore, characters_right, course, model_error
 from wyner.dashboard.text import (
+    LEVELS,
     STYLES,
-    Glyphs,
     bars_of,
     count,
     drawn,
@@ -156,7 +156,7 @@ def contradictions(state: State) -> Iterator[str]:
         )
 
 
-def curves(state: State, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Row]:
+def curves(state: State, its: SecrecyScore, width: int) -> list[Row]:
     """What the paper's rule counts and what is true over time, on one scale, with last figures."""
     claimed = f" {its.claimed_bits:.0f} bit"
     left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
@@ -175,7 +175,7 @@ def curves(state: State, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[
         ("paper's rule", "claimed", [c for c, _ in shown], claimed, loud, "bad"),
         ("true, at most", "true", [t for _, t in shown], left, who, "bad" if its.failed else ""),
     ):
-        bars = bars_of(values, max(its.claimed_bits, 1.0), glyphs.levels)
+        bars = bars_of(values, max(its.claimed_bits, 1.0), LEVELS)
         value = line().append(bars, style=STYLES[style]).append(told.rjust(figures))
         value.append(longest(room + figures - value.cell_len, note), style=STYLES[noted])
         rows.append((label, value))

@@ -12,7 +12,7 @@ from protocol.link.events import AttackBegan
 from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
-from runtime.files import make_folder, write_atomically
+from runtime.files import make_folder, read_regular, write_atomically
 from runtime.keys.secret_file import make_secret
 from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
 from runtime.scenario_file import scenario_of
@@ -73,7 +73,7 @@ def text_of(options: RunOptions) -> str:
         As :func:`runtime.scenario_file.scenario_of`.
     """
     scenario = scenario_of(options.scenario)
-    text = scenario_file_of(options.scenario).read_text(encoding="utf-8")
+    text = read_regular(scenario_file_of(options.scenario)).decode()
     makes_keys = scenario.keys is not None and scenario.keys.refusal() is None
     implied = options.attack is not None and makes_keys and options.seed is None
     stated = "defence" in scenario.model_fields_set
@@ -234,6 +234,6 @@ def _secrets(run_dir: Path) -> dict[str, list[str]]:
     for side in ("controller", "plant"):
         path = run_dir / side / "secret"
         if path != first:
-            write_atomically(path, first.read_bytes())
+            write_atomically(path, read_regular(first))
         options[side] = ["--secret", str(path)]
     return options

@@ -18,6 +18,7 @@ from pydantic_core import from_json
 
 from protocol.scenario import Scenario
 from protocol.secret.records import Side
+from runtime.files import read_regular
 from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
@@ -89,7 +90,7 @@ class Run:
         if not path.is_file():
             return None
         try:
-            value = json.loads(path.read_bytes())
+            value = json.loads(read_regular(path))
         except (ValueError, RecursionError):
             return {}
         return value if isinstance(value, dict) else {}
@@ -181,7 +182,7 @@ class Run:
         """
         path = self.folder / BELIEFS
         try:
-            found = from_json(path.read_bytes())
+            found = from_json(read_regular(path))
         except OSError as error:
             raise RunError(f"{path}: cannot be read: {error.strerror}") from None
         except ValueError:
@@ -202,6 +203,6 @@ class Run:
     def unguessed(self) -> int:
         """Messages that the tap left out of its live guessing, since too many waited."""
         try:
-            return int(json.loads((self.folder / TAP_STATUS).read_bytes())["unguessed"])
+            return int(json.loads(read_regular(self.folder / TAP_STATUS))["unguessed"])
         except (OSError, ValueError, LookupError, TypeError):
             return 0

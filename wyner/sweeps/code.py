@@ -167,6 +167,8 @@ def meaning(node: object) -> str:
         return f"[{' '.join(meaning(one) for one in node if not _is_remark(one))}]"
     if not isinstance(node, ast.AST):
         return repr(node)
+    if isinstance(node, ast.JoinedStr):  # one Python ends some f-strings with an empty text
+        node = ast.JoinedStr([v for v in node.values if meaning(v) != "Constant(value='')"])
     fields = (
         f"{name}={meaning(value)}"
         for name, value in ast.iter_fields(node)

@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
 from runtime.errors import UsageError
+from runtime.files import read_regular
 from runtime.network import check_delays, measured_delays
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
@@ -150,7 +151,7 @@ def load_sweep(path: Path) -> Sweep:
         With one line for each wrong field.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(read_regular(path).decode())
     except OSError as error:
         raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:

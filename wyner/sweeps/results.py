@@ -19,7 +19,7 @@ from protocol.statistics import (
     mean_sequence,
     share_over_runs,
 )
-from runtime.files import PUBLIC_FILE, write_atomically
+from runtime.files import PUBLIC_FILE, read_regular, refuse_irregular, write_atomically
 from wyner.sweeps.code import loop_version
 from wyner.sweeps.grid import Point, Row, SweepError, canonical
 
@@ -89,6 +89,7 @@ class Results:
         self.columns = (*FIXED, *fields, *MEASURED, *tap_columns(taps))
         self.rows: list[Row] = []
         path.parent.mkdir(parents=True, exist_ok=True)
+        refuse_irregular(path)
         try:
             self._file: IO[bytes] = path.open("a+b" if resume else "x+b")
         except FileExistsError:
@@ -169,7 +170,7 @@ def read_table(path: Path) -> list[Row]:
         When the file cannot be read, has no rows, or its last line is torn.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
     if not data.endswith(b"\n"):
