@@ -118,8 +118,8 @@ class LoopPorts(BusPorts):
         self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
 
     def save(self, actions: Actions) -> None:
-        """Write to the journal. What it has on the disk, the trace has there before."""
-        if actions.durable:
+        """Write to the journal; a message's text and a durable save are in the trace on disk first."""
+        if actions.durable or actions.received is not None:
             self.files.trace.sync()
         self.files.journal.save(actions)
 
