@@ -6,12 +6,11 @@ on here. A message that comes again is rewritten as it was before.
 
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol, TypeVar
 
-from pydantic import ValidationError
-
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from attacker_service.sieve import Sieve
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus
@@ -41,6 +40,10 @@ class Asked(Protocol):
     def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
         """The x(k) that the controller gets."""
 
+    @property
+    def sieve(self) -> Sieve:
+        """What its messages go through first."""
+
 
 class Rewriter:
     """The messages of one loop as an attack sends them on.
@@ -57,14 +60,11 @@ class Rewriter:
         self._candidates: dict[tuple[str, int], tuple[Vector, ...]] = {}
 
     def rewritten(self, kind: type[FieldMessage], payload: bytes) -> bytes:
-        """The message as it goes on; what is none goes on as it came."""
-        try:
-            message = kind.model_validate_json(payload)
-        except ValidationError:
-            return payload
+        """The message as it goes on; what is none of the loop's goes on as it came."""
+        message = self._attacker.sieve.read(kind, payload)
         if isinstance(message, Measurement):
             return self._measurement(message).wire()
-        return self._offer(message).wire() if isinstance(message, Offer) else payload
+        return payload if message is None else self._offer(message).wire()
 
     def _offer(self, offer: Offer) -> Offer:
         at = offer.session, offer.k
@@ -97,13 +97,12 @@ class Relay:
     def __init__(self, attacker: Asked, plant: Bus, controller: Bus, loop: str) -> None:
         self._rewriter = Rewriter(attacker)
         self._inbox: Inbox[_Passed] = Inbox()
-        self._put = {
+        self._put: dict[type[FieldMessage], Callable[[bytes], None]] = {
             Measurement: controller.publisher(key_of(Measurement, loop)).put,
             Offer: plant.publisher(key_of(Offer, loop)).put,
-            Sealed: plant.publisher(key_of(Sealed, loop)).put,
         }
-        for kind, bus in ((Measurement, plant), (Offer, controller), (Sealed, controller)):
-            self._listen(kind, bus, loop)
+        self._listen(Measurement, plant, loop)
+        self._listen(Offer, controller, loop)
 
     def _listen(self, kind: type[FieldMessage], bus: Bus, loop: str) -> None:
         def deliver(_key: str, payload: bytes, _t_ns: int) -> None:

@@ -134,7 +134,8 @@ def _steps(scenario: "Scenario", folder: Path, steps: int, pause_s: float) -> di
     from plant_service.opening import open_core
     from protocol.link.pacing import Pacing
     from protocol.link.session import rules_of
-    from protocol.streams import CIPHER, COIN, noise, symbols
+    from protocol.streams import CIPHER, COIN
+    from runtime.chance import noise, symbols
     from runtime.ids import new_id
     from runtime.journal import ControllerJournal, PlantJournal
     from runtime.perform import perform

@@ -253,7 +253,7 @@ def open_end(
     from controller_service.laws.registry import cached_design, make_law
     from plant_service import service as plants
     from protocol.scenario import parse_scenario
-    from protocol.streams import noise
+    from runtime.chance import noise
     from runtime.pace import Pace
     from runtime.shipped import SCENARIOS
 

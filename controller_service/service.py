@@ -16,8 +16,9 @@ from protocol.link.peer import Peer
 from protocol.link.session import rules_of
 from protocol.messages import Measurement
 from protocol.scenario import Scenario
-from protocol.streams import CIPHER, symbols
+from protocol.streams import CIPHER
 from runtime.bus import Bus
+from runtime.chance import symbols
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
@@ -26,8 +27,6 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
-from runtime.keys.sealed_book import SealedBook
-from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
 from runtime.model import load_model
 from runtime.network import channel_of
@@ -154,16 +153,12 @@ class ControllerService(EndService[ControllerCore]):
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        def sealing(book: SealedBook) -> SealingEnd:
-            return SealingEnd(book, clock())
-
         log = logger("controller")
         super().__init__(
             config,
             open_controller(config),
             _channel(config),
             Measurement,
-            sealing,
             log,
             field,
             management,

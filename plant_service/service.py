@@ -19,8 +19,9 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.peer import Peer
 from protocol.messages import Offer
 from protocol.scenario import Attack
-from protocol.streams import COIN, SENSOR, Stream, noise, symbols
+from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
+from runtime.chance import noise, symbols
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
 from runtime.files import read_regular, write_atomically
@@ -30,7 +31,6 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import JournalError, PlantJournal
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
-from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -173,7 +173,7 @@ class PlantService(EndService[PlantCore]):
         try:
             channel = _channel(config)
             super().__init__(
-                config, opened, channel, Offer, OpeningEnd, log, field, management, stopping, clock
+                config, opened, channel, Offer, log, field, management, stopping, clock
             )
         except BaseException:
             let_go(opened[0])

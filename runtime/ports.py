@@ -118,7 +118,10 @@ class LoopPorts(BusPorts):
         self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
 
     def save(self, actions: Actions) -> None:
-        """Write to the journal; a message's text and a durable save are in the trace on disk first."""
+        """Write to the journal.
+
+        The trace is on the disk before a save that is, and before one that counts a message whole.
+        """
         if actions.durable or actions.received is not None:
             self.files.trace.sync()
         self.files.journal.save(actions)
