@@ -210,6 +210,7 @@ class PlantCore:
         kept = symbols + record.partial
         for i in range(0, len(kept), self._digits):
             self.deframer.push(int(kept[i : i + self._digits], 16))
+        self._last_symbol = self.deframer.lacks_one  # known before a step hangs on it
         # keys
         self.keying = Keying(rules.schedule, nonces)
         said = report or record
@@ -520,8 +521,7 @@ class PlantCore:
 
         By its report the controller takes the message for delivered, so it must be on the disk.
         """
-        carried = self.rules.scheme.pad(self.record.state) != NO_SYMBOL
-        return carried and len(self.deframer.symbols) + 1 == self.deframer.expected_length
+        return self._last_symbol and self.rules.scheme.pad(self.record.state) != NO_SYMBOL
 
     def _saved(self, actions: Actions) -> Actions:
         """``actions``, which save the record as it is now, with all that belongs to it."""
@@ -662,6 +662,7 @@ class PlantCore:
             true_x=self._state_of(self._truth),
         )
         self._offer, self._tossed, self._said = None, NO_SYMBOL, None
+        self._last_symbol = self.deframer.lacks_one
         self.state = TABLE[self.state, "offer applied"].next
         judged = self.keying.heard(offer)
         self.coin.prepare(self.record.transitions)
@@ -877,6 +878,7 @@ class PlantCore:
         """A new session: all that was agreed or half received in the one before is dropped."""
         session = self._new_id()
         self.deframer.reset()
+        self._last_symbol = False
         self.record = self.record._replace(
             session=session,
             applied_k=-1,
