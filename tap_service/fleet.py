@@ -79,6 +79,10 @@ class TapFleet:
         self._by_key |= dict.fromkeys(tap.keys, tap)
         self._share()
 
+    def finish(self, name: str) -> None:
+        """End one loop's tap; the others share its room."""
+        self._end(name, lambda tap: tap.finish())
+
     def _end(self, name: str, settle: Callable[[TapService], None]) -> None:
         """Take one loop's tap out, and end its files; whatever comes of it, the others go on."""
         tap = self.taps.pop(name, None)
@@ -117,7 +121,7 @@ class TapFleet:
             time.sleep(ROUND_S)
             self._tell()
         for name in list(self.taps):
-            self._end(name, lambda tap: tap.finish())
+            self.finish(name)
 
     def _tell(self) -> None:
         """Tell of the next few loops; each has its turn once in :data:`TELL_S`."""

@@ -117,7 +117,7 @@ class Seen:
         for path in self.run.glob("*/secret"):  # each end takes it up once, and leaves a mark
             word = path.read_bytes().split()[-1]
             self.secret = word if len(word) > len(self.secret) else self.secret
-        for path in (*self.run.glob("*/status.json"), *self.run.glob("*/health")):
+        for path in self.run.glob("*/status.json"):
             name = f"{path.relative_to(self.run)} at {len(self.pieces)}"
             self.pieces[name] = path.read_bytes()
 
