@@ -87,7 +87,6 @@ def open_controller(
             "controller",
             scenario,
             config.seed,
-            config.secret,
             record,
         )
         for_coin = coin_keys(key_maker, scenario, record)

@@ -110,9 +110,7 @@ def _opened(
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
     record = journal.load()
-    key_maker = open_key_maker(
-        config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret, record
-    )
+    key_maker = open_key_maker(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, record)
     if scenario.keys is not None:
         telemetry.keys_refused = refusal(scenario, config.seed) or ""
     for payload in journal.inbox(1):

@@ -27,9 +27,8 @@ E = TypeVar("E", bound=Peer)
 class EndConfig:
     """What either end is started with.
 
-    ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
-    are signed; ``folder`` is where the files that the scenario names are looked for; ``bounds`` are
-    the trace's.
+    ``seed`` is for experiments only; ``folder`` is where the files that the scenario names are
+    looked for; ``bounds`` are the trace's.
     """
 
     scenario: Scenario
@@ -37,7 +36,6 @@ class EndConfig:
     loop: str
     _: KW_ONLY
     seed: int | None = None
-    secret: Path | None = None
     folder: Path = Path()
     bounds: Bounds = field(default_factory=Bounds)
 

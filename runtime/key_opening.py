@@ -1,4 +1,4 @@
-"""A service's key store as its scenario, its seed and its secret have it."""
+"""A service's key store as its scenario and its seed have it."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -11,8 +11,6 @@ from protocol.secret.tasks import GuardTask
 from runtime.errors import UsageError
 from runtime.keys import coins, guards
 from runtime.keys.key_maker import KeyMakerAt
-from runtime.keys.ledger import take_secret
-from runtime.keys.secret_file import SecretError
 from runtime.keys.store import KeyStore
 
 if TYPE_CHECKING:
@@ -62,7 +60,6 @@ def open_key_maker(
     side: Side,
     scenario: Scenario,
     seed: int | None,
-    secret: Path | None,
     record: Counting | None = None,
 ) -> KeyMakerAt | None:
     """Make a side's key store ready; None where the scenario has no table ``keys``.
@@ -73,13 +70,9 @@ def open_key_maker(
     Raises
     ------
     UsageError
-        When the store or the secret cannot be used, or a secret has nothing to sign.
+        When the store cannot be used.
     """
     if scenario.keys is None:
-        if secret is not None:
-            raise UsageError(
-                f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
-            )
         return None
     try:
         store = KeyStore(path, side, create=True)
@@ -92,9 +85,7 @@ def open_key_maker(
         begun = (None, 0) if record is None else (record.session, record.transitions)
         store.begin(*begun)
         store.set_note("assumption", scenario.keys.assumption().sentence())
-        if secret is not None:
-            take_secret(store, secret)
-    except (StoreError, SecretError) as error:
+    except StoreError as error:
         raise UsageError(str(error)) from None
     finally:
         store.close()
