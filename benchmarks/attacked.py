@@ -13,12 +13,12 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.plant import Disturbances, LinearModel
 from protocol.agreement import predict
-from protocol.defence.keyed_coin import KeyedCoin
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.secret.key_digits import fails
 from protocol.streams import COIN, DISTURBANCE, Stream
 from wyner.simulate.engine.attacks import Keys, attack_runs
+from wyner.simulate.engine.defences import KeyedCoin
 
 SEED: Final = 1
 ROUNDS: Final = 5

@@ -76,7 +76,7 @@ class EndService(Generic[E]):
         self.endpoint, files = opened
         self.trace = files.trace
         self._host = Host(field, management, stopping, clock)
-        end = behind(channel, files.guarded or self.endpoint, kind)
+        end = behind(channel, self.endpoint, kind)
         self._host.add(config.loop, end, files, log)
         self._beside: AbstractContextManager[object] = nullcontext()
         if files.key_maker is not None:

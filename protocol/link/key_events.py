@@ -6,7 +6,7 @@ from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.secret.blocks import BlockResult, Stored
-from protocol.secret.tasks import Broken, CoinKeys, Done, GuardKeys
+from protocol.secret.tasks import Broken, CoinKeys, Done
 
 
 class BlockStored(NamedTuple):
@@ -79,7 +79,7 @@ def key_notices(done: Done, keying: Keying) -> tuple[Notice, ...]:
         if done.what == "unequal":
             return (Notice(f"{name} differs from the partner's: erased", "error"),)
         return ()
-    if isinstance(done, CoinKeys | GuardKeys):
+    if isinstance(done, CoinKeys):
         return ()
     if done.keys and done.number == 0 and not done.confirmed and keying.schedule is not None:
         claim = keying.schedule.assumption.sentence()

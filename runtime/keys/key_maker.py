@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.records import BlockRow, Side, StoreError
-from protocol.secret.tasks import Broken, CoinTask, Done, GuardTask, Task
-from runtime.keys import coins, guards
+from protocol.secret.tasks import Broken, CoinTask, Done, Task
+from runtime.keys import coins
 from runtime.keys.store import KeyStore
 
 PUBLIC_TAG_BYTES: Final = 16
@@ -85,8 +85,6 @@ def work(key_maker: KeyMaker, task: Task) -> Done:
             return key_maker.make_keys(task)
         if isinstance(task, CoinTask):
             return coins.serve(key_maker.store, task)
-        if isinstance(task, GuardTask):
-            return guards.serve(key_maker.store, task)
         return key_maker.judge(task)
     except StoreError as error:
         return Broken(str(error))

@@ -466,7 +466,7 @@ class KeyStore(StoreFile):
         if there is not None:
             return bool(there == use)
         if own:
-            return here is not None and not here.startswith(("coin ", "guard "))
+            return here is not None and not here.startswith("coin ")
         return here is None and state in ("stored", "confirmed")
 
     def newest(self) -> int:

@@ -187,11 +187,6 @@ NOTHING_YET: dict[str, Any] = {
     "key_blocks_lost": 0,
     "key_blocks_waiting": 0,
     "appearances": 1,
-    "guarded": 0,
-    "unguarded": 0,
-    "guard_ahead": 0,
-    "forged": 0,
-    "forged_k": -1,
 }
 
 
@@ -239,8 +234,6 @@ def test_without_telemetry_no_status_is_ever_due() -> None:
     assert end.core.wake_at() == inf
     assert end.core.wake(1e9) == NOTHING_TO_DO
     end.hears(measurement(), 2e9)
-    end.does(end.core.halt())
-    end.does(end.core.end_session("why"))
     assert end.core.wake_at() == inf
     assert end.core.stop(3e9) == NOTHING_TO_DO
     with pytest.raises(AssertionError):
@@ -254,7 +247,7 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
     payload = b"hi"
     symbols = encode_frame(payload, 2)
     record = AT_WORK._replace(message=1, offset=3, x=(2.5,), offer=None)
-    rules = replace(RULES, defence="keyed-coin and mac")
+    rules = replace(RULES, defence="keyed-coin")
     end = Told(rules, record, payloads=(b"one", payload, b"three"))
     end.does(end.core.start(0.0))
     expected = NOTHING_YET | {
@@ -269,7 +262,7 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
         "frame_length": len(symbols),
         "queue": 1,
         "delivered": 1,
-        "defence": "keyed-coin and mac",
+        "defence": "keyed-coin",
     }
     assert told(end.core.wake(0.0)) == expected
     assert fields(end.core.status()) == expected
@@ -365,7 +358,6 @@ def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> No
 
 def test_a_session_that_is_left_is_told_as_greeting() -> None:
     ways: list[Callable[[Told], object]] = [
-        lambda end: end.does(end.core.end_session("keys are gone")),
         lambda end: end.hears(hello(controller=B, transitions=2, applied_k=1), 1.0),
         lambda end: end.hears(hello(controller=B, session=NEW), 1000.0),
         lambda end: end.hears(measurement(x_after=()), 1.0),
@@ -442,13 +434,6 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     again = end.hears(measurement(k=5, applied_k=3, x=(3.0,), x_after=(3.0,)), 2.0)
     assert (again == NOTHING_TO_DO) == halts
     assert end.core.status().alarms == 1
-
-
-def test_a_forgery_is_told_as_an_alarm_where_that_ends_the_offers() -> None:
-    end = Told(replace(RULES, halts=True)).at_work()
-    halted = end.does(end.core.halt())
-    assert [(n.level, n.subject) for n in halted.notices] == [("warning", "refusals")]
-    assert phase(end) == ("alarmed", True)
 
 
 def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() -> None:

@@ -10,7 +10,6 @@ class                  the ends are                    who needs it
 :class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
                        in memory, with twins on disk
 `KeyedEnds`            these with key stores, coin     what must happen once, at each event
-                       and guard
 `RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
 =====================  ==============================  ========================================
 """
@@ -25,7 +24,6 @@ from typing import Any, Final, Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.defence.base import Defence
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -35,7 +33,6 @@ from protocol.secret.records import Key, Side
 from protocol.secret.tasks import Done, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
-from runtime.key_opening import guarded_by
 from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
@@ -92,8 +89,8 @@ class MortalPorts(CrashingPorts):
 class Alive:
     """One end's process.
 
-    ``peer`` is the ``endpoint``, or that with its messages guarded. ``tasks`` wait for the key
-    maker, and what is ``done`` for the end, as they do in a service.
+    ``peer`` is the ``endpoint``. ``tasks`` wait for the key maker, and what is ``done`` for the
+    end, as they do in a service.
     """
 
     endpoint: ControllerCore | PlantCore
@@ -352,8 +349,6 @@ class LineEnds(TwoEnds):
         Journals have twins on disk.
     acts : bool
         The plant is a device: its step is begun, and read when it ends.
-    guard : Defence, optional
-        What guards the messages.
     steps : int, optional
         The plant's last step.
     fresh : SymbolSource, optional
@@ -375,13 +370,12 @@ class LineEnds(TwoEnds):
         *,
         on_disk: bool = False,
         acts: bool = False,
-        guard: Defence | None = None,
         steps: int | None = None,
         fresh: SymbolSource | None = None,
         rivals: Sequence[bytes] | None = None,
     ) -> None:
         super().__init__()
-        self.rules, self.guard = rules, guard
+        self.rules = rules
         self.period_s, self.steps = period_s, steps
         self.fresh = fresh or Covers()
         self.names = 0
@@ -389,7 +383,7 @@ class LineEnds(TwoEnds):
         self.stores: dict[Side, KeyStore] = {}
         if rules.schedule is not None:
             self.stores = {side: KeyStore(None, side) for side in SIDES}
-        if rules.keyed or guard is not None:
+        if rules.keyed:
             self.asks = "always"
         queue = TwinControllerJournal if on_disk else MemoryControllerJournal
         self.journals: dict[Name, MemoryControllerJournal | MemoryPlantJournal] = {
@@ -430,10 +424,7 @@ class LineEnds(TwoEnds):
         if side == "rival" or not self.stores:
             return Alive(end, end, ports, tasks=tasks)
         store = self.stores[side]
-        peer: Peer = end
-        if self.guard is not None:
-            peer = guarded_by(end, store, self.guard, self.journals[side].load())
-        return Alive(end, peer, ports, KeyMaker(store), tasks=tasks)
+        return Alive(end, end, ports, KeyMaker(store), tasks=tasks)
 
     def _controller(self, side: Name) -> ControllerCore:
         journal = self.journals[side]

@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
         ),
     ]
     warnings += _warnings_of_taps(run_dir)
-    warnings += filter(None, (controller.alarm_sentence(), plant.alarm_sentence()))
+    if alarms := controller.alarm_sentence():
+        warnings.append(alarms)
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     if controller.keys_stopped and not plant.keys_stopped:
@@ -146,29 +147,16 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         + (f", blocks that wait for the other end: {waiting}" if waiting else "")
         + (f"; {keys}" if keys else ""),
         *_lines_of_coin(controller),
-        *_lines_of_guard(plant, controller),
         *_lines_of_appearances(plant, controller, claim),
     ]
 
 
 def _lines_of_coin(controller: "ControllerStatus") -> list[str]:
     """How many steps a key watched, where the coin is keyed."""
-    if not controller.defence.startswith("keyed-coin"):
+    if controller.defence != "keyed-coin":
         return []
     left = f"{controller.coin_keys} keys left for it"
     return [f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, {left}"]
-
-
-def _lines_of_guard(plant: "PlantStatus", controller: "ControllerStatus") -> list[str]:
-    """How many messages were under a key, where they are guarded."""
-    _, _, guard = controller.defence.partition(" + ")
-    if not guard:
-        return []
-    heard = f"{controller.guarded} measurements under a key, {controller.unguarded} plain"
-    if plant.guarded + plant.unguarded:
-        heard += f"; {plant.guarded} offers, {plant.unguarded} plain"
-    left = f"keys for {plant.guard_ahead} steps to come"
-    return [f"{guard:<11} {heard}; {left}"]
 
 
 def _lines_of_appearances(

@@ -30,7 +30,7 @@ from wyner.runs.check.keys import Agreement, Coin, InStep, Paper, Receiver, Send
 from wyner.runs.check.loop import Admissible, Reachable, Switching
 from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
 from wyner.runs.check.stores import KeyStores
-from wyner.runs.check.watched import Alarms, Guarded, KeyedCoins
+from wyner.runs.check.watched import Alarms, KeyedCoins
 
 CHECKS: Final[tuple[type[Check], ...]] = (
     Traces,
@@ -64,7 +64,6 @@ CHECKS: Final[tuple[type[Check], ...]] = (
     KeyStores,
     RefusedAtZero,
     KeyedCoins,
-    Guarded,
     Alarms,
 )
 
@@ -80,7 +79,6 @@ OF_KEYS: Final = frozenset(
         KeyIds,
         KeyStores,
         KeyedCoins,
-        Guarded,
     )
 )
 """Checks of which a scenario that makes no keys knows nothing."""

@@ -264,8 +264,8 @@ class GivenOnce(_BothStores):
                 if given and mark:
                     text = f"key {name} was given for {given!r}, and its mark is {mark!r}"
                     self.counter.count(given == mark, "", -1, -1, text)
-                # the checks keyed-coin and guarded look at those that the hearer adopts unmarked
-                unknown += bool(given) and not mark and not given.startswith(("coin ", "guard "))
+                # the check keyed-coin looks at those that the hearer adopts unmarked
+                unknown += bool(given) and not mark and not given.startswith("coin ")
         if unknown:
             self.counter.note = f"{unknown} more have no mark: a key store was put back, or removed"
 
