@@ -16,7 +16,6 @@ from protocol.secret.nonces import (
     Copy,
     NonceSource,
     contribution_of,
-    fresh_nonce,
 )
 from protocol.secret.records import Side
 from protocol.secret.tasks import Broken, Done, Task
@@ -32,7 +31,7 @@ class Keying:
     fresh : NonceSource
     """
 
-    def __init__(self, schedule: Schedule | None, fresh: NonceSource = fresh_nonce) -> None:
+    def __init__(self, schedule: Schedule | None, fresh: NonceSource) -> None:
         self.schedule = schedule
         self.blocks: Blocks | None = None
         self.broken = ""
