@@ -112,8 +112,8 @@ def test_keys_that_cannot_be_made_are_one_line(keys: dict[str, float] | None) ->
 @pytest.mark.parametrize(
     ("defence", "line"),
     [
-        ({"kind": "mac"}, "defence.kind: got 'mac', expected"),
-        ({"messages": "mac"}, "defence.messages: unknown"),
+        ({"kind": "mac"}, 'defence.kind: got "mac", expected'),
+        ({"messages": "mac"}, 'defence.messages: got "mac", no such field'),
     ],
 )
 def test_a_defence_that_cannot_be_is_one_line(defence: dict[str, str], line: str) -> None:

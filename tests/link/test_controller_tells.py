@@ -733,13 +733,13 @@ def keys_at_work() -> Told:
     end = Told(KEYS, record, contributions=rows)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=4, applied_k=1), 0.0)
-    stored = end.does(end.core.key_task_done(Stored(S, 0, "b" * 32, keys=5), 0.0))
+    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
     assert [event.as_event()["event"] for event in stored.events] == ["block"]
     end.all.clear()
     return end
 
 
-def word(tag: str = "b" * 32, **fields: Any) -> BlockAnnouncement:
+def word(tag: str = "a" * 32, **fields: Any) -> BlockAnnouncement:
     made = BlockAnnouncement(side="plant", session=S, block=0, tag=tag, waiting=1)
     return made.model_copy(update=fields)
 
@@ -795,7 +795,7 @@ def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
 
 def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
     judged: list[tuple[str, BlockResult]] = [
-        ("b", BlockResult(S, 0, "confirmed")),
+        ("a", BlockResult(S, 0, "confirmed")),
         ("c", BlockResult(S, 0, "unequal")),
     ]
     for tag, result in judged:
