@@ -30,6 +30,7 @@ from runtime.inbox import Inbox
 from runtime.keys.worker import KeyWorker
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
+from runtime.turn_watch import Turns, TurnWatch
 
 POLL_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
@@ -167,6 +168,7 @@ class Host:
             lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
         )
         self.turns = FairLock()
+        self._turn = Turns()
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
@@ -243,7 +245,8 @@ class Host:
             Whatever an endpoint, a file or a bus cannot go on after.
         """
         try:
-            self._go_on()
+            with TurnWatch(self._turn):
+                self._go_on()
         except BaseException as why:
             try:
                 self.close()
@@ -364,6 +367,8 @@ class Host:
         try:
             if loop.started and loop.ports.key_maker is not None:
                 self._look_at_links(loop)
+            if loop.started:  # a device may take its time to be found
+                self._turn.begin()
             actions = act(self._clock())
             perform(actions, loop.endpoint, loop.ports)
             loop.started = True
@@ -373,6 +378,8 @@ class Host:
             loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
             self._end(name)
             return
+        finally:
+            self._turn.over()
         code = loop.endpoint.code
         if code is not None:
             self._code = max(self._code, code)

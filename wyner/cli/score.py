@@ -198,7 +198,7 @@ def _print(report: object, *, color: bool) -> None:
     from os import environ
 
     from protocol.text import printable
-    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
+    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, remarks, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]
@@ -208,10 +208,8 @@ def _print(report: object, *, color: bool) -> None:
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         )
     for tap in report.taps:
-        if tap.why_unscored:
-            print(printable(f"{tap.name}: not scored: {tap.why_unscored}"))
-        if tap.not_on_record:
-            print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
+        for remark in remarks(tap):
+            print(printable(f"{tap.name}: {remark}"))
         for held in tap.keys:
             print(printable(f"{tap.name}: {held_line(held)}"))
     print()

@@ -13,7 +13,14 @@ from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
 from runtime.files import read_regular, write_atomically
-from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
+from runtime.run_folder import (
+    CONTROLLER_TRACE,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_TRACE,
+    SCENARIO,
+)
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 from wyner.deployment.running import RunningLoop
@@ -158,6 +165,7 @@ def lay_out(
                 f"management={plant_management}",
             ],
             run_dir / "plant" / "log",
+            trace=run_dir / PLANT_TRACE,
         ),
         Child(
             "controller",
@@ -184,6 +192,7 @@ def lay_out(
                 f"management={plant_management}",
             ],
             run_dir / "controller" / "log",
+            trace=run_dir / CONTROLLER_TRACE,
         ),
         Child(
             "tap",
