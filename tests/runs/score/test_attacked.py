@@ -32,7 +32,7 @@ def write(run_dir: Path, plant: list[dict[str, Any]], controller: list[dict[str,
         (PLANT_TRACE, "plant", plant),
         (CONTROLLER_TRACE, "controller", controller),
     ):
-        trace = TraceWriter(run_dir / path, vantage, {})  # type: ignore[arg-type]
+        trace = TraceWriter(run_dir / path, vantage, {})
         for event in events:
             trace.write(event)
         trace.close()

@@ -72,8 +72,7 @@ class AttackCounts:
     off : Rows
         The distance at x(k+1), from the onset on.
     alarms : list of (int, int)
-        Place and step of the readings over which the controller alarmed or that it refused, and of
-        offers that the plant refused as forgeries.
+        Place and step of the readings over which the controller alarmed.
     shown : float, optional
         The largest component of the last state that the controller was shown.
     watched, unwatched : int
@@ -103,16 +102,13 @@ class AttackCounts:
                     self.off.put(after, [_distance(true, event["x_next"])])
                 elif event["event"] == "transition":
                     self._sent.put(after, event["x_next"])
-        if event["event"] == "forged":
-            self._alarm(event, event["k"])
         self.failed = event.get("attack_failed") or self.failed
 
     def controller(self, event: dict[str, Any]) -> None:
         """Take an event of the controller's trace."""
         if event["event"] == "alarm":
-            self._alarm(event, event["k"] + 1)
-        if event["event"] == "forged":
-            self._alarm(event, event["k"])
+            k = event["k"]
+            self.alarms.append((self._places.of(event["session"], k) + 1, k + 1))
         if event["event"] == "transition" and self.attack is not None:
             self.shown = max(map(abs, event["x_next"]))
             after = self._places.of(event["session"], event["k"]) + 1
@@ -122,9 +118,6 @@ class AttackCounts:
                 self.off.put(after, [_distance(sent, event["x_next"])])
             self.watched += event.get("expected", -1) >= 0
             self.unwatched += event.get("expected", -1) < 0
-
-    def _alarm(self, event: dict[str, Any], k: int) -> None:
-        self.alarms.append((self._places.of(event["session"], event["k"]) + k - event["k"], k))
 
     def as_json(self) -> dict[str, Any] | None:
         """What it came to; None where nobody attacked, as far as the plant's trace tells.
