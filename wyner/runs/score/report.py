@@ -185,6 +185,11 @@ class Report:
         if strongest.silent_bits:
             of = f"the {self.claimed_bits - strongest.silent_bits:.0f} that it could use"
         left = f"{strongest.name} leaves at most {strongest.left.high:.1f} of {of}"
+        if strongest.stated is not None and strongest.by_keys is not None:
+            left += (
+                f" ({strongest.stated.high:.1f} {given(strongest.given)}, by keys alone "
+                f"{strongest.by_keys.high:.1f})"
+            )
         if not self.exceeds:
             left += ", no better than chance"
         if strongest.silent_bits:
