@@ -83,7 +83,8 @@ def best_labels(pairs: Pairs, size: int) -> Labels:
 
     steps = np.zeros((size, size))
     for (guess, key), times in pairs.items():
-        steps[guess, key] = times
+        if guess in as_named and key in as_named:
+            steps[guess, key] = times
     labels = tuple(linear_sum_assignment(steps, maximize=True)[1].tolist())
     return labels if right_under(pairs, labels) > right_under(pairs, as_named) else as_named
 

@@ -119,7 +119,8 @@ def test_a_tap_that_was_deaf_for_most_of_a_run_keeps_no_secret(stated: float | N
     assert (tap.silent, tap.silent_bits) == (290, 290.0)
     assert tap.left is not None
     assert tap.left.high < 10.0
-    assert "of the 30 that it could use, and of 290 bits nobody knows" in r.verdict()
+    assert "of the 30 that it could use" in r.verdict()
+    assert "and of 290 bits nobody knows" in r.verdict()
     assert any(line.startswith("could not use 290 of 320") for line in reporting.remarks(tap))
     told = reporting.as_json(r)["taps"]["tap"]
     assert (told["silent_steps"], told["silent_bits"]) == (290, 290.0)
@@ -299,10 +300,16 @@ def test_one_who_did_not_finish_is_called_so_and_another_leads() -> None:
 
 def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     one = said(5)
-    told = score(truth(), replace(one, belief=replace(one.belief, bits_left=3.25)))
+    believed = replace(one.belief, bits_left=3.25, given="English sentences")
+    told = score(truth(), replace(one, belief=believed))
     r = report([RunScore("r", truth(), (told, score(truth(), said(5, name="weak"))))])
     assert r.strongest is not None
     assert (r.strongest.name, r.strongest.left) == ("tap", stated_left(3.25, 10.0))
+    high = stated_left(3.25, 10.0).high
+    accounts = f"({high:.1f} given English sentences, by keys alone 10.0)"
+    assert accounts in r.verdict()
+    (remark,) = reporting.remarks(r.strongest)
+    assert "bits left, given English sentences; by its keys" in remark
     assert r.strongest.left is not None
     assert r.strongest.left.low == 0.0 < r.strongest.left.value == 3.25 < r.strongest.left.high
     assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance

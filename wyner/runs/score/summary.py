@@ -56,7 +56,7 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     Of ``missed`` steps ``missed_by_network`` are the network table's (:func:`missed_by_network`).
     ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
     every journal the plant had. ``control_cost`` is the mean of x' Q x + u' R u a step.
-    ``trace_error`` says from where on the plant's trace cannot be read, and what is summed up is
+    ``trace_error`` says from where on a trace cannot be read, and what is summed up is
     what stands before; it is empty where all of it can.
     ``claimed_bits`` is what the paper's rule counts, of whichever law, ``true_bits`` what the
     strongest eavesdropper of this run leaves at most of the steps that it could use,
@@ -72,12 +72,17 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     """
     scenario = run.scenario
     size = scenario.secrecy.candidates
-    counts, trace_error, behind = PlantCounts(scenario.cost_weights), "", 0
+    counts, behind, errors = PlantCounts(scenario.cost_weights), 0, list[str]()
     try:
         behind = run.feed("plant", counts.take)
     except TraceError as error:
-        trace_error = str(error)
-    pairs = exchanged(run.sent() or [payload], counts.recovered)
+        errors.append(str(error))
+    sent: list[bytes] = []
+    try:
+        sent = run.sent()
+    except TraceError as error:
+        errors.append(str(error))
+    pairs = exchanged(sent or [payload], counts.recovered)
     delivered_k = next((k for text, k in pairs if text == payload), -1)
     recovered = payload if delivered_k >= 0 else b""
     bits = counts.message_symbols * math.log2(size)
@@ -110,7 +115,7 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
         "attack": attacked(run).as_json(),
-        "trace_error": trace_error,
+        "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
     }
 
