@@ -10,6 +10,7 @@ import pytest
 from protocol.box_observer import Box, BoxObserver, Observed
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.shipped import SCENARIOS
 from tests.support import recorded_loop
 from tests.support.checked_runs import failed
 from tests.support.recorded_loop import RecordedLoop
@@ -50,7 +51,7 @@ TWO = (
 
 def of_two_outputs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], int]:
     """The checks that a run of two outputs fails, and its keys."""
-    text = (recorded_loop.SCENARIOS / "encoder.toml").read_text()
+    text = (SCENARIOS / "encoder.toml").read_text()
     for old, new in TWO:
         assert old in text
         text = text.replace(old, new)

@@ -137,8 +137,14 @@ def test_which_candidates_explain_a_reading_of_outputs(outputs: int) -> None:
         C = draw.normal(size=(outputs, n)) * (draw.random((outputs, n)) < 0.7)
         C[:, 0] += 0.1
         D_c, N = draw.uniform(0.01, 0.1, n), draw.uniform(0.01, 0.1, outputs)
-        rows = [tuple(map(tuple, matrix.tolist())) for matrix in (A, B, C)]
-        observer = BoxObserver(*rows, tuple(D_c.tolist()), tuple(N.tolist()), (1e3,) * n)
+        observer = BoxObserver(
+            A=tuple(map(tuple, A.tolist())),
+            B=tuple(map(tuple, B.tolist())),
+            C=tuple(map(tuple, C.tolist())),
+            disturbance=tuple(D_c.tolist()),
+            noise=tuple(N.tolist()),
+            bounds=(1e3,) * n,
+        )
         low = draw.normal(size=(K, n))
         box = np.stack([low, low + draw.uniform(0.0, 0.2, (K, n))], axis=1)
         u = 0.3 * draw.normal(size=(K, M, m))
