@@ -22,7 +22,7 @@ from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess
-from tap_service.sandboxed import guarded
+from tap_service.sandboxed import sandboxed
 from tap_service.status import Listener, belief_record, guess_line, status_of
 
 SLICE_S: Final = 0.05
@@ -102,7 +102,7 @@ def listeners_of(
     KnowledgeError
         When one cannot be found or is not told enough.
     """
-    return [Listener.of(guarded(name), knowledge[name], log) for name in names]
+    return [Listener.of(sandboxed(name), knowledge[name], log) for name in names]
 
 
 def main() -> None:

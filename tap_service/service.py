@@ -34,7 +34,7 @@ from tap_service.capture.recording import RotatingLog, malformed_line, mirror_li
 from tap_service.capture.transcript import Transcript
 from tap_service.config import TapConfig, eighth
 from tap_service.heavy import HeavyProcess
-from tap_service.sandboxed import each_once, guarded
+from tap_service.sandboxed import each_once, sandboxed
 from tap_service.status import (
     absent_record,
     absent_status,
@@ -89,6 +89,7 @@ def run_tap(config: TapConfig, note: Note) -> int:
     runtime.bus.TransportError
         When a bus cannot be opened; nothing has started in either case.
     """
+    from runtime.link_watchdog import watched
     from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
@@ -97,10 +98,12 @@ def run_tap(config: TapConfig, note: Note) -> int:
         # tap goes on, and what is said then must be heard.
         made = Made.of(config)
         field_bus = stack.enter_context(open_bus(config.field))
-        adversary_bus = stack.enter_context(note(stack.enter_context(open_bus(config.adversary))))
+        told_on = stack.enter_context(open_bus(config.adversary))
+        adversary_bus = stack.enter_context(note(told_on))
         service = TapService(config, made)
         stack.callback(service.close)
         service.attach(field_bus, adversary_bus)
+        stack.enter_context(watched(stopping, service.log, field_bus, told_on, listens=field_bus))
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
         os.nice(NICENESS)
@@ -127,8 +130,8 @@ class Made(NamedTuple):
         """
         each_once(config.names)
         knowledge = {name: config.knowledge_of(name) for name in config.names}
-        light = [name for name in config.names if not guarded(name).heavy]
-        heavy = tuple(name for name in config.names if guarded(name).heavy)
+        light = [name for name in config.names if not sandboxed(name).heavy]
+        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
         listeners_of(heavy, knowledge)  # an error is told here, before anything starts
         return cls(listeners_of(light, knowledge, logger("tap")), heavy, knowledge)
 
@@ -162,7 +165,7 @@ class TapService:
         self._health_file = StatusFile(config.run_dir / "tap" / HEALTH)
         self._restarts = _starts_before(config.run_dir)
         self.heavy: HeavyProcess | None = None
-        self._heavy_names = tuple(guarded(name).name for name in heavy)
+        self._heavy_names = tuple(sandboxed(name).name for name in heavy)
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
             self.heavy = HeavyProcess(assignment, self.log)

@@ -15,7 +15,7 @@ from pydantic_core import to_json
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
 from protocol.text import printable, readable
-from runtime.sandbox import SandboxError
+from runtime.child import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
@@ -156,7 +156,7 @@ class Listener:
 
 def _in_short(error: Exception) -> str:
     """An error on one line."""
-    if isinstance(error, SandboxError):
+    if isinstance(error, GuestError):
         return str(error)
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
@@ -274,9 +274,6 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
         "copies_absent": keys.absent,
         "claim_refuted": keys.refuted,
         "misses_in_bursts": keys.bursts,
-        "sealed_bits": sum(text.bits for text in keys.sealed),
-        "sealed_bits_known": sum(text.known_bits for text in keys.sealed),
-        "sealed_text": keys.sealed[-1].text[:SHOWN_TEXT] if keys.sealed else "",
     }
 
 

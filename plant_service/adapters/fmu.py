@@ -1,7 +1,6 @@
 """A co-simulation FMU (FMI 2.0 or 3.0) as a plant; needs the extra ``wyner[fmu]``.
 
-An FMU is native code. It is therefore pinned by its SHA-256, and runs in a process of its own
-(:mod:`plant_service.adapters.isolated`).
+An FMU is native code that runs in the plant's process. It is therefore pinned by its SHA-256.
 """
 
 import hashlib

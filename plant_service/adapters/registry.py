@@ -4,14 +4,12 @@ A kind is a table with a method ``adapter``; :func:`open_plant` adds the wrapper
 user's is loaded before that.
 """
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
 from plant_service.adapters.base import PlantAdapter, PlantError, SimulatedPlant, Stepped, stepped
-from plant_service.adapters.isolated import isolated
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
@@ -41,18 +39,8 @@ class LinearPlant(PlantTable):
 class ModelledElsewhere(PlantTable):
     """A plant that is no matrices: those of its model stand under ``[defender]``.
 
-    Its code runs in a process of its own, unless it is shipped.
+    Its code runs in the plant's process, with that process's rights: it is trusted.
     """
-
-    answer_s: Positive = 2.0
-    """Seconds that the plant's code has for one call; it is ended where it takes longer."""
-    memory_mib: Annotated[int, Field(ge=256, le=100_000)] = 2048
-    """Address space of the plant's process, in MiB."""
-
-    @property
-    def shipped(self) -> bool:
-        """Whether the code that it names comes with the shipped scenarios."""
-        return getattr(self, "object", "").startswith("runtime.scenarios.")
 
     @field_validator("A", "B")
     @classmethod
@@ -219,9 +207,7 @@ def open_plant(
         adapter: PlantAdapter
         start = _start(scenario)
         if own is None:
-            foreign = isinstance(plant, ModelledElsewhere) and not plant.shipped
-            make = partial(isolated, plant) if foreign else plant.adapter  # type: ignore[attr-defined]
-            adapter = make(start, folder)
+            adapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
         else:
             adapter = _adapted(own, type(own).__name__, plant.period_s)
     except (PlantError, UserCodeError) as error:

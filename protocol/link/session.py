@@ -42,7 +42,6 @@ from protocol.agreement import (
 )
 from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
-from protocol.defence.key_digits import fails
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -51,6 +50,7 @@ from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
+from protocol.secret.key_digits import fails
 from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
 

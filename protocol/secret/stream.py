@@ -14,7 +14,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Sequence
 from typing import Final, NamedTuple
 
-from protocol.defence.key_digits import digits
+from protocol.secret.key_digits import digits
 
 BLOCKS: Final = 4
 """Newest blocks that the stream holds."""

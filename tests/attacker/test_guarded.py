@@ -7,15 +7,14 @@ an attack begins in a state of the loop. One run of each kind is live.
 import json
 import shutil
 import threading
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from attacker_service import asking
-from attacker_service.asking import Attacker
+from attacker_service.attacker import Attacker
 from attacker_service.relay import Rewriter
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
@@ -56,31 +55,24 @@ LIMIT_S = 300.0
 """Seconds that a live run has for what takes three."""
 
 
-@pytest.fixture(autouse=True)
-def patience() -> Iterator[None]:
-    """A busy machine is no attacker that gave up."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(asking, "ANSWER_S", 60.0)
-        yield
-
-
 class Loose:
     """An attack on the bus that is let loose when the loop is in some state."""
 
     def __init__(self, attacker: Attacker) -> None:
         self._attacker = attacker
+        self.sieve = attacker.sieve
         self.loose = False
         self.onset = -1
         """Step of the first offer that it rewrote."""
 
-    def vector(self, what: str, k: int, true: Vector, beside: Iterable[object] = ()) -> Vector:
-        return self._attacker.vector(what, k, true, beside) if self.onset >= 0 else true
+    def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
+        return self._attacker.state(k, x, applied=applied) if self.onset >= 0 else x
 
-    def vectors(self, what: str, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
+    def candidates(self, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
         if not self.loose:
             return tuple(true)
         self.onset = k if self.onset < 0 else self.onset
-        return self._attacker.vectors(what, k, true)
+        return self._attacker.candidates(k, true)
 
 
 def tables(defence: dict[str, str]) -> str:
@@ -151,7 +143,6 @@ class Loop(RecordedLoop):
         self.relay = Rewriter(loose)
         loose.loose = True
         self.steps(steps)
-        attacker.close()
         assert attacker.failed == ""
         self.stop()
         return told(self.folder, loose.onset)
@@ -272,7 +263,6 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = Rewriter(attacker)
     loop.run(lambda: loop.plant.record.k >= 200)
-    attacker.close()
     assert attacker.failed == ""
     loop.stop()
     found = told(tmp_path)

@@ -26,7 +26,6 @@ from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
-from protocol.defence import key_digits
 from protocol.link import coins, guarded
 from protocol.link.events import Alarm, Event, Forged, Interrupted, Missed
 from protocol.link.session import CountedTransition
@@ -34,6 +33,7 @@ from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Network, Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
+from protocol.secret import key_digits
 from protocol.vectors import Vector
 from runtime.files import write_atomically
 from runtime.keys.store import KeyStore

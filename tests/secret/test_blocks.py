@@ -23,7 +23,8 @@ from protocol.secret.blocks import (
     schedule_of,
 )
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Contribution, contribution_of, fresh_nonce
+from protocol.secret.nonces import Contribution, contribution_of
+from runtime.chance import fresh_nonce
 from runtime.keys.key_maker import KeyMaker
 from runtime.keys.ledger import Authentication, pad_counts, take_secret
 from runtime.keys.secret_file import SecretError, make_secret

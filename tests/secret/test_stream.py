@@ -5,7 +5,7 @@ from itertools import pairwise
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.defence.key_digits import digits
+from protocol.secret.key_digits import digits
 from protocol.secret.stream import BLOCKS, NOWHERE, Part, Position, Stream
 
 SIZES = st.sampled_from([2, 3, 4, 16])

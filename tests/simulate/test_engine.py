@@ -18,7 +18,6 @@ from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
-from runtime.sandbox import SandboxError
 from runtime.scenario_file import load_scenario
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
@@ -35,7 +34,7 @@ from wyner.simulate.engine import (
 from wyner.simulate.engine.draws import disturbances
 from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.seeding import generator_states
-from wyner.simulate.engine.taps import listen
+from wyner.simulate.engine.taps import EavesdropperError, listen
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
@@ -478,7 +477,7 @@ def test_an_answer_that_is_none_is_one_line_that_names_her(
         f"    def belief(self): return Belief()\n{answer}\n"
     )
     name = f"{path}:Mine"
-    with pytest.raises(SandboxError) as told:
+    with pytest.raises(EavesdropperError) as told:
         listen(runs, transfer(runs), [name], 0)
     assert str(told.value).startswith(f"eavesdropper {name}: {expected}")
     assert "\n" not in str(told.value)

@@ -4,8 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from protocol.statistics import NOTHING, Interval, share_over_runs
-from tap_service.eavesdroppers import Eavesdropper
-from tap_service.sandboxed import guarded
+from tap_service.eavesdroppers import Eavesdropper, named
 from wyner.api.simulation import Simulated
 from wyner.simulate.engine.taps import TapResult, listen
 
@@ -52,7 +51,7 @@ def eavesdrop(
         When there is no such eavesdropper.
     """
     heard = [listen(runs.record, runs.link, eavesdroppers, r) for r in range(runs.count)]
-    kinds = [guarded(e) if isinstance(e, str) else e for e in eavesdroppers]
+    kinds = [named(e) if isinstance(e, str) else e for e in eavesdroppers]
     return [_score(kind, [of_run[i] for of_run in heard]) for i, kind in enumerate(kinds)]
 
 

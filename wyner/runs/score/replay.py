@@ -12,7 +12,7 @@ from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
-from tap_service.sandboxed import guarded
+from tap_service.sandboxed import sandboxed
 from tap_service.status import Listener, status_of
 from wyner.runs.score.by_step import BySteps
 from wyner.runs.score.score import TapOutput
@@ -64,7 +64,7 @@ class Replay:
         self.knowledge = heard if scenario is None else scenario.knowledge()
         self.listeners: list[Listener] = []
         for name in names:
-            kind = guarded(name)
+            kind = sandboxed(name)
             if name == ORACLE:
                 if scenario is None:
                     raise KnowledgeError(f"{ORACLE}: expected --scenario, for alpha")

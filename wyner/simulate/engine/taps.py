@@ -10,10 +10,9 @@ from random import Random
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.secret.nonces import NONCE_BYTES
-from runtime.sandbox import SandboxError
+from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper
-from tap_service.sandboxed import guarded
+from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, named
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
@@ -87,16 +86,20 @@ def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
     return (message for message in both if draw.random() >= loss)
 
 
+class EavesdropperError(Failure):
+    """An eavesdropper raised, or gave an answer that is none; one line that names it."""
+
+
 @contextmanager
-def _told_of(name: str, where: str, *unsound: type[Exception]) -> Iterator[None]:
-    """A guest's failure, or an answer that is none, as one line that names her."""
+def _told_of(name: str, where: str) -> Iterator[None]:
+    """Turn whatever an eavesdropper raises into one line that names it."""
     try:
         yield
-    except SandboxError as error:
-        raise SandboxError(f"eavesdropper {name}: {where}: {error}", error.kind) from None
-    except unsound as error:
+    except KnowledgeError:
+        raise
+    except Exception as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise SandboxError(f"eavesdropper {name}: {where}: {what}") from None
+        raise EavesdropperError(f"eavesdropper {name}: {where}: {what}") from error
 
 
 def read_of(messages: Sequence[bytes], belief: Belief) -> tuple[int, int]:
@@ -129,11 +132,11 @@ def listen(
 
     Raises
     ------
-    SandboxError
-        When one does not answer as she should; the text names her.
+    EavesdropperError
+        When one raises, or gives an answer that is none.
     """
     scenario = runs.scenario
-    classes = [guarded(name) if isinstance(name, str) else name for name in names]
+    classes = [named(name) if isinstance(name, str) else name for name in names]
     shown = [name if isinstance(name, str) else name.name for name in names]
     taps = []
     for name, kind in zip(shown, classes, strict=True):
@@ -154,7 +157,7 @@ def listen(
             where = f"step {transition.k}"
             with _told_of(shown[i], where):
                 guess = tap.observe(transition)
-            with _told_of(shown[i], where, TypeError, ValueError):
+            with _told_of(shown[i], where):
                 guess = sound_guess(guess, scenario.secrecy.candidates)
             right[i] += tap.guesses and key != NO_SYMBOL and guess.best == key
     symbols = link.message_symbol[:, place].tolist()
@@ -164,7 +167,7 @@ def listen(
     for name, tap, hits in zip(shown, taps, right, strict=True):
         with _told_of(name, "belief"):
             belief = tap.belief()
-        with _told_of(name, "belief", TypeError, ValueError):
+        with _told_of(name, "belief"):
             belief = sound_belief(belief)
         read, of = read_of(messages, belief)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
