@@ -77,6 +77,7 @@ def followed(scenario: Scenario, remedy: str) -> Scenario:
     data = scenario.model_dump(mode="json", exclude_none=True)
     if remedy.startswith("control.regulator.input = "):
         weights = remedy.removeprefix("control.regulator.input = ").partition(":")[0]
+        weights = remedy.removeprefix("control.regulator.input = ").partition(":")[0]
         data["control"]["regulator"]["input"] = json.loads(weights)
     elif "control.regulator.input" in remedy:
         regulator = data["control"]["regulator"]
