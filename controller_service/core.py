@@ -334,19 +334,6 @@ class ControllerCore:
             self.coins.confirmed()
         return self._erasing_rows(key_actions(self.keying, done))
 
-    def halt(self) -> Actions:
-        """A message was forged: where an alarm ends the offers, so does this."""
-        if not self.rules.halts or self.record.halted:
-            return NOTHING_TO_DO
-        self.record = self.record._replace(halted=True)
-        if self._telemetry is not None:
-            self._telemetry.phase = "alarmed"
-        return self._saved(Actions(notices=(self._refusal(HALTED),)))
-
-    def end_session(self, why: str) -> Actions:
-        """Keys that its messages are under are gone: nothing that the plant says can be read."""
-        return self._end_session("keys gone", f"{why}; session ended")
-
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keying, self.record.session, self.record.k, count)
@@ -772,9 +759,7 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(
-        self, what: Literal["does not follow", "blocks differ", "keys gone"], why: str
-    ) -> Actions:
+    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()

@@ -26,7 +26,7 @@ from runtime.fleet import Fleet, FleetLoop
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
-from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
+from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.logs import logger
 from runtime.model import load_model
 from runtime.network import channel_of
@@ -87,7 +87,6 @@ def open_controller(
             "controller",
             scenario,
             config.seed,
-            config.secret,
             record,
         )
         for_coin = coin_keys(key_maker, scenario, record)
@@ -122,9 +121,7 @@ def open_controller(
         telemetry=telemetry,
         status_s=status_s,
     )
-    end = guarded(core, key_maker, scenario, record, core.halt)
-    telemetry.guard = end
-    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker, end)
+    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
 
 
 def _channel(config: ControllerConfig) -> Channel | None:
@@ -207,6 +204,6 @@ def run_controllers(
             folder=scenario_file_of(loop.scenario).parent,
         )
         core, files = open_controller(config, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), files.guarded or core, Measurement), files
+        return behind(_channel(config), core, Measurement), files
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("controller"))

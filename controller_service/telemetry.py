@@ -1,7 +1,7 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
 from protocol.agreement import NO_SYMBOL
@@ -13,9 +13,6 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
-
-if TYPE_CHECKING:
-    from protocol.link.guarded import Guarded
 
 Phase = Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
 
@@ -43,13 +40,12 @@ class MessageQueue(Protocol):
 class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase`` and ``detail`` are the core's to set, ``guard`` is whoever's guards the messages.
+    ``phase`` and ``detail`` are the core's to set.
     """
 
     def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
-        self.guard: Guarded | None = None
         self._unexplained = self._watched = self._unwatched = self._alarms = 0
         self._alarm: Alarm | None = None
         self._keys_refused = keys_refused
@@ -116,7 +112,6 @@ class ControllerTelemetry:
             coin_keys=coins.left,
             alarms=self._alarms,
             **self._last_alarm(),
-            **({} if self.guard is None else self.guard.status().fields()),
             **keying.status_fields(self._keys_refused),
         )
 

@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice
@@ -16,9 +16,6 @@ from runtime.keys.key_maker import KeyMakerAt
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
-
-if TYPE_CHECKING:
-    from protocol.link.guarded import Guarded
 
 
 class Journal(Protocol):
@@ -33,16 +30,12 @@ class Journal(Protocol):
 
 @dataclass(slots=True)
 class Files:
-    """Where one end of one loop leaves what it has to keep: journal, trace and status.
-
-    ``guarded`` is the end with its messages guarded, where they are.
-    """
+    """Where one end of one loop leaves what it has to keep: journal, trace and status."""
 
     journal: Journal
     trace: TraceWriter
     health: Path
     key_maker: KeyMakerAt | None = None
-    guarded: "Guarded | None" = None
 
     def close(self) -> None:
         """Close journal and trace."""

@@ -400,7 +400,8 @@ def ended(path: Path) -> bool:
     OSError
         When its newest part cannot be read.
     """
-    with open_regular(parts_of(path)[-1]) as file:
+    newest = (parts_of(path) or [path])[-1]
+    with open_regular(newest) as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - 2 * END_BYTES))
         last = file.read().rpartition(b"\n{")[2]
     return last.startswith(f'"event":"{END}"'.encode()) and last.endswith(b"}\n")
@@ -440,8 +441,6 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #                twice has its report twice
 #   alarm        the transition's test failed (controller): session, j, k, reading (x_next),
 #                coin_key and candidate (whose prediction expected is), gauge
-#   forged       a message of the partner's was refused (either): session, k, message (its topic),
-#                why
 #   block        a key block was stored (either): session, number, keys
 #   judged       the partner's word on it is on disk (either): session, number, what
 #                ("confirmed" | "unequal")

@@ -6,7 +6,7 @@ carries, and makes no tasks.
 
 from collections.abc import Iterable
 from math import inf
-from typing import Any, Final
+from typing import Any
 
 from protocol.messages import BlockAnnouncement, Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, Blocks, Schedule, Stored
@@ -19,8 +19,6 @@ from protocol.secret.nonces import (
 )
 from protocol.secret.records import Side
 from protocol.secret.tasks import Broken, Done, Task
-
-NO_PAD_LEFT: Final = "no pad is left to sign key blocks with"
 
 
 class Keying:
@@ -74,8 +72,7 @@ class Keying:
         if self.schedule is not None:
             self.blocks = Blocks(self.schedule, session, block, tag, contributions)
             self._newest = -1.0
-            if self.stopped != NO_PAD_LEFT:  # what became of a former session's blocks is past
-                self.stopped = ""
+            self.stopped = ""  # what became of a former session's blocks is past
 
     def end(self) -> None:
         """The session is over: what was not stored is gone."""
@@ -231,8 +228,6 @@ class Keying:
 
 def _why_not(block: Stored) -> str:
     """Why a block made no key."""
-    if block.exhausted:
-        return NO_PAD_LEFT
     if block.older:
         return f"block {block.number} began before the key store did"
     return "" if block.keys else f"block {block.number} lost too many copies to make one"

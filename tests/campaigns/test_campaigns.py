@@ -13,7 +13,6 @@ from protocol.secret.records import Side
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, fuzz, live, power, schedules
-from tests.secret.test_guarded_link import WRONG_GUARDS
 from tests.secret.test_keyed_coin import WRONG
 
 
@@ -48,23 +47,6 @@ def test_schedules_watch_steps_with_a_keyed_coin() -> None:
     found = [schedules.outcome_of(seed) for seed in seeds]
     assert not [outcome.wrong for outcome in found if outcome.wrong]
     assert sum(outcome.watched for outcome in found) > 100
-
-
-@pytest.mark.long
-def test_guarded_schedules_break_nothing() -> None:
-    late = 8610  # a repeat that needs keys which have served
-    found = [schedules.outcome_of(seed, guards=True) for seed in (*range(16), late)]
-    assert not [outcome.wrong for outcome in found if outcome.wrong]
-    assert sum(outcome.guarded for outcome in found) > 400
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("wrong", WRONG_GUARDS)
-def test_guarded_schedules_find_a_wrong_guard(
-    wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wrong(monkeypatch)
-    assert any(schedules.outcome_of(seed, guards=True).wrong for seed in range(40))
 
 
 def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from controller_service.core import ControllerCore
 from plant_service.status import PlantTelemetry
-from protocol.link.events import Missed, SessionBegan, Timing
+from protocol.link.events import Missed, Timing
 from protocol.link.peer import Actions
 from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
@@ -93,7 +93,7 @@ def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
     assert [n.subject for actions in said for n in actions.notices] == ["refusals"] * halted
 
 
-def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_next() -> None:
+def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> None:
     record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3, offer=None)
     hello = PlantHello(
         instance=P,
@@ -113,39 +113,8 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
         )
 
     assert offers(controller(controller_journal(), None, record, HALTING))
-    core = controller(controller_journal(), None, record, HALTING)
-    halted = core.halt()
-    assert halted.record is not None
-    kept = halted.record
-    assert isinstance(kept, SenderRecord)
-    assert (
-        kept
-        == core.record
-        == record._replace(incarnation=1, state=RULES.scheme.restore(record.state), halted=True)
-    )
-    assert [n.subject for n in halted.notices] == ["refusals"]
-    assert core.halt() == Actions(), "it is told once"
-    assert not offers(core)
+    kept = record._replace(halted=True)
     assert not offers(controller(controller_journal(), None, kept, HALTING))
-    assert controller(controller_journal()).halt() == Actions(), "the scenario's rules say so"
-
-
-def test_a_controller_whose_keys_are_gone_leaves_the_session_and_greets() -> None:
-    record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3)
-    core = controller(controller_journal(), None, record)
-    first_words(core)
-    ended = core.end_session("the keys are gone")
-    (began,) = ended.events
-    assert isinstance(began, SessionBegan)
-    assert began.session is None
-    assert core.record.session is None
-    assert core.record.ended == (S,)
-    assert ended.record is not None
-    assert ended.record == core.record
-    assert [n.subject for n in ended.notices] == ["refusals"]
-    (greets,) = core.receive(Measurement, REPORTED.wire(), 100.0).publish
-    assert isinstance(greets, ControllerHello)
-    assert (greets.verdict, greets.session) == ("greeting", None)
 
 
 # --- the plant's ----------------------------------------------------------------------------------
@@ -250,14 +219,6 @@ def test_a_missed_step_is_told_with_what_it_really_came_to() -> None:
     receiver.missed((0.0,), (0.0,))
     (missed,) = [event for event in receiver.events if isinstance(event, Missed)]
     assert missed.truth == line.truth
-
-
-def test_a_plant_whose_keys_are_gone_begins_a_new_session_and_says_why() -> None:
-    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT))
-    (line,) = receiver.core.end_session("the keys are gone").notices
-    assert line.level == "error"
-    assert line.text.startswith("the keys are gone; new session ")
-    assert receiver.record.session != S
 
 
 def test_a_plant_that_cannot_be_closed_says_why() -> None:

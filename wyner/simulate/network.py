@@ -39,7 +39,6 @@ from protocol.secret.records import Key
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.key_opening import End, guarded_by
 from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
@@ -340,8 +339,7 @@ class Simulation:
         end.ports.crash_at()
         end.key_maker = self.key_maker(side)
         end.endpoint = self._behind_the_network(side, end.incarnations)
-        defence = self.scenario.defence
-        if (defence.keyed or defence.guards) and side in self.stores:
+        if self.scenario.defence.keyed and side in self.stores:
             end.asker = Asker(self.stores[side])
             self._ask(end, end.incarnations)
         self._perform(end, end.endpoint.start(self.now_s))
@@ -357,24 +355,13 @@ class Simulation:
 
     def _behind_the_network(self, side: Side, incarnations: int) -> Peer:
         """A new process of an end; its channel begins anew, too."""
-        record: SenderRecord | ReceiverRecord | None
-        core: End
+        end: Peer
         kind: type[Measurement] | type[Offer]
         way: Direction
-        halt = None
         if side == "plant":
-            record = self._plant_journal.load().record
-            core, kind, way = self._new_plant(incarnations), Offer, "to_plant"
+            end, kind, way = self._new_plant(incarnations), Offer, "to_plant"
         else:
-            record = self._queue.load().record
-            core, kind, way = self._new_controller(), Measurement, "to_controller"
-            halt = self._controller.halt
-        defence = self.scenario.defence.guard(
-            self.scenario.readings, self.scenario.secrecy.candidates
-        )
-        end: Peer = core
-        if defence is not None:
-            end = guarded_by(core, self.stores[side], defence, record, halt)
+            end, kind, way = self._new_controller(), Measurement, "to_controller"
         scale = 1.0 if self._step_s is None else self._step_s / self.scenario.plant.period_s
         channel = channel_of(
             self.scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
