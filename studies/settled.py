@@ -106,7 +106,7 @@ def table(rows: Sequence[dict[str, str]]) -> str:
         end = int(first["burn_in"]) + int(first["steps"])
         quiet = not any(float(row["bits"]) for row in starts.values())
         told = f"step {last}" if quiet and last >= 0 else ("none" if quiet else f"goes on to {end}")
-        label = f"`{name}`" if group == "scenario" else f"`sustained`, {name}"
+        label = f"scenario `{name}`" if group == "scenario" else f"disturbance: {name}"
         lines.append((label, f"`{first['law']}`", STATED.get(name, "-"), *rates, told))
     return markdown_table(lines)
 
