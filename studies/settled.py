@@ -89,7 +89,9 @@ def recorded() -> list[dict[str, str]]:
 
 def table(rows: Sequence[dict[str, str]]) -> str:
     """The loops of the page: their rate from both starts, and their last key."""
-    lines = [("loop", "law", "stated before", "from x(0)", "from the origin", "last key")]
+    lines: list[tuple[str, ...]] = [
+        ("loop", "law", "stated before", "from x(0)", "from the origin", "last key")
+    ]
     found: dict[tuple[str, str], dict[str, dict[str, str]]] = {}
     for row in rows:
         if row["group"] != "plant":
@@ -98,8 +100,8 @@ def table(rows: Sequence[dict[str, str]]) -> str:
         first = next(iter(starts.values()))
         rates = []
         for start in ("x(0)", "origin"):
-            row = starts.get(start)
-            bits = None if row is None else [float(row[key]) for key in LIMITS]
+            of = starts.get(start)
+            bits = None if of is None else [float(of[key]) for key in LIMITS]
             T = float(first["period_s"])
             rates.append("-" if bits is None else Interval(*bits).scaled(1 / T).text(".3g"))
         last = max((int(row["last_key"]) for row in starts.values() if row["last_key"]), default=-1)
