@@ -9,7 +9,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from controller_service.sets.terminal import SynthesisError, input_interval, set_corners
+from controller_service.sets.terminal import (
+    PRODUCTS_AT_ONCE,
+    SynthesisError,
+    input_interval,
+    set_corners,
+)
 from controller_service.tolerances import (
     CONDITION,
     GROWTH,
@@ -40,8 +45,10 @@ HALF_ULPS = ROUNDINGS * 0.5 * float(np.finfo(float).eps)
 
 
 def support(V: Array, H: Array) -> Array:
-    """Support of the hull of the points V in the directions H."""
-    out: Array = (V @ H.T).max(axis=0)
+    """Support of the hull of the points V in the directions H; few products at a time."""
+    step = max(1, PRODUCTS_AT_ONCE // len(V))
+    parts = [(V @ H[i : i + step].T).max(axis=0) for i in range(0, len(H), step)]
+    out: Array = parts[0] if len(parts) == 1 else np.concatenate(parts)
     return out
 
 
