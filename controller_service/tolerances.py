@@ -13,7 +13,8 @@ SOLVED_DEFLATION = 1e-6
 may drop a thinner facet, and a solver's answer may miss a constraint by its tolerance."""
 
 CONDITION = 1e8
-"""With a larger condition number A counts as singular: the state bounds limit the sets."""
+"""With a larger condition number, in the best units of the states, A counts as singular: the state
+bounds limit the sets."""
 
 GROWTH = 1e-8
 """The recursion ends when no facet of T_i moves by more than this fraction of its distance."""

@@ -22,6 +22,7 @@ from controller_service.sets.terminal import (
     set_corners,
     terminal_set,
 )
+from controller_service.sets.units import in_units
 from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN
 from protocol.arrays import Array
 from protocol.brief import Brief
@@ -182,10 +183,11 @@ def invariant_start(K: Array, scenario: Scenario) -> InvariantSet:
     for margin in (TERMINAL_MARGIN, *SLOW_MARGINS):
         larger = scenario.control_set.scaled(1 + margin)
         r = recursion(scenario)
+        Ac = np.array(scenario.A) + np.array(scenario.B) @ K
         try:
-            T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
+            T0, terminal = terminal_set(Ac, larger, scenario.control.terminal_order)
             V = corners(T0.H, T0.h)
-            _check_invariant(V, T0, K, r)
+            _check_invariant(T0, Ac, r)
         except TooSlowError as error:
             refused = error
             continue
@@ -205,15 +207,16 @@ def _bounded(V: Array, K: Array, scenario: Scenario) -> list[tuple[Array, Convex
     return inputs if control.states is None else [*inputs, (V, control.states)]
 
 
-def _check_invariant(V: Array, T0: Polytope, K: Array, r: Recursion) -> None:
-    """T_0, whose corners are V, is robust invariant with the programs' margin to spare."""
-    needed = support(V @ (r.A + r.B @ K).T, T0.H) + support(r.DV, T0.H)
-    worst = float((needed / T0.h).max())
+def _check_invariant(T0: Polytope, Ac: Array, r: Recursion) -> None:
+    """T_0 is robust invariant under A + B K = Ac with the programs' margin to spare."""
+    p = r.enter(T0)
+    needed = support(corners(p.H, p.h) @ in_units(Ac, r.units).T, p.H) + support(r.DV, p.H)
+    worst = float((needed / p.h).max())
     # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
-    if not worst <= 1 - r.erode(T0)[2]:
+    if not worst <= 1 - r.erode(p)[2]:
         raise TooSlowError(
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
-            f"of itself): K is too slow; {faster(r.A + r.B @ K)}"
+            f"of itself): K is too slow; {faster(Ac)}"
         )
 
 
@@ -293,8 +296,8 @@ def synthesise(
         if progress is not None:
             progress(i, scenario.control.horizon)
     return Design(
-        A=r.A,
-        B=r.B,
+        A=np.array(scenario.A),
+        B=np.array(scenario.B),
         K=K,
         T=tuple(T),
         targets=tuple(targets),

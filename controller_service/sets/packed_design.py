@@ -158,13 +158,14 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
         corners(*(np.array(a) for a in states.rows()))
     except SetError as error:
         raise SynthesisError(f"control.states: {error}, expected a compact set") from None
-    rows = Polytope.from_rows(*states.rows())
+    rows = wide.enter(Polytope.from_rows(*states.rows()))
     try:
         for step in range(STEPS):
             T, S, deflation = wide.erode(rows)
-            if step and _kept(exact, T):
-                radius = float(np.abs(corners(T.H, T.h)).max())
-                return T, Terminal("invariant", step, 0.0, radius)
+            own = wide.leave(T)
+            if step and _kept(exact, exact.enter(own)):
+                radius = float(np.abs(corners(own.H, own.h)).max())
+                return own, Terminal("invariant", step, 0.0, radius)
             rows = wide.backward(S, deflation)
     except SetError:
         raise SynthesisError(

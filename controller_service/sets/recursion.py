@@ -15,6 +15,7 @@ from controller_service.sets.terminal import (
     input_interval,
     set_corners,
 )
+from controller_service.sets.units import in_units, state_units
 from controller_service.tolerances import (
     CONDITION,
     GROWTH,
@@ -70,6 +71,9 @@ class Recursion(ABC):
 
     Parameters
     ----------
+    units : array, shape (n,), or None
+        Of the states here, where they are not the plant's; :meth:`enter` and :meth:`leave` convert
+        sets. Everything below is in these units.
     least : float
         The smallest fraction by which a set is shrunk.
     DV, BU : array, shapes (corners, n)
@@ -83,10 +87,22 @@ class Recursion(ABC):
         self.least = LEAST_DEFLATION if scenario.n <= 2 and scenario.m == 1 else SOLVED_DEFLATION
         which = "defender" if scenario.control.disturbance is None else "control"
         self.DV = _compact(f"{which}.disturbance", scenario.control_set)
+        self.units = state_units(self.A, self.DV)
+        if self.units is not None:
+            self.A = in_units(self.A, self.units)
+            self.B, self.DV = self.B / self.units[:, None], self.DV / self.units
         self.BU = -_compact("control.inputs", scenario.control.inputs) @ self.B.T
         self.X = None
         if scenario.control.states is not None:
-            self.X = Polytope.from_rows(*scenario.control.states.rows())
+            self.X = self.enter(Polytope.from_rows(*scenario.control.states.rows()))
+
+    def enter(self, p: Polytope) -> Polytope:
+        """A set in the plant's units, in the units here."""
+        return p.in_units(self.units)
+
+    def leave(self, p: Polytope) -> Polytope:
+        """A set in the units here, in the plant's."""
+        return p if self.units is None else p.in_units(1 / self.units)
 
     def run(self, T0: Polytope, horizon: int) -> Iterator[tuple[int, Polytope, Polytope, float]]:
         """Yield (i, T_i, T_i ~ D_c, deflation of T_(i+1)) for i = 0..horizon.
@@ -98,7 +114,7 @@ class Recursion(ABC):
         SynthesisError
             When a set is empty or unbounded.
         """
-        rows, previous = T0, None
+        rows, previous = self.enter(T0), None
         for i in range(horizon + 1):
             try:
                 if not rows.h.max() < LARGEST_OFFSET:
@@ -106,7 +122,7 @@ class Recursion(ABC):
                 T, S, deflation = self.erode(rows)
                 if previous is not None and _same(previous, T):
                     return
-                yield i, T, S, deflation
+                yield i, self.leave(T), self.leave(S), deflation
                 if i < horizon:
                     rows, previous = self.backward(S, deflation), T
             except SetError as error:
@@ -137,8 +153,8 @@ class Recursion(ABC):
         """
         A, push = np.abs(self.A), np.abs(self.BU).max(axis=0)
         rest = push + np.abs(self.DV).max(axis=0)
-        if np.linalg.cond(self.A) < CONDITION:
-            M: Array = A @ np.abs(np.linalg.inv(self.A))
+        M = _condition_matrix(self.A)
+        if M is not None:
             return M, M @ push + rest
         if self.X is None:
             raise SynthesisError("control.states: got none, expected a set, for A is singular")
@@ -272,6 +288,20 @@ class SpatialRecursion(Recursion):
             segments = zip(self.B.T, self.intervals, strict=True)
             p = spatial_add_segments(S, faces, [(-b, *ends) for b, ends in segments])
         return self._back_through_plant(p, deflation)
+
+
+def _condition_matrix(A: Array) -> Array | None:
+    """abs(A) abs(A^-1); None where A counts as singular.
+
+    Its spectral radius is the least condition number of A in any units of the states (Bauer 1963).
+    """
+    try:
+        M: Array = np.abs(A) @ np.abs(np.linalg.inv(A))
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(M).all() or not np.abs(np.linalg.eigvals(M)).max() < CONDITION:
+        return None
+    return M
 
 
 def _compact(field: str, s: ConvexSet) -> Array:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from controller_service.sets.units import in_units, state_units
 from controller_service.tolerances import NEARLY_PARALLEL, TERMINAL_ERROR
 from protocol.arrays import Array
 from protocol.convex import Polytope, corners, planar_reduce, planar_vertices
@@ -168,12 +169,21 @@ def terminal_set(Ac: Array, D: ConvexSet, order: int | None) -> tuple[Polytope, 
     SynthesisError
         When the route finds none; the message is one line.
     """
+    V = set_corners(D)
     if len(Ac) == 1:
-        return invariant_interval(float(Ac[0, 0]), set_corners(D)[:, 0])
+        return invariant_interval(float(Ac[0, 0]), V[:, 0])
+    units = state_units(Ac, V)
+    if units is not None:
+        Ac = in_units(Ac, units)
     if len(Ac) == 2:
-        H, h = D.rows()
-        return rakovic(Ac, (np.array(H), np.array(h)), order)
-    return modal(Ac, set_corners(D))
+        p = Polytope.from_rows(*D.rows()).in_units(units)
+        T0, terminal = rakovic(Ac, p, order)
+    else:
+        T0, terminal = modal(Ac, V if units is None else V / units)
+    if units is None:
+        return T0, terminal
+    # The largest unit is 1, so that no distance is larger in the plant's units.
+    return T0.in_units(1 / units), terminal
 
 
 def invariant_interval(a: float, D: Array) -> tuple[Polytope, Terminal]:
@@ -187,10 +197,9 @@ def invariant_interval(a: float, D: Array) -> tuple[Polytope, Terminal]:
     return p, Terminal("interval", 0, 0.0, 0.0)
 
 
-def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polytope, Terminal]:
+def rakovic(Ac: Array, D: Polytope, order: int | None) -> tuple[Polytope, Terminal]:
     """F(alpha, s) = (1 - alpha)^-1 (D + A_c D + ... + A_c^(s-1) D) in the plane."""
-    unit = Polytope.from_rows(*D)
-    D_c, excess = thinned(planar_reduce(unit.H, unit.h))
+    D_c, excess = thinned(planar_reduce(D.H, D.h))
     V = planar_vertices(D_c)
     powers = [np.eye(2)]
     reach = np.zeros(2)
