@@ -12,6 +12,11 @@ SOLVED_DEFLATION = 1e-6
 """Each T_i of three or four states, or of two inputs, is shrunk by at least this fraction: Qhull
 may drop a thinner facet, and a solver's answer may miss a constraint by its tolerance."""
 
+LARGEST_SPREAD = 1e6
+"""Sets of three or four states end where a facet adds up products this much larger than its bound.
+Qhull then drops facets that matter: beside an exact recursion the first set that held a state which
+no input steers had 4e7, of 35 plants of three states."""
+
 CONDITION = 1e8
 """With a larger condition number, in the best units of the states, A counts as singular: the state
 bounds limit the sets."""

@@ -306,8 +306,8 @@ def _dual_hull(p: Polytope) -> "ConvexHull":
     return hull
 
 
-def spatial_faces(p: Polytope) -> tuple[Polytope, Indices]:
-    """Irredundant rows, and for each corner of the set n of the rows that meet in it.
+def spatial_faces(p: Polytope) -> tuple[Polytope, Indices, Array]:
+    """Irredundant rows, for each corner of the set n of the rows that meet in it, and the corners.
 
     Raises
     ------
@@ -316,7 +316,8 @@ def spatial_faces(p: Polytope) -> tuple[Polytope, Indices]:
     """
     hull = _dual_hull(p)
     keep = np.sort(hull.vertices)
-    return Polytope(p.H[keep], p.h[keep]), np.searchsorted(keep, hull.simplices)
+    V = hull.equations[:, :-1] / -hull.equations[:, -1:]
+    return Polytope(p.H[keep], p.h[keep]), np.searchsorted(keep, hull.simplices), V
 
 
 def spatial_add_segments(
@@ -341,7 +342,7 @@ def spatial_add_segments(
     """
     for number, (b, low, high) in enumerate(segments):
         if number:
-            p, faces = spatial_faces(p)
+            p, faces, _ = spatial_faces(p)
         n = p.dimension
         pairs = np.vstack([faces[:, [i, j]] for i in range(n) for j in range(i + 1, n)])
         g = p.H @ b

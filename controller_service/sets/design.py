@@ -71,6 +71,9 @@ class Design(Brief):
         Time that the synthesis took.
     cached : bool
         Whether the design was read from the cache.
+    stopped : bool
+        Whether there are fewer sets than were asked because rounding would make more of them too
+        large; else there are fewer where they stop growing.
     offsets : array, shape (M, m), optional
         Of a packed alphabet; the sets are then those of D' = D_c + B conv P and U' = U less conv P,
         and the targets T_i ~ D'.
@@ -86,6 +89,7 @@ class Design(Brief):
     margins: tuple[float, ...]
     seconds: float
     cached: bool = False
+    stopped: bool = False
     offsets: Array | None = None
 
     def brief(self) -> dict[str, object]:
@@ -305,4 +309,5 @@ def synthesise(
         gain_given=scenario.control.gain is not None,
         margins=tuple(margins),
         seconds=time.perf_counter() - begin,
+        stopped=r.stopped,
     )

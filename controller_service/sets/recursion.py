@@ -20,6 +20,7 @@ from controller_service.tolerances import (
     CONDITION,
     GROWTH,
     LARGEST_OFFSET,
+    LARGEST_SPREAD,
     LEAST_DEFLATION,
     ROUNDINGS,
     SOLVED_DEFLATION,
@@ -80,7 +81,15 @@ class Recursion(ABC):
         Corners of D_c (of ``control.disturbance`` where given), and -B u at the corners of U.
     X : Polytope or None
         The state bounds.
+    spread : float
+        Of the set that :meth:`erode` met last: how much larger than a facet's bound the products
+        are that it adds up. 0 where every set is shrunk in proportion to it.
+    stopped : bool
+        Whether the sets ended where rounding would make them too large.
     """
+
+    spread = 0.0
+    stopped = False
 
     def __init__(self, scenario: Scenario) -> None:
         self.A, self.B = np.array(scenario.A), np.array(scenario.B)
@@ -107,7 +116,7 @@ class Recursion(ABC):
     def run(self, T0: Polytope, horizon: int) -> Iterator[tuple[int, Polytope, Polytope, float]]:
         """Yield (i, T_i, T_i ~ D_c, deflation of T_(i+1)) for i = 0..horizon.
 
-        Ends earlier when the sets stop growing.
+        Ends earlier when the sets stop growing, or when rounding would make the next too large.
 
         Raises
         ------
@@ -123,8 +132,12 @@ class Recursion(ABC):
                 if previous is not None and _same(previous, T):
                     return
                 yield i, self.leave(T), self.leave(S), deflation
-                if i < horizon:
-                    rows, previous = self.backward(S, deflation), T
+                if i == horizon:
+                    return
+                if self.spread > LARGEST_SPREAD:
+                    self.stopped = True
+                    return
+                rows, previous = self.backward(S, deflation), T
             except SetError as error:
                 raise SynthesisError(_ended(i, error)) from None
 
@@ -262,6 +275,7 @@ class SpatialRecursion(Recursion):
             None,
             np.zeros((0, scenario.n), dtype=np.intp),
         )
+        self.M, self.c = self._cancelling()
         self.intervals: list[tuple[float, float]] | None = None
         if scenario.m == 1:
             self.intervals = [input_interval(inputs)]
@@ -271,8 +285,11 @@ class SpatialRecursion(Recursion):
     def erode(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
         """See :meth:`Recursion.erode`."""
         T = spatial_reduce(T)[0]
-        S, faces = spatial_faces(Polytope(T.H, T.h - support(self.DV, T.H)))
+        S, faces, V = spatial_faces(Polytope(T.H, T.h - support(self.DV, T.H)))
         self._faces = (S, faces)
+        # Of each facet at each of its corners.
+        added = np.abs(S.H)[faces] @ (np.abs(V) @ self.M.T + self.c)[:, :, None]
+        self.spread = float((added[:, :, 0] / S.h[faces]).max())
         return T, S, self.least
 
     def backward(self, S: Polytope, deflation: float) -> Polytope:
@@ -284,7 +301,7 @@ class SpatialRecursion(Recursion):
             # redundant rows go when the next `erode` meets them.
             known, faces = self._faces
             if known is not S:
-                S, faces = spatial_faces(S)
+                S, faces, _ = spatial_faces(S)
             segments = zip(self.B.T, self.intervals, strict=True)
             p = spatial_add_segments(S, faces, [(-b, *ends) for b, ends in segments])
         return self._back_through_plant(p, deflation)

@@ -208,6 +208,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "inputs": scenario.m,
         "horizon": N,
         "horizon_asked": scenario.control.horizon,
+        "stopped": design.stopped,
         "gain": design.K.tolist(),
         "gain_source": "given" if design.gain_given else "linear quadratic regulator",
         "terminal": vars(design.terminal),
@@ -315,6 +316,16 @@ def network_lines(found: dict[str, Any] | None) -> list[str]:
     ]
 
 
+def _ended(r: dict[str, Any]) -> str:
+    """Why there are fewer sets than were asked."""
+    if r["stopped"]:
+        return (
+            "larger ones are so long beside their width that rounding could put states into them "
+            "that no input steers"
+        )
+    return "they stop growing there"
+
+
 def render(r: dict[str, Any]) -> str:
     """The object in lines for people."""
     import numpy as np
@@ -324,7 +335,7 @@ def render(r: dict[str, Any]) -> str:
         f"{r['scenario']}: {r['states']} state(s), {r['inputs']} input(s), law {r['law']}",
         f"sets T_0..T_{r['horizon']} {when} {r['seconds']:.3f} s"
         + (
-            f" (they stop growing there; {r['horizon_asked']} were asked)"
+            f" ({_ended(r)}; {r['horizon_asked']} were asked)"
             if r["horizon"] < r["horizon_asked"]
             else ""
         ),
