@@ -33,6 +33,9 @@ TERMINAL_MARGIN = 1e-4
 SLOW_MARGINS = (1e-3, 1e-2)
 """The same where K brings the state back so slowly that less leaves no room."""
 
+THIN = 1e-9
+"""Where D_c reaches a facet of T_0 by less than this fraction, D_c is too thin, not K too slow."""
+
 TERMINAL_ERROR = 1e-3
 """Without a stated order, T_0 takes the first whose error bound is this part of its radius."""
 

@@ -16,6 +16,7 @@ from controller_service.sets.terminal import (
     SynthesisError,
     Terminal,
     TooSlowError,
+    TooThinError,
     faster,
     feedback_gain,
     input_interval,
@@ -23,7 +24,7 @@ from controller_service.sets.terminal import (
     terminal_set,
 )
 from controller_service.sets.units import in_units
-from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN
+from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN, THIN
 from protocol.arrays import Array
 from protocol.brief import Brief
 from protocol.convex import Polytope, SetError, corners
@@ -183,7 +184,7 @@ def invariant_start(K: Array, scenario: Scenario) -> InvariantSet:
     SetError
         When D_c is no compact set.
     """
-    refused: TooSlowError | None = None
+    refused: SynthesisError | None = None
     for margin in (TERMINAL_MARGIN, *SLOW_MARGINS):
         larger = scenario.control_set.scaled(1 + margin)
         r = recursion(scenario)
@@ -192,7 +193,7 @@ def invariant_start(K: Array, scenario: Scenario) -> InvariantSet:
             T0, terminal = terminal_set(Ac, larger, scenario.control.terminal_order)
             V = corners(T0.H, T0.h)
             _check_invariant(T0, Ac, r)
-        except TooSlowError as error:
+        except (TooSlowError, TooThinError) as error:
             refused = error
             continue
         reaches = []
@@ -214,10 +215,13 @@ def _bounded(V: Array, K: Array, scenario: Scenario) -> list[tuple[Array, Convex
 def _check_invariant(T0: Polytope, Ac: Array, r: Recursion) -> None:
     """T_0 is robust invariant under A + B K = Ac with the programs' margin to spare."""
     p = r.enter(T0)
-    needed = support(corners(p.H, p.h) @ in_units(Ac, r.units).T, p.H) + support(r.DV, p.H)
-    worst = float((needed / p.h).max())
+    V, M = corners(p.H, p.h), in_units(Ac, r.units)
+    added = support(r.DV, p.H)
+    worst = float(((support(V @ M.T, p.H) + added) / p.h).max())
     # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
     if not worst <= 1 - r.erode(p)[2]:
+        if (added / p.h).min() < THIN:
+            raise TooThinError(r.DV, np.abs(V @ M.T).max(axis=0))
         raise TooSlowError(
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
             f"of itself): K is too slow; {faster(Ac)}"
@@ -286,7 +290,8 @@ def synthesise(
     if scenario.n > 4 or scenario.m > 2:
         raise SynthesisError(
             f"plant: got {scenario.n} states and {scenario.m} inputs, expected 1 to 4 states and "
-            "1 or 2 inputs"
+            "1 or 2 inputs; a law of your own may serve more, by sets of its own (control.law, "
+            "docs/guides.md)"
         )
     r = recursion(scenario)
     K, T0, terminal = start(scenario)

@@ -19,6 +19,9 @@ MOST_FACETS = 64
 PRODUCTS_AT_ONCE = 4_000_000
 """Products of corners and directions held at a time (32 MB)."""
 
+QUICK = 1e-9
+"""Where A + B K makes a state smaller than this in MOST_TERMS steps, K is not what is too slow."""
+
 UNREACHED = 1e-9
 """A mode is not moved by B where its left eigenvector meets B by less than this part of B."""
 
@@ -29,6 +32,17 @@ class SynthesisError(Exception):
 
 class TooSlowError(SynthesisError):
     """K brings the state back so slowly that no terminal set has room for rounding."""
+
+
+class TooThinError(SynthesisError):
+    """D_c is so thin beside what the plant moves by that the loop's rounding fills it."""
+
+    def __init__(self, V: Array, moved: Array) -> None:
+        j = int((np.abs(V).max(axis=0) / moved).argmin()) + 1
+        super().__init__(
+            f"defender.disturbance: it is too thin in x_{j} for the rounding of the loop; a "
+            f"thousandth of what a step moves x_{j} by would do"
+        )
 
 
 @dataclass(frozen=True)
@@ -225,8 +239,10 @@ def rakovic(Ac: Array, D: Polytope, order: int | None) -> tuple[Polytope, Termin
             )
         if s >= MOST_TERMS:
             radius = float(np.abs(np.linalg.eigvals(Ac)).max())
-            raise SynthesisError(
-                "control.regulator: K is too slow, the spectral radius of A + B K is "
+            if radius**MOST_TERMS < QUICK:
+                raise TooThinError(V, np.abs(V @ Ac.T).max(axis=0))
+            raise TooSlowError(
+                "control.gain: K is too slow, the spectral radius of A + B K is "
                 f"{radius:.4g}: after {s} steps a disturbance is still {alpha:.3g} times itself; "
                 f"{faster(Ac)}"
             )
