@@ -353,8 +353,8 @@ horizon = {horizon:<22} # sets T_1 to T_N: more states to start from, more time 
 [control.inputs]                 # U: no input leaves it
 half_widths = {U}
 
-[[control.costs]]                # candidate 0 goes home fast: each state is weighed in units of what
-next_state = {weights:<19} # the inputs move it by in ten steps
+[[control.costs]]                # candidate 0 goes home fast; each state counts in units of
+next_state = {weights:<19} # what the inputs move it by in ten steps
 input = 0.0
 
 [[control.costs]]                # candidate 1 spares the input
