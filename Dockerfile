@@ -6,9 +6,9 @@ FROM ${BASE_IMAGE} AS build
 WORKDIR /build
 RUN python3 -m venv /opt/wyner
 # Dependencies first: they change seldom, and their layer is kept while they do not.
-COPY requirements/image.txt requirements/image.txt
+COPY requirements/runtime.txt requirements/runtime.txt
 RUN /opt/wyner/bin/python -m pip install --no-cache-dir --disable-pip-version-check --no-compile \
-        --only-binary :all: --require-hashes --requirement requirements/image.txt
+        --only-binary :all: --require-hashes --requirement requirements/runtime.txt
 COPY pyproject.toml LICENSE NOTICE README.md ./
 COPY protocol protocol
 COPY runtime runtime
@@ -37,7 +37,7 @@ RUN echo 'wyner:x:10001:10001::/nonexistent:/usr/sbin/nologin' >> /etc/passwd \
     && echo 'wyner:x:10001:' >> /etc/group \
     && install -d -o 10001 -g 10001 -m 700 /var/lib/wyner /var/lib/wyner/run \
         /var/lib/wyner/knowledge /var/lib/wyner/certs \
-    && for name in router controller plant tap kme-controller kme-plant alice bob; do \
+    && for name in router controller plant tap; do \
         install -d -o 10001 -g 10001 -m 700 /var/lib/wyner/certs/$name; done
 COPY --from=build /opt/wyner /opt/wyner
 COPY deploy/healthy /usr/local/bin/

@@ -8,7 +8,7 @@ NODEPS := --quiet --disable-pip-version-check --no-deps --no-build-isolation
 
 ROOM_TARGETS := test-protocol test-runtime test-controller test-plant test-tap test-attacker test-wyner test-studies test-house
 .PHONY: $(ROOM_TARGETS)
-.PHONY: demo dev test tests test-long test-fast test-compose test-pythons coverage mutants lint docs figures paper bench campaign lock clean help
+.PHONY: demo dev test tests test-long test-fast test-compose test-pythons coverage lint docs figures paper bench campaign lock clean help
 
 help:
 	@echo "make demo          controller, plant and tap on this machine; a message; a screen"
@@ -20,13 +20,12 @@ help:
 	@echo "make test-pythons  a part of the tests on every other Python at hand"
 	@echo "make test-compose  the tests of the containers (a Docker engine must run)"
 	@echo "make coverage      branch coverage of each room; protocol/ at 95 % or more"
-	@echo "make mutants       how many broken programs the tests notice: hours, or a sample"
 	@echo "make dev           $(VENV) with all that the tests need"
 	@echo "make lint          ruff and mypy"
 	@echo "make docs          the documents and the API reference as a site, in build/docs"
 	@echo "make figures       every figure of docs/ from its data"
 	@echo "make paper         paper/paper.pdf from its text and the project's data"
-	@echo "make bench         every benchmark, beside its reference"
+	@echo "make bench         every benchmark"
 	@echo "make campaign      try to break exactly once, for hours (docs/reliability.md)"
 	@echo "make lock          pin the dependencies anew, with hashes"
 
@@ -84,7 +83,7 @@ ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap
 ROOM_attacker := attacker
-ROOM_wyner := advice api bound capacity cli dashboard deployment fit kme runs simulate sweeps system
+ROOM_wyner := advice api bound capacity cli dashboard deployment fit runs simulate sweeps system
 ROOM_studies := studies
 ROOM_house := house benchmarks campaigns examples tools
 
@@ -106,12 +105,6 @@ coverage: $(STAMPS)/dev
 	  printf '%s %s %%\n' $$room $$($(BIN)/coverage report --format=total --precision=1 --include "$$room/*"); done; \
 	$(BIN)/coverage report --format=total --include "protocol/*" --fail-under 95 && exit $$tests
 
-# Broken programs that no test notices. All of them take hours; SAMPLE=300 SEED=1 tries so many of
-# each room. It can be stopped, and goes on where it was.
-mutants: $(STAMPS)/dev
-	$(BIN)/pip install --quiet --disable-pip-version-check "mutmut>=3.8"
-	$(BIN)/python -m tools.mutants $(if $(SAMPLE),--sample $(SAMPLE) --seed $(or $(SEED),1))
-
 # Every page and the API reference as a site; a broken link is an error.
 docs: $(STAMPS)/dev
 	@echo "building build/docs: minutes for the API reference, the first time"
@@ -130,17 +123,10 @@ campaign: $(STAMPS)/dev
 	$(CAMPAIGN).exhaustive --scheme switched --seconds 7200
 	$(CAMPAIGN).exhaustive --scheme pipelined --seconds 7200
 	$(CAMPAIGN).schedules
-	$(CAMPAIGN).fuzz
-	$(CAMPAIGN).flood
-	$(CAMPAIGN).files
 	$(CAMPAIGN).kills
 	$(CAMPAIGN).kills --jumps
 	$(CAMPAIGN).kills --tls --kills 240
 	$(CAMPAIGN).kills --watched
-	$(CAMPAIGN).calls
-	$(CAMPAIGN).spoiled
-	$(CAMPAIGN).spoiled_stores
-	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).disks
 	[ "$$(id -u)" != 0 ] || $(CAMPAIGN).kills --apart --kills 240
 	WYNER_TESTS=whole $(MAKE) tests ALL=1
 
@@ -157,9 +143,6 @@ lock:
 	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
 	  --no-header --no-emit-index-url --upgrade --extra dev -c requirements/runtime.txt \
 	  pyproject.toml -o requirements/dev.txt
-	$(BIN)/uv pip compile --quiet --universal --python-version 3.11 --generate-hashes \
-	  --no-header --no-emit-index-url --extra kme -c requirements/dev.txt \
-	  pyproject.toml -o requirements/image.txt
 
 clean:
 	rm -rf $(VENV) build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

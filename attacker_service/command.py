@@ -49,9 +49,11 @@ def run_attacker(options: AttackerOptions) -> int:
     UsageError
         When an option's value is wrong, or no such attack is at the bus.
     """
-    from attacker_service.asking import Attacker
+    from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
     from runtime.bus import TransportError
+    from runtime.link_watchdog import watched
+    from runtime.logs import logger
     from runtime.scenario_file import attack_option, scenario_of
     from runtime.signals import stop_on_signals
     from runtime.zenoh_bus import ZenohBus
@@ -68,10 +70,10 @@ def run_attacker(options: AttackerOptions) -> int:
             stop_on_signals() as stopping,
             ZenohBus(listen=[options.plant_side]) as plant,
             ZenohBus(listen=[options.controller_side]) as controller,
+            watched(stopping, logger("attacker"), plant, controller),
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
+            attacker.sieve.tell()
     except TransportError as error:
         raise UsageError(str(error)) from None
-    finally:
-        attacker.close()
     return DONE

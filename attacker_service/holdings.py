@@ -4,15 +4,13 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from attacker_service.base import UNKNOWN
-from protocol.defence.key_digits import digits
 from protocol.knowledge import Knowledge
-from protocol.messages import FIELD, FieldMessage, Offer
+from protocol.messages import FieldMessage, Offer
+from protocol.secret.key_digits import digits
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers.base import KnowledgeError
 from tap_service.eavesdroppers.key_solver import KeySolver
-
-TYPES: Final = {kind.topic: kind for kind in FIELD}
 
 KEPT_OFFERS: Final = 16
 """Steps whose offers are kept: the newest is that of the step under way."""

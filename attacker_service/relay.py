@@ -6,12 +6,11 @@ on here. A message that comes again is rewritten as it was before.
 
 import queue
 import threading
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol, TypeVar
 
-from pydantic import ValidationError
-
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from attacker_service.sieve import Sieve
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus
@@ -33,13 +32,17 @@ class _Passed(NamedTuple):
 
 
 class Asked(Protocol):
-    """An attack on the bus, as :class:`attacker_service.asking.Attacker` asks it."""
+    """An attack on the bus, such as :class:`attacker_service.attacker.Attacker`."""
 
-    def vector(self, what: str, k: int, true: Vector, beside: Iterable[object] = ()) -> Vector:
-        """What it puts in place of a ``true`` vector of step ``k``."""
+    def candidates(self, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
+        """The candidates of step k that the plant gets."""
 
-    def vectors(self, what: str, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
-        """The same of vectors."""
+    def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
+        """The x(k) that the controller gets."""
+
+    @property
+    def sieve(self) -> Sieve:
+        """What its messages go through first."""
 
 
 class Rewriter:
@@ -57,27 +60,24 @@ class Rewriter:
         self._candidates: dict[tuple[str, int], tuple[Vector, ...]] = {}
 
     def rewritten(self, kind: type[FieldMessage], payload: bytes) -> bytes:
-        """The message as it goes on; what is none goes on as it came."""
-        try:
-            message = kind.model_validate_json(payload)
-        except ValidationError:
-            return payload
+        """The message as it goes on; what is none of the loop's goes on as it came."""
+        message = self._attacker.sieve.read(kind, payload)
         if isinstance(message, Measurement):
             return self._measurement(message).wire()
-        return self._offer(message).wire() if isinstance(message, Offer) else payload
+        return payload if message is None else self._offer(message).wire()
 
     def _offer(self, offer: Offer) -> Offer:
         at = offer.session, offer.k
         if at not in self._candidates:
-            found = self._attacker.vectors("offer", offer.k, offer.candidates)
+            found = self._attacker.candidates(offer.k, offer.candidates)
             _keep(self._candidates, at, found)
         return offer.model_copy(update={"candidates": self._candidates[at]})
 
     def _measurement(self, m: Measurement) -> Measurement:
         at = m.session, m.k
         if at not in self._x:
-            beside = (m.applied_k == m.k - 1,)
-            _keep(self._x, at, self._attacker.vector("measurement", m.k, m.x, beside))
+            applied = m.applied_k == m.k - 1
+            _keep(self._x, at, self._attacker.state(m.k, m.x, applied=applied))
         after = self._x.get((m.session, m.applied_k + 1), m.x_after) if m.x_after else ()
         return m.model_copy(update={"x": self._x[at], "x_after": after})
 
@@ -97,13 +97,12 @@ class Relay:
     def __init__(self, attacker: Asked, plant: Bus, controller: Bus, loop: str) -> None:
         self._rewriter = Rewriter(attacker)
         self._inbox: Inbox[_Passed] = Inbox()
-        self._put = {
+        self._put: dict[type[FieldMessage], Callable[[bytes], None]] = {
             Measurement: controller.publisher(key_of(Measurement, loop)).put,
             Offer: plant.publisher(key_of(Offer, loop)).put,
-            Sealed: plant.publisher(key_of(Sealed, loop)).put,
         }
-        for kind, bus in ((Measurement, plant), (Offer, controller), (Sealed, controller)):
-            self._listen(kind, bus, loop)
+        self._listen(Measurement, plant, loop)
+        self._listen(Offer, controller, loop)
 
     def _listen(self, kind: type[FieldMessage], bus: Bus, loop: str) -> None:
         def deliver(_key: str, payload: bytes, _t_ns: int) -> None:

@@ -4,6 +4,7 @@ from runtime.health import look_at_status
 from runtime.services import (
     CONTROLLER_FIELD,
     CONTROLLER_MANAGEMENT,
+    END_STOP_S,
     PLANT_FIELD,
     PLANT_MANAGEMENT,
     Ends,
@@ -22,17 +23,17 @@ register(
             "management": Ends((CONTROLLER_MANAGEMENT,), (PLANT_MANAGEMENT,)),
         },
         publishes={
-            "field": ("offer", "sealed"),
+            "field": ("offer",),
             "management": (
                 "management/controller/hello",
                 "management/controller/status",
                 "management/reply/send",
-                "management/reply/seal",
                 "management/keys/word",
                 "management/keys/request",
                 "management/keys/answer",
             ),
         },
         health=look_at_status,
+        stop_s=END_STOP_S,
     )
 )

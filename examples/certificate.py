@@ -1,17 +1,16 @@
-"""How many sessions a promise about D_c costs, and what a scale of D_c promises."""
+"""What sessions that stayed in D_c promise, and what a scale of D_c promises."""
 
 import random
 
 from wyner.fit.conformal import (
     conformal_scale,
     rank,
-    sessions_needed,
     violation_bound,
 )
 
-for violation in (0.01, 0.001):
-    needed = sessions_needed(violation, 0.999)
-    print(f"at most {violation:g} of sessions leave D_c, confidence 0.999: {needed} sessions")
+for sessions in (100, 1000):
+    bound = violation_bound(sessions, 0, 0.999)
+    print(f"none of {sessions} sessions left D_c: at most {bound:.4f}, confidence 0.999")
 
 chance = random.Random(8)
 scores = [max(chance.random() for _ in range(200)) for _ in range(100)]

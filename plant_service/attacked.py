@@ -1,15 +1,20 @@
 """A plant whose sensor or actuator is attacked: the attack stands between plant and service."""
 
 from collections import deque
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
-from attacker_service.asking import Attacker, BusMessage
 from plant_service.plant import Plant
 from protocol.link.session import Truth
 from protocol.messages import FIELD
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus, Channel, Publisher
+
+if TYPE_CHECKING:
+    from attacker_service.attacker import Attacker
+
+Heard = deque[tuple[str, bytes]]
+"""Topics and payloads of messages that were heard."""
 
 HEARD: Final = 4096
 """Messages that may wait for her; the oldest go first."""
@@ -32,7 +37,7 @@ class AttackedPlant:
 
     acts = True
 
-    def __init__(self, plant: Plant, attacker: Attacker, x: Vector) -> None:
+    def __init__(self, plant: Plant, attacker: "Attacker", x: Vector) -> None:
         self._plant = plant
         self._attacker = attacker
         self.device = plant.device
@@ -40,7 +45,7 @@ class AttackedPlant:
         self._x = x
         self._u: Vector = ()
         self._told = ""
-        self.heard: deque[BusMessage] = deque(maxlen=HEARD)
+        self.heard: Heard = deque(maxlen=HEARD)
 
     def prepare(self, k: int) -> None:
         """As the plant."""
@@ -49,7 +54,7 @@ class AttackedPlant:
     def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
         """Apply ``u``, or what an attack on the actuator makes of it, where the plant stands."""
         at_actuator = self._attacker.at == "actuator"
-        self._u = self._attacker.vector("input", k, u) if at_actuator else u
+        self._u = self._attacker.input(k, u) if at_actuator else u
         self._plant.begin(k, self._x, self._u)
 
     def end(self, k: int) -> Vector:
@@ -57,7 +62,7 @@ class AttackedPlant:
         self._x = reported = self._plant.end(k)
         if self._attacker.at == "sensor":
             heard = [self.heard.popleft() for _ in range(len(self.heard))]
-            reported = self._attacker.vector("reading", k + 1, self._x, heard)
+            reported = self._attacker.reading(k + 1, self._x, heard)
         failed = "" if self._told else self._attacker.failed
         self._told = self._attacker.failed
         inner = self._plant.truth  # of noisy sensors
@@ -69,8 +74,8 @@ class AttackedPlant:
         self._plant.safe(why)
 
     def close(self) -> str:
-        """Let go of the plant, and of the attack."""
-        self._attacker.close()
+        """As the plant."""
+        self._attacker.sieve.tell()
         return self._plant.close()
 
     def overheard(self, bus: Bus, loop: str) -> Bus:
@@ -81,7 +86,7 @@ class AttackedPlant:
 class _Overheard:
     """A bus whose messages on some keys are noted as they pass."""
 
-    def __init__(self, bus: Bus, heard: deque[BusMessage], topics: dict[str, str]) -> None:
+    def __init__(self, bus: Bus, heard: Heard, topics: dict[str, str]) -> None:
         self._bus, self._heard, self._topics = bus, heard, topics
         self.subscribe, self.appearances = bus.subscribe, bus.appearances
         self.left, self.close = bus.left, bus.close
@@ -105,7 +110,7 @@ class _Overheard:
 class _Noted:
     """A publisher whose messages are noted."""
 
-    def __init__(self, publisher: Publisher, heard: deque[BusMessage], topic: str) -> None:
+    def __init__(self, publisher: Publisher, heard: Heard, topic: str) -> None:
         self._put, self._heard, self._topic = publisher.put, heard, topic
 
     def put(self, payload: bytes) -> None:
@@ -116,7 +121,7 @@ class _Noted:
 class _NotedChannel:
     """A channel whose messages are noted."""
 
-    def __init__(self, channel: Channel, heard: deque[BusMessage], topics: dict[str, str]) -> None:
+    def __init__(self, channel: Channel, heard: Heard, topics: dict[str, str]) -> None:
         self._receive, self.close = channel.receive, channel.close
         self._heard, self._topics = heard, topics
 

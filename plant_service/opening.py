@@ -3,8 +3,8 @@
 import secrets
 from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from attacker_service.asking import Attacker
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
 from plant_service.attacked import AttackedPlant
@@ -28,8 +28,11 @@ from protocol.secret.records import Key
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
-from runtime.journal import ReceiverJournal
+from runtime.journal import PlantJournal
 from runtime.network import round_trip_s
+
+if TYPE_CHECKING:
+    from attacker_service.attacker import Attacker
 
 
 def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
@@ -45,7 +48,7 @@ def clock_scale(scenario: Scenario, pacing: Pacing) -> float:
 
 def open_core(
     scenario: Scenario,
-    journal: ReceiverJournal,
+    journal: PlantJournal,
     coin: SymbolSource,
     noise: Stream,
     new_id: Callable[[], str],
@@ -66,7 +69,7 @@ def open_core(
     Parameters
     ----------
     scenario : Scenario
-    journal : ReceiverJournal
+    journal : PlantJournal
     coin : SymbolSource
         b_r; draw j belongs to transition j.
     new_id, now, pacing, steps, telemetry
@@ -94,10 +97,10 @@ def open_core(
     UsageError
         When a device is to run at another pace than its own, or the attack cannot be made.
     """
-    record = journal.load()
-    offer, report = journal.offer, journal.measurement
-    u = () if offer is None else offer.candidates[journal.coin]
-    attacker = None if attack is None else Attacker(scenario, attack, seed)
+    loaded = journal.load()
+    record, offer, report = loaded.record, loaded.offer, loaded.measurement
+    u = () if offer is None else offer.candidates[loaded.coin]
+    attacker = None if attack is None else _attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
     if observer is not None and sensors is None:  # a step is made again with the same d
@@ -138,9 +141,7 @@ def open_core(
             if report is not None:
                 noisy.recall(report.k, report.x, u)
             plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and attacker.at == "bus":
-            attacker.close()
-        elif attacker is not None:
+        if attacker is not None and attacker.at != "bus":
             x = scenario.initial_state if x is None else x
             plant = AttackedPlant(plant, attacker, x)
         if attacker is not None and telemetry is not None:
@@ -158,14 +159,15 @@ def open_core(
             now,
             instance=new_id(),
             record=first,
-            chunks=journal.chunks(),
-            contributions=journal.contributions(first.session),
+            symbols=loaded.symbols,
+            contributions=loaded.rows,
             coin_keys=coin_keys,
             offer=offer,
-            tossed=journal.coin,
+            tossed=loaded.coin,
             report=report,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,
+            fell_back=loaded.fell_back,
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,
@@ -176,3 +178,10 @@ def open_core(
         plant.safe("its service could not start")
         plant.close()
         raise
+
+
+def _attacker(scenario: Scenario, attack: Attack, seed: int | None) -> "Attacker":
+    """The attack; its code is loaded where there is one."""
+    from attacker_service.attacker import Attacker
+
+    return Attacker(scenario, attack, seed)

@@ -2,6 +2,8 @@
 
 y = C x + n. Both ends have y, the candidates and the decoded index, and so the same box, to the
 last bit: every operation rounds outwards by one float, in a fixed order, with no library between.
+The plant's own sums round too: x(k+1) and y are not exactly A x + B u + d and C x + n. So D_c and N
+are widened by what such a sum may round (:data:`ROUNDING`), and the box holds the state as it is.
 The box advances once a transition, from y(k+1) and the offer alone, so that a process that begins
 again from the box that it kept goes on with the very same numbers.
 
@@ -19,6 +21,12 @@ from protocol.vectors import Matrix, Vector
 
 SETTLED: Final = 200
 """Readings after which the box of a quiet loop has settled."""
+
+ROUNDING: Final = 2.0**-52
+"""Bound of a sum's rounding, as a share of its terms' magnitudes, for each of its terms.
+
+Each operation rounds by half of this share at most. The other half covers the second order.
+"""
 
 PASSES: Final = 2
 """How often a box is contracted through the rows of C, and through those of A backwards."""
@@ -70,6 +78,17 @@ def _total(terms: Sequence[Interval]) -> Interval:
     for term in terms:
         total = _add(total, term)
     return total
+
+
+def _rounding(row: Sequence[float], box: Sequence[Interval], rest: float, terms: int) -> float:
+    """What a sum of ``row`` x and of ``terms`` others may round, for an x in the box.
+
+    ``rest`` is the others' magnitude, all together.
+    """
+    total = rest
+    for a, (low, high) in zip(row, box, strict=True):
+        total += abs(a) * max(-low, high)
+    return (len(row) + terms) * ROUNDING * total
 
 
 def _contracted(
@@ -137,7 +156,7 @@ class BoxObserver:
         parts = list(zip(box.low, box.high, strict=True))
         found = []
         for u in inputs:
-            pushes = self._pushes(u)
+            pushes = self._pushes(parts, u)
             found.append(
                 [
                     _add(_total([_scaled(a, x) for a, x in zip(row, parts, strict=True)]), push)
@@ -168,19 +187,25 @@ class BoxObserver:
             return Observed((), self.begin(y_next))
         return Observed(tuple(possible), _hull(found))
 
-    def _pushes(self, u: Sequence[float]) -> list[Interval]:
-        """B u + D_c."""
-        return [
-            _add(_total([_scaled(b, (v, v)) for b, v in zip(row, u, strict=True)]), (-w, w))
-            for row, w in zip(self.B, self.disturbance, strict=True)
-        ]
+    def _pushes(self, box: Sequence[Interval], u: Sequence[float]) -> list[Interval]:
+        """B u + D_c, and what the plant's sum A x + B u + d rounds for an x in the box."""
+        pushes = []
+        for row_a, row_b, width in zip(self.A, self.B, self.disturbance, strict=True):
+            terms = [b * v for b, v in zip(row_b, u, strict=True)]
+            rest = sum(map(abs, terms)) + width
+            w = width + _rounding(row_a, box, rest, len(terms) + 1)
+            pushes.append(
+                _add(_total([_scaled(b, (v, v)) for b, v in zip(row_b, u, strict=True)]), (-w, w))
+            )
+        return pushes
 
     def _after(
         self, box: Box, u: Sequence[float], y_next: Sequence[float]
     ) -> list[Interval] | None:
         """The box after one candidate; None where y(k+1) rules it out."""
-        before: list[Interval] | None = list(zip(box.low, box.high, strict=True))
-        pushes = self._pushes(u)
+        parts = list(zip(box.low, box.high, strict=True))
+        before: list[Interval] | None = parts
+        pushes = self._pushes(parts, u)
         after: list[Interval] | None = None
         for _ in range(PASSES):
             assert before is not None
@@ -200,8 +225,12 @@ class BoxObserver:
     def _met(self, box: list[Interval], y: Sequence[float]) -> list[Interval] | None:
         """The part of a box that may be read as ``y``."""
         out: list[Interval] | None = box
+        widths = [
+            width + _rounding(row, box, width, 1)
+            for row, width in zip(self.C, self.noise, strict=True)
+        ]
         for _ in range(PASSES):
-            for row, value, width in zip(self.C, y, self.noise, strict=True):
+            for row, value, width in zip(self.C, y, widths, strict=True):
                 within = (nextafter(value - width, -inf), nextafter(value + width, inf))
                 out = _contracted(row, out or [], within)
                 if out is None:

@@ -21,6 +21,9 @@ CONFIDENCE: Final = 0.95
 FEWEST_RUNS: Final = 5
 """Fewer runs than this have no interval over runs: too little is known of how runs differ."""
 
+FEW_RUNS: Final = 20
+"""Fewer runs than this may be alike by chance."""
+
 NO_RUNS: Final = f"fewer than {FEWEST_RUNS} runs, or all alike: they do not tell how runs differ"
 NOT_COUNTED: Final = "nothing was counted"
 COUNTED: Final = "a count of this run, no estimate"
@@ -225,6 +228,27 @@ def share_over_runs(
     is Wilson's interval with runs as the trials. Fewer than :data:`FEWEST_RUNS` runs that had any
     trial have no interval.
 
+    Few runs that happen to be alike resample to a narrow interval, and runs that are all alike to
+    one of no width. So where runs are fewer than :data:`FEW_RUNS`, or all alike, the interval is
+    never narrower than Wilson's over all their trials.
+
+    Measured coverage of the 95 % interval, 1000 draws of each kind (before: without that rule):
+
+    =============================================  ======  =======  =======  =======
+    runs and the share of each                     5 runs  10 runs  20 runs  40 runs
+    =============================================  ======  =======  =======  =======
+    0.305 of 10 to the nearest trial, in a rhythm  1.000   1.000    0.999    1.000
+    the same, before                               0.219   0.395    0.649    0.861
+    0.305 of 10 independent trials                 0.972   0.965    0.961    0.943
+    the same, before                               0.865   0.933    0.961    0.943
+    0.3 of 200 independent trials                  0.973   0.966    0.943    0.956
+    of 100 trials, beta(6, 4) over runs            0.915   0.945    0.941    0.945
+    of 100 trials, beta(0.08, 3.92) over runs      0.825   0.772    0.819    0.853
+    =============================================  ======  =======  =======  =======
+
+    The last row is a warning: where most runs have next to nothing and few have much, the interval
+    is too narrow, before as after.
+
     Parameters
     ----------
     runs : iterable of (float, int)
@@ -256,8 +280,11 @@ def share_over_runs(
         weights = draw.multinomial(count, counts / count, size=size)
         shares[first : first + size] = (weights @ right) / (weights @ of)
     tail = _tail(count, confidence)
-    low, high = np.quantile(shares, [tail, 1 - tail])
-    return Interval(value, float(low), float(high))
+    low, high = (float(limit) for limit in np.quantile(shares, [tail, 1 - tail]))
+    if count < FEW_RUNS or (right * of[0] == right[0] * of).all():
+        apart = wilson(float(counts @ right), int(counts @ of), confidence)
+        low, high = min(low, apart.low), max(high, apart.high)
+    return Interval(value, low, high)
 
 
 def normal_mean(
@@ -324,7 +351,19 @@ def confidence_sequence(successes: float, trials: int, confidence: float = CONFI
     ValueError
         When there are more successes than trials.
     """
-    most = -log(1 - _checked(confidence))
+    return sequence_limits(successes, trials, -log(1 - _checked(confidence)))
+
+
+def sequence_limits(successes: float, trials: int, most: float) -> Interval:
+    """The probabilities against which the evidence is less than ``most``, a natural logarithm.
+
+    See :func:`confidence_sequence`, whose ``most`` is -ln(1 - confidence).
+
+    Raises
+    ------
+    ValueError
+        When there are more successes than trials.
+    """
     if not 0 <= successes <= trials:
         raise ValueError(f"got {successes} successes of {trials} trials, expected 0 to trials")
     if not trials:

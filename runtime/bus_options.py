@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from protocol.topics import DEFAULT_LOOP, check_loop
 from runtime.collection import freeze_startup
 from runtime.errors import UsageError
+from runtime.logs import logger
 from runtime.options import add_bounds_arguments, add_check_argument, add_fleet_arguments
 from runtime.services import SERVICES, bus_names
 from runtime.signals import stop_on_signals
@@ -83,13 +84,8 @@ def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> Non
 
 
 def add_end_arguments(parser: argparse.ArgumentParser, service: str) -> None:
-    """Add what both ends of a loop are told alike: seed, secret, bounds, fleets, metrics, buses."""
+    """Add what both ends of a loop are told alike: seed, bounds, fleets, metrics, buses."""
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
-    parser.add_argument(
-        "--secret",
-        metavar="F",
-        help="sign key blocks by this file, as `wyner certs --secret` writes it",
-    )
     add_check_argument(parser)
     add_bounds_arguments(parser)
     add_fleet_arguments(parser)
@@ -201,12 +197,15 @@ def noted(metrics: str | None, bus: "Bus") -> "Iterator[Bus]":
 def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
     """The event that signals set, and the open buses field and management of a service.
 
+    They are opened again where a freeze or a silence has left them dead.
+
     Raises
     ------
     UsageError
         When a bus cannot be opened.
     """
     from runtime.bus import TransportError
+    from runtime.link_watchdog import watched
     from runtime.zenoh_bus import open_bus
 
     try:
@@ -214,6 +213,7 @@ def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading
             stop_on_signals() as stopping,
             open_bus(endpoints_of(options, service, "field")) as field,
             open_bus(endpoints_of(options, service, "management")) as management,
+            watched(stopping, logger(service), field, management, listens=field),
         ):
             freeze_startup()
             with noted(options.metrics, management) as management_or_noted:
@@ -230,14 +230,14 @@ def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | 
     UsageError
         When it is not one, or an option beside it is for a single loop.
     """
-    from runtime.fleet import Fleet, numbered
+    from runtime.fleet import numbered, read_fleet
 
     if options.fleet is None and options.loops is None:
         return None
     if options.loop != DEFAULT_LOOP:
         raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
     if options.fleet is not None:
-        return Fleet.of_file(Path(options.fleet))
+        return read_fleet(Path(options.fleet))
     assert options.loops is not None
     text = (message or b"").decode("utf-8", errors="surrogateescape")
     return numbered(options.loops, options.scenario or "", text, options.seed)

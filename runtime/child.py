@@ -1,11 +1,16 @@
-"""A process beside a service: started, bounded, talked to, ended with its group.
+"""A process beside a service: started, talked to, ended with its group, and bounded if need be.
 
-Guests (:mod:`runtime.sandbox`), the key maker (:mod:`runtime.keys.worker`) and the heavy
-eavesdroppers (:mod:`tap_service.heavy`) are such children. A child is asked on its standard input
-and answers on its standard output. It ends when its input does, so none outlives its service.
+The heavy eavesdroppers (:mod:`tap_service.heavy`) run in a :class:`Child`, a user's eavesdropper in
+a :class:`Guest`. A child is asked on its standard input and answers on its standard output. It ends
+when its input does, so none outlives its service.
+
+A guest has so much memory, and so many seconds for each answer; then its process group is killed.
+What it answers is read as JSON and never unpickled. It runs with the rights of the user who started
+the service: these bounds are for mistakes, and no wall against malice.
 """
 
 import ctypes
+import json
 import os
 import pickle
 import resource
@@ -14,16 +19,31 @@ import signal
 import struct
 import subprocess
 import sys
+import time
 import weakref
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Any, Final
+
+from runtime.errors import Failure
 
 END_S: Final = 5.0
 """Seconds that a child has to end by itself once its input is closed, if not told otherwise."""
 
 LENGTH: Final = struct.Struct(">I")
 """What a message begins with: its bytes."""
+
+START_S: Final = 20.0
+"""Seconds that a guest has to be loaded and made."""
+
+MEMORY: Final = 2 * 2**30
+"""Bytes of address space that a guest has."""
+
+ANSWER: Final = 8 * 2**20
+"""Bytes of a guest's answer at most."""
+
+SLICE_S: Final = 0.2
+"""Seconds of a slice of waiting; a standstill of the whole machine counts as one."""
 
 PR_SET_PDEATHSIG: Final = 1
 _PR_SET_DUMPABLE: Final = 4
@@ -96,10 +116,6 @@ class Child:
     ----------
     module : str
     arguments : sequence of str
-    own_session : bool
-        In a session of its own too. Linux divides the processors among sessions first (autogroup):
-        there it weighs as much as the service. With the key maker in a session of its own an offer
-        was half a millisecond late while both ends distilled.
     quiet : bool
         What it writes to standard error is dropped.
 
@@ -115,7 +131,6 @@ class Child:
         module: str,
         arguments: Sequence[str] = (),
         *,
-        own_session: bool = False,
         quiet: bool = False,
     ) -> None:
         self._process = subprocess.Popen(
@@ -123,8 +138,7 @@ class Child:
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL if quiet else None,
-            start_new_session=own_session,
-            process_group=None if own_session else 0,
+            process_group=0,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # one processor is all it may take
         )
         assert self._process.stdin is not None
@@ -175,6 +189,104 @@ def _end(process: "subprocess.Popen[bytes]", within_s: float) -> int:
         return process.wait()
 
 
+class GuestError(Failure):
+    """A guest did not answer as it should; the text says how.
+
+    Attributes
+    ----------
+    kind : str
+        What the guest said it was; ``ended`` where it is at its end.
+    """
+
+    def __init__(self, text: str, kind: str = "ended") -> None:
+        super().__init__(text)
+        self.kind = kind
+
+
+class Guest:
+    """Code that a user brought, in a bounded process of its own.
+
+    Parameters
+    ----------
+    module : str
+        Run as a program; it calls :func:`serve`.
+    arguments : sequence of str
+        The program's.
+    """
+
+    def __init__(self, module: str, arguments: Sequence[str] = ()) -> None:
+        self.child = Child(module, arguments, quiet=True)
+        os.set_blocking(self.child.line.write, False)
+        self._ended = False
+
+    def ask(self, what: str, argument: object, within_s: float) -> Any:
+        """Its answer to a question.
+
+        Raises
+        ------
+        GuestError
+            When there is none in time, or it is none; the guest is then at its end. Also with what
+            it raised, and of which ``kind``.
+        """
+        if self._ended:
+            raise GuestError("the process ended")
+        try:
+            answer = json.loads(self._answer(pickle.dumps((what, argument)), within_s))
+            kind, value = answer["kind"], answer["value"]
+        except TimeoutError:
+            self.end()
+            raise GuestError(f"too slow: no answer within {within_s:g} s") from None
+        except (OSError, EOFError):
+            self.end()
+            raise GuestError("the process ended") from None
+        except (ValueError, LookupError, TypeError, RecursionError):
+            self.end()
+            raise GuestError("an answer that is none") from None
+        if kind != "value":
+            raise GuestError(str(value), str(kind))
+        return value
+
+    def end(self) -> None:
+        """Kill it, and all of its group."""
+        if not self._ended:
+            self._ended = True
+            self.child.end(0.0)
+
+    def _answer(self, question: bytes, within_s: float) -> bytes:
+        line, left_s = self.child.line, within_s
+        unsaid = memoryview(LENGTH.pack(len(question)) + question)
+        answer = bytearray()
+        waiting = select.poll()
+        while True:
+            waiting.register(line.write if unsaid else line.read, WRITES if unsaid else READS)
+            began = time.monotonic()
+            ready = waiting.poll(1000 * min(left_s, SLICE_S))
+            left_s -= min(time.monotonic() - began, 2 * SLICE_S)
+            if not ready:
+                if left_s <= 0:
+                    raise TimeoutError
+                continue
+            if unsaid:
+                unsaid = unsaid[os.write(line.write, unsaid) :]
+                if not unsaid:
+                    waiting.unregister(line.write)
+                continue
+            part = os.read(line.read, 65536)
+            if not part:
+                raise EOFError
+            answer += part
+            if len(answer) >= LENGTH.size:
+                (length,) = LENGTH.unpack_from(answer)
+                if length > ANSWER:
+                    raise ValueError(f"an answer of {length} bytes")
+                if len(answer) >= LENGTH.size + length:
+                    return bytes(answer[LENGTH.size : LENGTH.size + length])
+
+
+READS: Final = select.POLLIN
+WRITES: Final = select.POLLOUT
+
+
 # --- the child's side -----------------------------------------------------------------------------
 
 
@@ -213,3 +325,35 @@ def limit_memory(size: int) -> None:
     """Allow so many bytes of address space, and no core file."""
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+
+
+def serve(
+    answer: Callable[[str, Any], object], known: Sequence[tuple[type[Exception], str]] = ()
+) -> None:
+    """Answer a guest's questions until nobody asks any more.
+
+    Parameters
+    ----------
+    answer : callable
+        Runs the user's code: (what, argument) to a value that JSON can carry.
+    known : sequence of (type, kind)
+        What some exceptions are told as; all others are told as ``raised``, with their names.
+    """
+    die_with(os.getppid())
+    ignore_signals()
+    limit_memory(MEMORY)
+    line = take_line()
+    while True:
+        try:
+            what, argument = line.recv()
+        except EOFError:
+            os._exit(0)  # threads and atexit functions of the user's code end here as well
+        try:
+            body = json.dumps({"kind": "value", "value": answer(what, argument)}, default=float)
+        except Exception as error:
+            kind = next((kind for type_, kind in known if isinstance(error, type_)), "raised")
+            text = " ".join(str(error).split())
+            if kind == "raised":
+                text = f"{type(error).__name__}: {text}"
+            body = json.dumps({"kind": kind, "value": text[:2000]})
+        line.send_bytes(body.encode())

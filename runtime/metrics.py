@@ -32,17 +32,11 @@ COUNTERS = {
         "malformed": ("malformed", "messages that were no messages"),
         "keys_made": ("keys_made", "keys of confirmed blocks since this process began"),
         "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key since then"),
-        "guarded": ("guarded_messages", "messages of the other end's under a key"),
-        "unguarded": ("unguarded_messages", "plain ones, where messages are guarded"),
-        "forged": ("forged_messages", "messages refused as forgeries"),
     },
     ControllerStatus.topic: {
         "delivered": ("messages_delivered", "messages of which every symbol was counted"),
         "alarms": ("alarms", "transitions whose test failed and made an alarm"),
         "watched": ("watched_steps", "transitions tested by a key's candidate"),
-        "guarded": ("guarded_messages", "messages of the other end's under a key"),
-        "unguarded": ("unguarded_messages", "plain ones, where messages are guarded"),
-        "forged": ("forged_messages", "messages refused as forgeries"),
         "unwatched": ("unwatched_steps", "transitions that no key watched, of a keyed coin"),
         "malformed": ("malformed", "messages that were no messages"),
         "keys_made": ("keys_made", "keys of confirmed blocks since this process began"),
@@ -57,7 +51,6 @@ COUNTERS = {
         "key_bits_held": ("keys_bits_held", "bits of their rows that she can compute"),
         "copies": ("keys_copies", "first copies that were sent, as far as she can tell"),
         "copies_missed": ("keys_copies_missed", "first copies that she missed"),
-        "sealed_bits_known": ("keys_sealed_bits_known", "bits that she knows of sealed texts"),
     },
 }
 

@@ -7,6 +7,7 @@ from typing import Final, Literal
 from protocol.link.channel import Channel
 from protocol.scenario import ChannelTable, Scenario
 from runtime.errors import UsageError
+from runtime.files import open_regular
 
 Direction = Literal["to_plant", "to_controller"]
 
@@ -35,9 +36,7 @@ def measured_delays(table: ChannelTable, folder: Path) -> tuple[float, ...]:
         return ()
     path = folder / table.file
     try:
-        if path.exists() and not path.is_file():
-            raise OSError(0, "expected a regular file")
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             raw = file.read(MOST_BYTES + 1)
         lines = raw.decode("utf-8-sig").split()
     except (OSError, UnicodeDecodeError) as error:

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.wrong_fields import expected_of
 from runtime.errors import UsageError
-from runtime.files import PRIVATE_FOLDER, make_folder, open_private
+from runtime.files import PRIVATE_FOLDER, make_folder, open_private, open_regular
 from runtime.pace import Pace
 
 STDIN: Final = "-"
@@ -124,11 +124,12 @@ def message_of(text: str | None, file: str | None) -> bytes | None:
         payload = text.encode("utf-8", errors="surrogateescape")
     else:
         given = file in (None, STDIN)
-        path = "/dev/stdin" if given else file
+        path = "/dev/stdin" if given else str(file)
         if given and os.isatty(0):
             print("type the message; Enter, then Ctrl-D end it", file=sys.stderr, flush=True)
         try:
-            with Path(str(path)).open("rb") as source:
+            known = path == "/dev/stdin"  # whoever names it waits for what comes
+            with Path(path).open("rb") if known else open_regular(Path(path)) as source:
                 payload = source.read(MAX_PAYLOAD + 2)
         except OSError as error:
             raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
@@ -239,7 +240,7 @@ def refuse_running(run_dir: Path) -> None:
 
 def _is_held(file: Path) -> bool:
     try:
-        with file.open("rb") as opened:
+        with open_regular(file) as opened:
             fcntl.lockf(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True

@@ -7,7 +7,7 @@ from protocol.scenario.attack import Attack, attack_of
 from protocol.scenario.reading import ScenarioError, parse_scenario
 from protocol.scenario.system import Scenario
 from runtime.errors import UsageError
-from runtime.files import write_atomically
+from runtime.files import read_regular, write_atomically
 from runtime.options import unwritable
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS, scenario_file_of
@@ -22,7 +22,7 @@ def load_scenario(path: str | Path) -> Scenario:
         When the file cannot be read, is not TOML, or has a wrong field.
     """
     try:
-        text = Path(path).read_text(encoding="utf-8")
+        text = read_regular(Path(path)).decode()
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ScenarioError([f"{path}: cannot be read: {reason}"]) from None
@@ -106,7 +106,7 @@ def keep_scenario(run_dir: Path, text: str) -> None:
     kept = run_dir / SCENARIO
     try:
         if not kept.exists():
-            write_atomically(kept, scenario_file_of(text).read_bytes())
+            write_atomically(kept, read_regular(scenario_file_of(text)))
     except OSError as error:
         raise unwritable(kept, error) from None
     there = scenario_of(str(kept))

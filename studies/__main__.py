@@ -29,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     folder = args.data or DATA
     folder.mkdir(parents=True, exist_ok=True)
     for name in args.name:
-        MEASUREMENTS[name](folder / f"{name}.csv")
+        MEASUREMENTS[name].measure(folder / f"{name}.csv")
         print(folder / f"{name}.csv")
     return DONE
 

@@ -10,10 +10,6 @@ from protocol.statistics import clopper_pearson, wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.simulate.engine import simulate_runs
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = ("studies/corners.py", *LOOP_SOURCES)
-"""Where the numbers of this module come from."""
 
 RUNS, AT_ONCE, STEPS, SEED = 2000, 100, 500, 11
 

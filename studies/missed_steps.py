@@ -22,14 +22,7 @@ from studies.signalling import changed
 from tap_service.capture.channel import View
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.grid import ROOT, TAP_SOURCES
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = (
-    "studies/missed_steps.py", "studies/outputs.py", "studies/readings.py",
-    "studies/secrecy/sentences.py", *LOOP_SOURCES, *TAP_SOURCES,
-)  # fmt: skip
-"""Where the numbers of this module come from."""
+from wyner.sweeps.code import ROOT
 
 RUNS, SEED = 10, 5
 LOST: Final = 0.03

@@ -14,10 +14,6 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.advice.missed_share import expected_missed_share
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = ("studies/network.py", "wyner/advice/missed_share.py", *LOOP_SOURCES)
-"""Where the numbers of this module come from."""
 
 RUNS, STEPS = 100, 500
 FIRST_SEED: Final = {"loss": 100, "delay": 200}

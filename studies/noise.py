@@ -35,12 +35,6 @@ COLUMNS: Final = (
     "steps",
     "seed",
 )
-SOURCES: Final = (
-    "studies/noise.py",
-    "wyner/bound/*.py",
-    "tap_service/eavesdroppers/smoother.py",
-    "tap_service/inference/from_measurements.py",
-)
 
 
 def bound_rows() -> Iterator[tuple[Any, ...]]:

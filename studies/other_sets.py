@@ -19,14 +19,7 @@ from studies.readings import by_condition, told
 from studies.signalling import changed
 from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.sweeps.grid import ROOT, TAP_SOURCES
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = (
-    "studies/other_sets.py", "studies/outputs.py", "studies/readings.py", *LOOP_SOURCES,
-    *TAP_SOURCES,
-)  # fmt: skip
-"""Where the numbers of this module come from."""
+from wyner.sweeps.code import ROOT
 
 RUNS, STEPS, SEED = 10, 500, 7
 MESSAGE: Final = b"Sail"

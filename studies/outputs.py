@@ -27,11 +27,7 @@ from tap_service.eavesdroppers import named
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.grid import ROOT, TAP_SOURCES
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = ("studies/outputs.py", "studies/corners.py", *LOOP_SOURCES, *TAP_SOURCES)
-"""Where the numbers of this module come from."""
+from wyner.sweeps.code import ROOT
 
 RUNS, STEPS, SEED = 10, 700, 11
 SESSION: Final = "0" * 16

@@ -21,11 +21,7 @@ from studies.outputs import Counts, heard
 from studies.pages import between_marks, markdown_table
 from tap_service.capture.channel import View
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.sweeps.grid import ROOT, TAP_SOURCES
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = ("studies/readings.py", "studies/outputs.py", *LOOP_SOURCES, *TAP_SOURCES)
-"""Where the numbers of this module come from."""
+from wyner.sweeps.code import ROOT
 
 SHARES: Final = (0.05, 0.2, 0.3, 0.5)
 """Half-width of the noise over that of D_c, in each coordinate."""

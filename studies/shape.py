@@ -34,11 +34,6 @@ COLUMNS: Final = (
     "right_high",
     "whole",
 )
-SOURCES: Final = (
-    "studies/shape.py",
-    "tap_service/eavesdroppers/*.py",
-    "tap_service/inference/identification.py",
-)
 MESSAGE: Final = b"We sail at dawn."
 
 

@@ -42,8 +42,6 @@ ALPHAS: Final = (
     9.01,
     10.0,
 )
-SOURCES: Final = ("studies/signalling.py", "studies/capacity/*.py", "wyner/capacity/*.py")
-
 RATE_COLUMNS: Final = (
     "law",
     "scheme",

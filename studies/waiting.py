@@ -19,10 +19,6 @@ from protocol.box_observer import Box, BoxObserver
 from protocol.vectors import Vector
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.sweeps.grid import SOURCES as LOOP_SOURCES
-
-SOURCES: Final = ("studies/waiting.py", *LOOP_SOURCES)
-"""Where the numbers of this module come from."""
 
 ALPHAS: Final = (1.2, 1.7, 2.5, 4.0, 12.0)
 STEPS, SEED, WAITS = 160, 5, 4

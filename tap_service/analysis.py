@@ -22,7 +22,7 @@ from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import Limits, RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess
-from tap_service.sandboxed import guarded
+from tap_service.sandboxed import sandboxed
 from tap_service.status import Listener, belief_record, guess_line, status_of
 
 SLICE_S: Final = 0.05
@@ -78,7 +78,8 @@ class Listeners:
             for listener in self.listeners:
                 guess = listener.observe(transition)
                 if guess is not None and self._log is not None:
-                    self._log.write(guess_line(transition.session, listener.name, guess))
+                    session, whole = transition.session, transition.whole
+                    self._log.write(guess_line(session, listener.name, guess, whole=whole))
                 self._note(listener, listener.final_guesses())
 
     def review(self, listener: Listener) -> None:
@@ -101,7 +102,7 @@ def listeners_of(
     KnowledgeError
         When one cannot be found or is not told enough.
     """
-    return [Listener.of(guarded(name), knowledge[name], log) for name in names]
+    return [Listener.of(sandboxed(name), knowledge[name], log) for name in names]
 
 
 def main() -> None:
@@ -158,7 +159,7 @@ def analyse(assignment: Assignment, line: Line) -> None:
             listeners.feed(transcript.flush())
         now = time.monotonic()
         if now >= next_belief or (empty and finishing):
-            _report(listeners, reader, line, last=empty and finishing)
+            _report(listeners, reader, transcript, line, last=empty and finishing)
             spent = time.monotonic() - now
             # a costly look is repeated the more rarely
             next_belief = time.monotonic() + max(BELIEF_PERIOD_S, spent * REST_RATIO)
@@ -172,7 +173,14 @@ def analyse(assignment: Assignment, line: Line) -> None:
             finishing = line.recv() == "finish"
 
 
-def _report(listeners: Listeners, reader: CaptureReader, line: Line, *, last: bool) -> None:
+def _report(
+    listeners: Listeners,
+    reader: CaptureReader,
+    transcript: Transcript,
+    line: Line,
+    *,
+    last: bool,
+) -> None:
     behind = reader.behind_steps
     for listener in listeners.listeners:
         if last:
@@ -181,8 +189,10 @@ def _report(listeners: Listeners, reader: CaptureReader, line: Line, *, last: bo
         counts = dict.fromkeys(("seq", "t_ns", "mirrored", "malformed"), 0) | {
             "behind": behind,
             "dropped": reader.skipped,
+            **transcript.unused._asdict(),
         }
-        record = belief_record(listeners.session, listener, belief, last=last, behind=behind)
+        session = listeners.session
+        record = belief_record(session, listener, belief, last=last, behind=behind, counts=counts)
         line.send((status_of(listener, belief, counts), record))
 
 

@@ -210,9 +210,10 @@ def read_knowledge(path: str) -> "Knowledge":
     from protocol.knowledge import Knowledge
     from protocol.wrong_fields import expected_of
     from runtime.errors import UsageError
+    from runtime.files import read_regular
 
     try:
-        text = Path(path).read_bytes()
+        text = read_regular(Path(path))
     except OSError as error:
         raise UsageError(f"--knowledge: {path}: cannot be read: {error.strerror}") from None
     try:
@@ -260,7 +261,7 @@ def run_with_knowledge(
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import run_taps
-    from tap_service.sandboxed import guarded
+    from tap_service.sandboxed import sandboxed
     from tap_service.service import run_tap
 
     limits = checked(
@@ -304,7 +305,7 @@ def run_with_knowledge(
         told_here = told if knowledge_of is None else knowledge_of(loop)
         config = config_of(told_here, loop.id, Path(options.run_dir) / loop.id)
         for name in config.names:
-            if guarded(name).heavy:
+            if sandboxed(name).heavy:
                 raise UsageError(f"--eavesdropper: {name} is heavy; in a fleet expected light ones")
         return config
 

@@ -11,7 +11,7 @@ from runtime.addresses import Addresses
 from tap_service.capture.channel import View
 from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
-from tap_service.sandboxed import guarded
+from tap_service.sandboxed import sandboxed
 
 FINISH_S: Final = 20.0
 """Time the heavy eavesdroppers get, at the end, for what they have not read yet."""
@@ -58,7 +58,7 @@ class TapConfig:
             if self.oracle_knowledge is None:
                 raise KnowledgeError(f"{ORACLE}: expected a scenario, which has alpha")
             return self.oracle_knowledge
-        return self.view.knowledge(self.knowledge, model=guarded(name).told_model)
+        return self.view.knowledge(self.knowledge, model=sandboxed(name).told_model)
 
     def header(self) -> dict[str, Any]:
         """The public part of what a recording's header says."""

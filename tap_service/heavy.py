@@ -45,17 +45,24 @@ class HeavyProcess:
         self._assignment = assignment
         self._log = log
         self._deaths = 0
+        self._starts = 0
         self._again_at = 0.0
         self._start()
 
     def _start(self) -> None:
         self.down = ""
         self._done = False
+        self._starts += 1
         self.process = Child("tap_service.analysis")
         try:
             self.process.line.send(self._assignment)
         except OSError:
             self._died()
+
+    @property
+    def restarts(self) -> int:
+        """Times that the process was started again."""
+        return self._starts - 1
 
     def reports(self) -> Iterator[Report]:
         """What it has told since the last time; one that died is started again when it is time."""

@@ -1,6 +1,6 @@
-"""A user's eavesdropper in a process of her own (:mod:`runtime.sandbox`).
+"""A user's eavesdropper in a bounded process of its own (:class:`runtime.child.Guest`).
 
-She stops herself alone: whatever she does is told by a line in her status, and the tap goes on.
+It stops itself alone: whatever it does is told by a line in its status, and the tap goes on.
 """
 
 import base64
@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from runtime.sandbox import START_S, SandboxError, acquire, give_back, serve
+from runtime.child import START_S, Guest, GuestError, serve
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld, MessageSymbols
@@ -28,26 +28,26 @@ LACKS: Final = "lacks"
 TOLD: Final = ("name", "heavy", "told_model", "hears_messages", "guesses", "reads_outputs")
 
 
-class SandboxedPlugin(Eavesdropper):
-    """A user's eavesdropper as the tap sees her: every question goes to her own process."""
+class SandboxedEavesdropper(Eavesdropper):
+    """A user's eavesdropper as the tap sees it: every question goes to its own process."""
 
     source = ""
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
         self._within_s = HEAVY_S if self.heavy else LIGHT_S
-        self.process = acquire(__name__, (self.source,))
+        self._guest = Guest(__name__, (self.source,))
+        weakref.finalize(self, self._guest.end)
         try:
-            self.process.ask("make", knowledge.model_dump_json(), START_S)
-        except BaseException as error:
-            self.process.close()
-            if isinstance(error, SandboxError) and error.kind == LACKS:
+            self._guest.ask("make", knowledge.model_dump_json(), START_S)
+        except GuestError as error:
+            self._guest.end()
+            if error.kind == LACKS:
                 raise KnowledgeError(str(error)) from None
             raise
-        weakref.finalize(self, give_back, self.process)
 
     def _ask(self, what: str, argument: object = None) -> Any:
-        return self.process.ask(what, argument, self._within_s)
+        return self._guest.ask(what, argument, self._within_s)
 
     def observe(self, transition: Transition) -> Guess:
         """Her guess of it; her last thoughts on what she lets go come with it."""
@@ -85,8 +85,8 @@ def _guess(told: Any) -> Guess:
 
 
 @cache
-def guarded(name: str) -> type[Eavesdropper]:
-    """The class of an eavesdropper; one of the user's own as a :class:`SandboxedPlugin`.
+def sandboxed(name: str) -> type[Eavesdropper]:
+    """The class of an eavesdropper; one of the user's own as a :class:`SandboxedEavesdropper`.
 
     Raises
     ------
@@ -95,15 +95,15 @@ def guarded(name: str) -> type[Eavesdropper]:
     """
     if name in LADDER or ":" not in name:
         return named(name)
-    process = acquire(__name__, (name,))
+    guest = Guest(__name__, (name,))
     try:
-        told = process.ask("who", None, START_S)
-    except SandboxError as error:
+        told = guest.ask("who", None, START_S)
+    except GuestError as error:
         if error.kind == LACKS:
             raise KnowledgeError(str(error)) from None
         raise KnowledgeError(f"{name}: cannot be loaded: {error}") from None
     finally:
-        process.close()
+        guest.end()
     attributes = {
         "source": name,
         "name": str(told["name"]),
@@ -113,7 +113,7 @@ def guarded(name: str) -> type[Eavesdropper]:
         "guesses": bool(told["guesses"]),
         "reads_outputs": bool(told["reads_outputs"]),
     }
-    return type("SandboxedPlugin", (SandboxedPlugin,), attributes)
+    return type("SandboxedEavesdropper", (SandboxedEavesdropper,), attributes)
 
 
 def each_once(names: Sequence[str]) -> tuple[str, ...]:
@@ -126,7 +126,7 @@ def each_once(names: Sequence[str]) -> tuple[str, ...]:
     """
     found: dict[str, str] = {}
     for name in names:
-        its = guarded(name).name
+        its = sandboxed(name).name
         if found.setdefault(its, name) != name:
             raise KnowledgeError(f"{found[its]} and {name} are both named {its!r}")
     return tuple(dict.fromkeys(names))
@@ -186,4 +186,4 @@ def _told(guess: object) -> object:
 
 
 if __name__ == "__main__":
-    serve(EavesdropperServer(sys.argv[2]).answer, ((KnowledgeError, LACKS),))
+    serve(EavesdropperServer(sys.argv[1]).answer, ((KnowledgeError, LACKS),))

@@ -12,10 +12,11 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 from pydantic import ValidationError
-from pydantic_core import to_json
+from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
@@ -25,7 +26,7 @@ from runtime.files import StatusFile
 from runtime.inbox import Inbox
 from runtime.logs import RateLimitedLog, logger
 from runtime.rates import Throttle
-from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
+from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.signals import stop_on_signals
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel
@@ -33,13 +34,14 @@ from tap_service.capture.recording import RotatingLog, malformed_line, mirror_li
 from tap_service.capture.transcript import Transcript
 from tap_service.config import TapConfig, eighth
 from tap_service.heavy import HeavyProcess
-from tap_service.sandboxed import each_once, guarded
+from tap_service.sandboxed import each_once, sandboxed
 from tap_service.status import (
     absent_record,
     absent_status,
     belief_record,
     beliefs_json,
     status_of,
+    unused_of,
 )
 
 if TYPE_CHECKING:
@@ -67,6 +69,9 @@ QUEUE_BYTES: Final = 64 * 2**20
 """Bytes that may wait for the mirror in one process; what comes beyond them is dropped and
 counted."""
 
+TOO_MANY_UNUSED: Final = 0.01
+"""Share of the messages that the tap heard and could not use, from which its health is bad."""
+
 BUSY_LENGTH: Final = 20_000
 """Messages that wait when the light eavesdroppers are left out, so that the mirror catches up."""
 
@@ -84,6 +89,7 @@ def run_tap(config: TapConfig, note: Note) -> int:
     runtime.bus.TransportError
         When a bus cannot be opened; nothing has started in either case.
     """
+    from runtime.link_watchdog import watched
     from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
@@ -92,10 +98,12 @@ def run_tap(config: TapConfig, note: Note) -> int:
         # tap goes on, and what is said then must be heard.
         made = Made.of(config)
         field_bus = stack.enter_context(open_bus(config.field))
-        adversary_bus = stack.enter_context(note(stack.enter_context(open_bus(config.adversary))))
+        told_on = stack.enter_context(open_bus(config.adversary))
+        adversary_bus = stack.enter_context(note(told_on))
         service = TapService(config, made)
         stack.callback(service.close)
         service.attach(field_bus, adversary_bus)
+        stack.enter_context(watched(stopping, service.log, field_bus, told_on, listens=field_bus))
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
         os.nice(NICENESS)
@@ -122,8 +130,8 @@ class Made(NamedTuple):
         """
         each_once(config.names)
         knowledge = {name: config.knowledge_of(name) for name in config.names}
-        light = [name for name in config.names if not guarded(name).heavy]
-        heavy = tuple(name for name in config.names if guarded(name).heavy)
+        light = [name for name in config.names if not sandboxed(name).heavy]
+        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
         listeners_of(heavy, knowledge)  # an error is told here, before anything starts
         return cls(listeners_of(light, knowledge, logger("tap")), heavy, knowledge)
 
@@ -154,9 +162,9 @@ class TapService:
         self._heavy_status: dict[str, tuple[TapStatus, int]] = {}
         self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
         self._status_file = StatusFile(config.run_dir / TAP_STATUS)
-        self._health_file = StatusFile(config.run_dir / "tap" / HEALTH)
+        self._restarts = _starts_before(config.run_dir)
         self.heavy: HeavyProcess | None = None
-        self._heavy_names = tuple(guarded(name).name for name in heavy)
+        self._heavy_names = tuple(sandboxed(name).name for name in heavy)
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
             self.heavy = HeavyProcess(assignment, self.log)
@@ -286,12 +294,13 @@ class TapService:
     # --- what is told -----------------------------------------------------------------------------
 
     def _counts(self) -> dict[str, int]:
+        """The service's own figures, which are in every status."""
         self._seq += 1
         return {
             "seq": self._seq,
             "t_ns": time.time_ns(),
             "mirrored": self.capture.written,
-            "dropped": self.queue.dropped + self.capture.dropped + self._unheard,
+            "dropped": self._dropped(),
             "malformed": self._complaints.total,
         }
 
@@ -323,9 +332,11 @@ class TapService:
         statuses = []
         for listener in self.listeners.listeners:
             belief = listener.belief()
-            record = belief_record(self.listeners.session, listener, belief, last=last)
+            counts = self._counts() | {"behind": self._behind(), "restarts": self._restarts}
+            counts |= self._transcript.unused._asdict()
+            session = self.listeners.session
+            record = belief_record(session, listener, belief, last=last, counts=counts)
             self._records[listener.name] = record
-            counts = self._counts() | {"behind": self._behind()}
             statuses.append(status_of(listener, belief, counts))
         if self.heavy is not None and not last:
             for report in self.heavy.reports():
@@ -334,7 +345,11 @@ class TapService:
         for status, written in self._heavy_status.values():
             counts = self._counts() | {"behind": self._unread(status, written)}
             counts["dropped"] += status.dropped
-            statuses.append(status.model_copy(update=counts))
+            if self.heavy is not None:
+                counts["restarts"] = self._restarts + self.heavy.restarts
+            told = status.model_copy(update=counts)
+            self._records[told.name]["unused"] = unused_of(told.model_dump())
+            statuses.append(told)
         if self._put is not None:
             for status in statuses:
                 self._put(status.wire())
@@ -349,25 +364,40 @@ class TapService:
         failed = {x.name: x.failed for x in self.listeners.listeners if x.failed}
         failed |= {s.name: s.failed for s, _ in self._heavy_status.values() if s.failed}
         if failed:
-            return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}\n"
+            return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}"
         behind = max(self._behind(), *(self._unread(*x) for x in self._heavy_status.values()), 0)
         if behind > TOO_FAR_BEHIND:
-            return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
-        return f"ok: {self.capture.written} messages captured, {behind} steps behind\n"
+            return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed"
+        told = f"{self.capture.written} messages captured, {behind} steps behind"
+        unused = self._transcript.unused
+        lost = unused.foreign + unused.late + self._dropped()
+        if lost or unused.jumped:
+            told += (
+                f"; not used: {unused.foreign} messages of other sessions, {unused.late} late, "
+                f"{self._dropped()} dropped; {unused.jumped} steps not heard"
+            )
+        deaf = lost + 2 * unused.jumped
+        bad = deaf > TOO_MANY_UNUSED * (self.capture.written + deaf)
+        return f"{'bad' if bad else 'ok'}: {told}"
+
+    def _dropped(self) -> int:
+        """Messages that were heard, and recorded or guessed at not at all."""
+        return self.queue.dropped + self.capture.dropped + self._unheard
 
     def write_beliefs(self) -> None:
         """Write down what the eavesdroppers believe, and how much was captured."""
         captured = {
+            "health": self._health(),  # first, for deploy/healthy
             "t_ns": time.time_ns(),
             "first_part": self.capture.first_part,
             "captured": self.capture.written,
             "dropped": self.queue.dropped + self.capture.dropped,
             "unguessed": self._unheard,
+            "starts": self._restarts + 1,
         }
         try:
             self._beliefs_file.write(beliefs_json(self._records))
             self._status_file.write(to_json(captured))
-            self._health_file.write(self._health().encode())
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 
@@ -378,3 +408,11 @@ class TapService:
         if self.heavy is not None:
             self.heavy.close()
         self._complaints.report_held_back(last=True)
+
+
+def _starts_before(run_dir: Path) -> int:
+    """How often a tap was started in this folder before, as far as its status tells."""
+    try:
+        return int(from_json((run_dir / TAP_STATUS).read_bytes())["starts"])
+    except (OSError, ValueError, LookupError, TypeError):
+        return 0

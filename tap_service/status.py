@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from itertools import chain
 from math import isfinite
 from operator import index
+from types import MappingProxyType
 from typing import Any, Final, Self
 
 from pydantic_core import to_json
@@ -14,7 +15,7 @@ from pydantic_core import to_json
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, TapStatus
 from protocol.text import printable, readable
-from runtime.sandbox import SandboxError
+from runtime.child import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KeysHeld, KnowledgeError
 
@@ -24,8 +25,14 @@ TAIL: Final = 32
 SHOWN_TEXT: Final = 2000
 """Characters of a message that a status shows."""
 
+SHOWN_EXPECTATION: Final = 40
+"""Characters of what she expects of a message that are shown."""
+
 LARGEST_CONFIDENCE: Final = 1.0 + 1e-9
 """A probability at most; a sum of shares may exceed 1 by a rounding."""
+
+UNUSED: Final = ("foreign", "late", "jumped", "dropped", "malformed", "restarts")
+"""What a status counts of all that the tap heard and could not use."""
 
 ROUNDING: Final = 1e-6
 """By which the probabilities of a guess may miss a sum of 1."""
@@ -152,7 +159,7 @@ class Listener:
 
 def _in_short(error: Exception) -> str:
     """An error on one line."""
-    if isinstance(error, SandboxError):
+    if isinstance(error, GuestError):
         return str(error)
     return f"{type(error).__name__}: {' '.join(str(error).split())}"
 
@@ -212,6 +219,7 @@ def sound_belief(belief: object) -> Belief:
         A=A,
         B=B,
         bits_left=left,
+        given=printable(str(belief.given))[:SHOWN_EXPECTATION],
         keys=belief.keys,
     )
 
@@ -244,6 +252,7 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         bits_left=belief.bits_left,
+        given=belief.given,
         failed=printable(listener.failed)[:SHOWN_TEXT],
         A=belief.A,
         B=belief.B,
@@ -268,41 +277,56 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
         "missed_at_most": keys.at_most,
         "missed_direction": keys.direction,
         "copies_absent": keys.absent,
+        "key_steps_unplaced": keys.unplaced,
         "claim_refuted": keys.refuted,
         "misses_in_bursts": keys.bursts,
-        "sealed_bits": sum(text.bits for text in keys.sealed),
-        "sealed_bits_known": sum(text.known_bits for text in keys.sealed),
-        "sealed_text": keys.sealed[-1].text[:SHOWN_TEXT] if keys.sealed else "",
     }
 
 
-def guess_line(session: str, name: str, guess: Guess, event: str = "guess") -> bytes:
+def guess_line(
+    session: str, name: str, guess: Guess, event: str = "guess", *, whole: bool = True
+) -> bytes:
     """The log line of one guess: step, likeliest symbol and its probability, agreement's.
 
-    ``session`` is the newest, for a guess that names none.
+    ``session`` is the newest, for a guess that names none. Where the tap lacked a message of the
+    step, it was not ``whole``, and the line says so.
     """
     p = max(guess.symbol)
+    hole = "" if whole else ',"hole":true'
     text = (
         f'{{"event":"{event}","name":"{name}","session":"{guess.session or session}","k":{guess.k},'
-        f'"symbol":{guess.symbol.index(p)},"p":{p:.6g},"agreed":{guess.agreed:.6g}}}'
+        f'"symbol":{guess.symbol.index(p)},"p":{p:.6g},"agreed":{guess.agreed:.6g}{hole}}}'
     )
     return text.encode()
 
 
 def belief_record(
-    session: str, listener: Listener, belief: Belief, *, last: bool, behind: int = 0
+    session: str,
+    listener: Listener,
+    belief: Belief,
+    *,
+    last: bool,
+    behind: int = 0,
+    counts: Mapping[str, int] = MappingProxyType({}),
 ) -> dict[str, Any]:
     """One belief as it is written to ``beliefs.json``; payloads as base64.
 
     She is asked for the message symbols at the ``last`` alone; before they are None, and so they
-    are of one who failed. ``behind`` counts the steps captured that she has not looked at.
+    are of one who failed. ``behind`` counts the steps captured that she has not looked at, and
+    ``counts`` has what the tap could not use of what it heard (:data:`UNUSED`).
     """
     symbols = listener.message_symbols() if last else None
     return _record(session, listener.name, listener.steps, belief) | {
+        "unused": unused_of(counts),
         "failed": listener.failed,
         "behind": behind,
         "symbols": symbols,
     }
+
+
+def unused_of(counts: Mapping[str, int]) -> dict[str, int]:
+    """What the tap could not use, by name; 0 where it is not counted."""
+    return {name: counts.get(name, 0) for name in UNUSED}
 
 
 def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, Any]:
@@ -312,6 +336,7 @@ def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, An
         "steps": steps,
         "failed": "",
         "behind": 0,
+        "unused": unused_of({}),
         "message": base64.b64encode(belief.message).decode("ascii"),
         "whole": [base64.b64encode(w).decode("ascii") for w in belief.whole],
         "whole_count": belief.whole_count,
@@ -319,6 +344,7 @@ def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, An
         "candidates_left": belief.candidates_left,
         "solved_k": belief.solved_k,
         "bits_left": belief.bits_left,
+        "given": belief.given,
         "symbols": None,
         "A": belief.A,
         "B": belief.B,

@@ -65,7 +65,6 @@ LONGEST = (
     "system/test_integration.py",
     "campaigns/test_exhaustive.py",
     "tap/test_ladder.py",
-    "kme/test_kme.py",
     "cli/test_demo.py",
     "fit/test_fit.py",
     "tap/test_outputs.py",

@@ -3,7 +3,8 @@
 A row holds when its command ends with code 0, prints all that stands as code in the row's column
 "expected", and writes the same rows as the file that this column links to. Where its tolerance is
 "FIELD at least N", the JSON object that it prints must have such a field. What the commands write
-goes to ``build/reproduced``, emptied first.
+goes to ``build/reproduced``, emptied first. ``--stale`` runs nothing and lists the data files with
+rows that other code made than today's.
 """
 
 import argparse
@@ -146,12 +147,27 @@ def reproduced(chosen: Iterable[Row]) -> Iterator[tuple[Row, str, float]]:
         yield row, why, (time.monotonic() - began) / 60
 
 
+def told_of_stale() -> int:
+    """A line for each file of docs/data that other code than today's made; 1 when there is one."""
+    from studies import DATA
+    from studies.measurements import MEASUREMENTS, stale
+
+    lines = list(stale(DATA))
+    print(*lines, f"{len(lines)} of {len(MEASUREMENTS)} files have rows of other code", sep="\n")
+    return FAILED if lines else DONE
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run the rows, and say of each whether it holds; 1 when one does not."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--longest", type=float, default=float("inf"), metavar="MINUTES")
     parser.add_argument("--only", default="", metavar="TEXT", help="rows whose command has this")
+    parser.add_argument(
+        "--stale", action="store_true", help="list data files with rows of other code, and end"
+    )
     args = parser.parse_args(argv)
+    if args.stale:
+        return told_of_stale()
     page = rows(PAGE.read_text(encoding="utf-8"))
     chosen = [row for row in page if row.minutes <= args.longest and args.only in row.command]
     held = 0

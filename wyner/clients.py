@@ -1,6 +1,5 @@
-"""Those who are no services of the loop: who watches, who sends, and who hands out its keys."""
+"""Those who are no services of the loop: who watches and who sends."""
 
-from runtime.health import look_at_line
 from runtime.services import (
     CONTROLLER_MANAGEMENT,
     PLANT_MANAGEMENT,
@@ -23,8 +22,6 @@ register(
     Service(
         name="operator",
         ends={"management": Ends((), (CONTROLLER_MANAGEMENT,))},
-        publishes={"management": ("management/command/send", "management/command/seal")},
+        publishes={"management": ("management/command/send",)},
     )
 )
-for _side in ("controller", "plant"):
-    register(Service(name=f"kme-{_side}", health=look_at_line))

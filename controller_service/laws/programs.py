@@ -105,14 +105,14 @@ def solve_daqp(P: Array, f: Array, G: Array, b: Array) -> Array | None:
 def solve_osqp(P: Array, f: Array, G: Array, b: Array) -> Array | None:
     """The same by OSQP, set up afresh, at 1e-9 and polished."""
     import osqp
-    from scipy.sparse import csc_matrix, triu
+    from scipy.sparse import csc_matrix
 
     free = np.asarray(np.linalg.solve(P, -f), dtype=float)
     if (G @ free <= b).all():
         return free  # with no active row OSQP's polishing prints to standard output
     solver = osqp.OSQP()
     solver.setup(
-        P=csc_matrix(triu(P)),
+        P=csc_matrix(np.triu(P)),
         q=f,
         A=csc_matrix(G),
         l=np.full(len(b), -np.inf),

@@ -51,6 +51,16 @@ class PackedControl(Control):
         if len(self.costs) != 1:
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
 
+    def coin_problems(self) -> Iterator[str]:
+        """Whether candidates are so close that a spoofed sensor may stay unseen."""
+        spacing = self.alphabet.spacing
+        if spacing < CERTAIN:
+            yield (
+                f"defence.kind: got 'keyed-coin' beside control.alphabet.spacing = {spacing:g}, "
+                f"expected a spacing of {CERTAIN:g} or more: closer candidates are not told apart "
+                "in every step"
+            )
+
     def policy(self, n: int, m: int) -> Policy:
         """The cost, how far apart the candidates are, and whether every transition agrees."""
         spacing = self.alphabet.spacing

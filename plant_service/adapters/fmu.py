@@ -1,7 +1,6 @@
 """A co-simulation FMU (FMI 2.0 or 3.0) as a plant; needs the extra ``wyner[fmu]``.
 
-An FMU is native code. It is therefore pinned by its SHA-256, and runs in a process of its own
-(:mod:`plant_service.adapters.isolated`).
+An FMU is native code that runs in the plant's process. It is therefore pinned by its SHA-256.
 """
 
 import hashlib
@@ -15,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from plant_service.adapters.base import PlantError
 from protocol.vectors import Vector
 from runtime.errors import needs
+from runtime.files import read_regular
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription
@@ -136,7 +136,7 @@ def _fresh_seed() -> int:
 
 def _check_hash(path: Path, sha256: str) -> None:
     try:
-        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+        digest = hashlib.sha256(read_regular(path)).hexdigest()
     except OSError as error:
         raise PlantError(f"{path}: cannot be read: {error.strerror}") from None
     if digest != sha256.lower():

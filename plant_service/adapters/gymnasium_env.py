@@ -1,13 +1,20 @@
 """A Gymnasium environment as a plant; needs the extra ``wyner[gym]``."""
 
-from typing import TYPE_CHECKING, Any
+import inspect
+import random
+from typing import TYPE_CHECKING, Any, Final
 
-from plant_service.adapters.base import PlantError
+from plant_service.adapters.base import PlantError, floats
 from protocol.vectors import Vector
 from runtime.errors import needs
 
 if TYPE_CHECKING:
     import gymnasium
+
+OLD: Final = "expected Gymnasium's interface of version 0.26 or later"
+
+NUMPY_SEEDS: Final = 2**32
+"""How many seeds numpy's global generator has."""
 
 
 class Environment:
@@ -26,9 +33,24 @@ class Environment:
         self.env = env.unwrapped
 
     def reset(self, seed: int | None) -> Vector:
-        """Begin an episode."""
-        observation, _ = self.env.reset(seed=seed)
-        return self._reading(observation)
+        """Begin an episode.
+
+        An environment may draw from the generators of numpy and Python that all code shares: they
+        are seeded too.
+        """
+        import numpy as np
+
+        if seed is not None:
+            np.random.seed(seed % NUMPY_SEEDS)
+            random.seed(seed)
+        try:
+            inspect.signature(self.env.reset).bind(seed=seed)
+        except TypeError:
+            raise PlantError(f"reset takes no seed, {OLD}: reset(seed=..., options=...)") from None
+        found = self.env.reset(seed=seed)
+        if not isinstance(found, tuple) or len(found) != 2:
+            raise PlantError(f"reset returns no observation with its info, {OLD}: two values")
+        return self._reading(found[0])
 
     def step(self, u: Vector, period_s: float) -> Vector:  # noqa: ARG002
         """One step of the environment; its reward is not looked at.
@@ -40,17 +62,39 @@ class Environment:
         """
         import numpy as np
 
-        observation, _, terminated, truncated, _ = self.env.step(np.array(u))
+        found: Any = self.env.step(np.array(u))
+        if not isinstance(found, tuple) or len(found) != 5:
+            raise PlantError(
+                f"step returns other than five values, {OLD}: observation, reward, terminated, "
+                "truncated, info"
+            )
+        observation, _, terminated, truncated, _ = found
         if terminated or truncated:
             raise PlantError("the environment's episode has ended")
         return self._reading(observation)
+
+    @property
+    def actions(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest value of each input.
+
+        Raises
+        ------
+        PlantError
+            When inputs are not vectors of real numbers.
+        """
+        import gymnasium
+
+        space = self.env.action_space
+        if not isinstance(space, gymnasium.spaces.Box) or len(space.shape) != 1:
+            raise PlantError(f"its action space is {space}, expected a Box of one dimension")
+        return tuple(zip(space.low.tolist(), space.high.tolist(), strict=True))
 
     def close(self) -> None:
         """Close the environment."""
         self.env.close()
 
     def _reading(self, observation: Any) -> Vector:
-        return tuple([float(v) for v in observation])
+        return floats(observation)
 
 
 class StateEnvironment(Environment):

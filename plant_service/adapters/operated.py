@@ -209,12 +209,12 @@ class Operated:
             raise PlantError(f"{self._name}: is in its safe state: {self._fault}")
         try:
             return call()
-        except Exception as error:
+        except (Exception, SystemExit) as error:
             text = error if isinstance(error, PlantError) else f"{type(error).__name__}: {error}"
             self._fail(f"{what}: {' '.join(str(text).split())}", error)
             raise
 
-    def _fail(self, text: str, cause: Exception | None = None) -> None:
+    def _fail(self, text: str, cause: BaseException | None = None) -> None:
         self.safe(text)
         raise PlantError(f"{self._name}: {self._fault}") from cause
 

@@ -4,14 +4,12 @@ A kind is a table with a method ``adapter``; :func:`open_plant` adds the wrapper
 user's is loaded before that.
 """
 
-from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import BeforeValidator, Field, field_validator
 
 from plant_service.adapters.base import PlantAdapter, PlantError, SimulatedPlant, Stepped, stepped
-from plant_service.adapters.isolated import isolated
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
@@ -41,18 +39,8 @@ class LinearPlant(PlantTable):
 class ModelledElsewhere(PlantTable):
     """A plant that is no matrices: those of its model stand under ``[defender]``.
 
-    Its code runs in a process of its own, unless it is shipped.
+    Its code runs in the plant's process, with that process's rights: it is trusted.
     """
-
-    answer_s: Positive = 2.0
-    """Seconds that the plant's code has for one call; it is ended where it takes longer."""
-    memory_mib: Annotated[int, Field(ge=256, le=100_000)] = 2048
-    """Address space of the plant's process, in MiB."""
-
-    @property
-    def shipped(self) -> bool:
-        """Whether the code that it names comes with the shipped scenarios."""
-        return getattr(self, "object", "").startswith("runtime.scenarios.")
 
     @field_validator("A", "B")
     @classmethod
@@ -178,6 +166,9 @@ for kind in KINDS:
     PLANTS.register(name, kind)
 
 
+SINGLE: Final = 1e-6
+"""Relative rounding of the single precision in which environments state their bounds."""
+
 NOISE_OF_ITS_OWN = "plant.noise: expected none of a device, whose sensors have their own"
 """Why a device's scenario is refused that would have noise simulated."""
 
@@ -216,13 +207,14 @@ def open_plant(
         adapter: PlantAdapter
         start = _start(scenario)
         if own is None:
-            foreign = isinstance(plant, ModelledElsewhere) and not plant.shipped
-            make = partial(isolated, plant) if foreign else plant.adapter  # type: ignore[attr-defined]
-            adapter = make(start, folder)
+            adapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
         else:
             adapter = _adapted(own, type(own).__name__, plant.period_s)
     except (PlantError, UserCodeError) as error:
         raise PlantError(f"plant: {error}") from error.__cause__
+    if problem := _beyond_actions(scenario, adapter):
+        adapter.close()
+        raise PlantError(problem)
     n = scenario.n if isinstance(adapter, SimulatedPlant) else scenario.readings
     said = plant.operating_point.given if plant.operating_point is not None else 0
     if said not in (0, n) or len(plant.limits or ()) not in (0, n):
@@ -246,6 +238,29 @@ def open_plant(
             f"plant of kind {plant.kind!r} cannot be written to"
         )
     return operated
+
+
+def _beyond_actions(scenario: Scenario, adapter: PlantAdapter) -> str:
+    """Why U does not fit into the inputs that an environment takes; empty where it does."""
+    core = adapter.plant if isinstance(adapter, SimulatedPlant) else adapter
+    actions = getattr(core, "actions", None)
+    if actions is None:
+        return ""
+    m = scenario.m
+    if len(actions) != m:
+        return f"control.inputs: got {m} inputs, expected {len(actions)}, as the environment takes"
+    point, U = _point(scenario, scenario.n, m), scenario.control.inputs
+    for i, (low, high) in enumerate(actions):
+        up = [float(j == i) for j in range(m)]
+        most = point.input[i] + point.input_scale[i] * U.reach(up)
+        least = point.input[i] - point.input_scale[i] * U.reach([-v for v in up])
+        rounding = SINGLE * max(abs(most), abs(least))
+        if least < low - rounding or most > high + rounding:
+            return (
+                f"control.inputs: got input {i + 1} from {least:g} to {most:g}, expected it within "
+                f"{low:g} to {high:g}, the environment's action space"
+            )
+    return ""
 
 
 def _start(scenario: Scenario) -> FiniteVector:

@@ -13,8 +13,8 @@ from math import inf
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
-from protocol.defence.key_digits import digits
 from protocol.messages import Offer
+from protocol.secret.key_digits import digits
 from protocol.secret.records import Key
 from protocol.secret.tasks import CoinKeys, CoinTask
 

@@ -1,6 +1,7 @@
 """Adversary messages: what the tap tells whoever watches it."""
 
-from typing import Annotated, ClassVar, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -23,6 +24,13 @@ class TapStatus(Message):
         Messages that the tap has recorded, has heard and lost, and could not read.
     behind : int
         Captured steps that she has not looked at.
+    foreign, late : int
+        Messages that the tap heard and could not use: those of other sessions or of steps far
+        ahead, and those that came after their step was given out without them.
+    jumped : int
+        Steps that the tap skipped, as it heard nothing of them.
+    restarts : int
+        Times that the eavesdropper's process was started again.
     message : str
         Her best message so far; unprintable bytes are shown as ``·``.
     confidence : float
@@ -34,6 +42,8 @@ class TapStatus(Message):
     bits_left : float or None
         Entropy of the message given all that she heard, in bits, by her own account. None: this
         kind does not compute it.
+    given : str
+        What she expects of a message, as ``English sentences``: that entropy is given it too.
     failed : str
         Why she does not guess at present; empty: she does. The other fields then keep her last
         words.
@@ -41,7 +51,7 @@ class TapStatus(Message):
         The model that she has learned or was given; empty: none.
     key_blocks, key_bits_held : int
         Key blocks that she attacked, and bits of their rows that she can compute; -1 bits: she
-        attacks no keys. The fields up to ``sealed_text`` are those of one who does.
+        attacks no keys. The fields up to ``misses_in_bursts`` are those of one who does.
     copies, copies_missed : int
         Copies 0 that were sent while she was there, and those of them that she missed.
     copies_absent : int
@@ -49,12 +59,10 @@ class TapStatus(Message):
     missed_direction, missed_at_most : str, float
         The direction that speaks most against the operator's claim, and the upper bound of the
         share of its copies that she misses.
+    key_steps_unplaced : int
+        Transitions that she could place in no block: nothing is known of their keys.
     claim_refuted, misses_in_bursts : bool
         She misses less than the operator claims; her misses come in bursts.
-    sealed_bits, sealed_bits_known : int
-        Bits of the sealed texts that she heard lately, and those of them that she knows.
-    sealed_text : str
-        The last of these texts, with ``·`` for what she does not know.
     tail_k, tail_symbol : tuple of int
         Of the last transitions, oldest first: the step k, and the symbol that she holds likeliest.
     tail_probability, tail_agreed : tuple of float
@@ -72,11 +80,16 @@ class TapStatus(Message):
     dropped: Count
     behind: Count
     malformed: Count
+    foreign: Count = 0
+    late: Count = 0
+    jumped: Count = 0
+    restarts: Count = 0
     message: str
     confidence: float
     candidates_left: Count
     solved_k: Annotated[int, Field(ge=-1)]
     bits_left: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    given: str = ""
     failed: str = ""
     A: tuple[FiniteVector, ...] = ()
     B: tuple[FiniteVector, ...] = ()
@@ -87,11 +100,9 @@ class TapStatus(Message):
     missed_at_most: float = 1.0
     missed_direction: str = ""
     copies_absent: Count = 0
+    key_steps_unplaced: Count = 0
     claim_refuted: bool = False
     misses_in_bursts: bool = False
-    sealed_bits: Count = 0
-    sealed_bits_known: Count = 0
-    sealed_text: str = ""
     tail_k: tuple[int, ...] = ()
     tail_symbol: tuple[int, ...] = ()
     tail_probability: FiniteVector = ()
@@ -103,6 +114,25 @@ class TapStatus(Message):
         if any(len(tail) != len(self.tail_agreed) for tail in tails):
             raise ValueError("expected tails of one length")
         return self
+
+
+DEAF: Final = 0.01
+"""Share of the steps that a tap could not use from which on it counts as deaf for that share."""
+
+
+def deaf_share(unused: Mapping[str, int], steps: int) -> float:
+    """Share of the steps that a tap could not use, 0 below :data:`DEAF`.
+
+    Parameters
+    ----------
+    unused : mapping of str to int
+        ``foreign``, ``late``, ``dropped`` and ``jumped`` of a status. A step has two messages.
+    steps : int
+        Steps that were looked at.
+    """
+    lost = (unused["foreign"] + unused["late"] + unused["dropped"]) / 2 + unused["jumped"]
+    share = lost / (lost + steps) if lost else 0.0
+    return share if share >= DEAF else 0.0
 
 
 ADVERSARY: tuple[type[Message], ...] = (TapStatus,)

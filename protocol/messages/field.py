@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import ConfigDict, Field, StringConstraints
+from pydantic import Field
 
 from protocol.messages.base import (
     BlockNumber,
     Copy,
     Count,
-    Identifier,
     KeyName,
     Message,
     Nonce,
@@ -17,10 +16,6 @@ from protocol.messages.base import (
     Tag,
 )
 from protocol.vectors import FiniteVector
-
-Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,16}/[0-9]{0,9})?$")]
-Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
-Bits = Annotated[int, Field(ge=0, lt=2**64)]
 
 
 class StepMessage(Message):
@@ -50,12 +45,6 @@ class StepMessage(Message):
             made = self.__pydantic_serializer__.to_json(self, exclude_none=True)
             self.__dict__["_bytes"] = made
         return made
-
-    def travelling_as(self, payload: bytes) -> Self:
-        """This message, with other bytes on the wire: those that a defence makes of it."""
-        copy = self.model_copy()
-        copy.__dict__["_bytes"] = payload
-        return copy
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""
@@ -95,13 +84,6 @@ class Measurement(StepMessage):
     applied_key : str, optional
         Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
         Only where the coin is keyed.
-    guard, mac : str, optional
-        Batch and slot of the key that guards the message, as ``3/17``, and its tag, 8 hexadecimal
-        digits; ``3/`` with the farewell of a batch that has served. Only where messages are
-        guarded.
-    after, rest : str, tuple of int, optional
-        Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
-        rounds. Only where measurements are coded.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -116,10 +98,6 @@ class Measurement(StepMessage):
     block: BlockNumber = -1
     tag: Tag = ""
     applied_key: KeyName | None = None
-    guard: Slot | None = None
-    after: Slot | None = None
-    rest: tuple[Bits, ...] | None = None
-    mac: Mac | None = None
 
 
 class Offer(StepMessage):
@@ -158,35 +136,7 @@ class Offer(StepMessage):
     coin_key: KeyName | None = None
     coin_from: Count | None = None
     coin_last: KeyName | None = None
-    guard: Slot | None = None
-    mac: Mac | None = None
 
 
-class Sealed(Message):
-    """Controller to plant: a message under a one-time pad, with its one-time tag.
-
-    The operator orders it, and it travels beside the loop, so it tells nothing of the scheme.
-
-    Attributes
-    ----------
-    id : str
-        The message's id, as the operator gave it.
-    key_ids : tuple of str
-        Ids of the keys that it takes, 1 to 4096. Each key serves this message alone.
-    cipher : bytes
-        The ciphertext, as long as the text; base64 on the wire.
-    tag : str
-        The one-time tag of ids and ciphertext, 32 hexadecimal digits.
-    """
-
-    topic: ClassVar[str] = "sealed"
-    id: Identifier
-    key_ids: Annotated[tuple[Identifier, ...], Field(min_length=1, max_length=4096)]
-    cipher: bytes
-    tag: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
-
-    model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
-
-
-FieldMessage = Measurement | Offer | Sealed
-FIELD: tuple[type[FieldMessage], ...] = (Measurement, Offer, Sealed)
+FieldMessage = Measurement | Offer
+FIELD: tuple[type[FieldMessage], ...] = (Measurement, Offer)

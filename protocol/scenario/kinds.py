@@ -34,6 +34,10 @@ class UncheckedControl(Control, extra="allow"):
         """None: this process does not know the law's fields."""
         yield from ()
 
+    def coin_problems(self) -> Iterator[str]:
+        """None: this process does not know the law."""
+        yield from ()
+
 
 class UncheckedPlant(PlantTable, extra="allow"):
     """``[plant]`` of a kind that this process does not know."""

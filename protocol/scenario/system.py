@@ -244,9 +244,9 @@ class Scenario(Brief, ScenarioTable):
                 f"plant.disturbance.half_widths: got {list(d.half_widths)}, expected a box inside "
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
-        problems += self.defence.problems(
-            self.keys, self.link, self.readings, self.secrecy.candidates
-        )
+        if self.defence.keyed:
+            problems += self.control.coin_problems()
+        problems += self.defence.problems(self.keys, self.link)
         try:
             _ = self.alarm_rule
         except ValueError as error:

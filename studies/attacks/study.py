@@ -19,7 +19,6 @@ from attacker_service.base import UNKNOWN, Attack, Model
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array, Flags
-from protocol.defence.registry import make_defence
 from protocol.scenario import Scenario
 from protocol.secret.bound import Assumption
 from studies import DATA
@@ -31,8 +30,9 @@ from tap_service import eavesdroppers
 from tap_service.inference.key_solver import bits_held
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.attacks import ONSET, Attacked, Keys, attack_runs
+from wyner.simulate.engine.defences import make_defence
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 FILE: Final = DATA / "attacks.csv"
 
@@ -61,16 +61,6 @@ COLUMNS: Final = (
     "steps", "seed", "held", "unseen", "false_alarms", "honest_steps", "away", "away_error",
     "away_largest", "shown_largest", "theory", "key_bits",
 )  # fmt: skip
-SOURCES: Final = (
-    "studies/attacks/*.py",
-    "attacker_service/base.py",
-    "attacker_service/sight.py",
-    "attacker_service/attacks/*.py",
-    "protocol/defence/*.py",
-    "tap_service/eavesdroppers/nearest_centre.py",
-    "tap_service/inference/key_solver.py",
-)
-"""Where the numbers come from, besides the loop."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,6 +129,11 @@ DISTURBANCES: Final[dict[str, dict[str, Any]]] = {
     "constant corner of D_c": {"kind": "constant", "half_widths": [0.12, 0.12]},
 }
 """Every disturbance of the sweep ``disturbances`` that stays in D_c, and its corner for ever."""
+
+
+def version() -> str:
+    """Of the code that the rows come from."""
+    return code_version("studies.attacks.study")
 
 
 def tasks() -> Iterator[Task]:
@@ -310,7 +305,7 @@ def measure(task: Task) -> dict[str, object]:
     unseen = [] if task.attack == "none" else found.undetected().tolist()
     return {
         "task": task.id,
-        "version": code_version(*SOURCES),
+        "version": version(),
         "group": task.group,
         "attack": task.attack if not task.eye else f"{task.attack}, eye {task.eye:g}",
         "defence": task.defence,
@@ -336,7 +331,7 @@ def measure(task: Task) -> dict[str, object]:
 
 def add_rows(path: Path = FILE, measure_all: "Measured | None" = None) -> None:
     """Measure what the file lacks, in the study's order."""
-    append_rows(path, COLUMNS, tasks(), measure_all or in_turn)
+    append_rows(path, COLUMNS, tasks(), measure_all or in_turn, version())
 
 
 Measured = Callable[[list[Any]], Iterable[dict[str, object]]]

@@ -9,7 +9,8 @@ from protocol.statistics import wilson
 from studies.attacks.study import FILE, SETTLED, Task, attacked
 from studies.pages import between_marks, markdown_table
 from wyner.simulate.engine.attacks import ONSET
-from wyner.sweeps.grid import ROOT, SweepError
+from wyner.sweeps.code import ROOT
+from wyner.sweeps.grid import SweepError
 
 PAGE: Final = ROOT / "docs" / "attacks.md"
 SHOWN: Final = (1, 2, 3, 5)

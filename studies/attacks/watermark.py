@@ -21,7 +21,6 @@ from wyner.capacity.table import dither_price
 SIZES: Final = (2, 3, 4, 5, 6, 8, 12, 16)
 SCENARIO: Final = "packed"
 COLUMNS: Final = ("scenario", "dither", "M", "pass", "variance", "state_price", "input_price")
-SOURCES: Final = ("studies/attacks/watermark.py", "wyner/capacity/table.py")
 
 
 def least(mu: float) -> float:
@@ -48,37 +47,6 @@ def gaussian(mu: float) -> float:
 def gaussian_passes(variance: float) -> float:
     """The other way: how often a normal dither of this variance, in sigma^2, is passed."""
     return 2 * NormalDist().cdf(0.5 / math.sqrt(variance)) - 1
-
-
-def least_by_program(mu: float, cells: int, reach: float) -> float:
-    """The least variance over every distribution on a grid, in sigma^2: a linear program.
-
-    Parameters
-    ----------
-    mu : float
-        Most mass of ``cells`` neighbouring points, which is a window a little shorter than sigma.
-    cells : int
-        Points a sigma.
-    reach : float
-        How far the grid goes, in sigma.
-    """
-    from scipy.optimize import linprog
-
-    count = 2 * round(reach * cells) + 1
-    z = (np.arange(count) - count // 2) / cells
-    ones = np.ones((count, count))
-    windows = np.triu(ones) - np.triu(ones, cells)
-    found = linprog(
-        z**2,
-        A_ub=windows,
-        b_ub=np.full(count, mu),
-        A_eq=np.vstack((np.ones(count), z)),
-        b_eq=[1.0, 0.0],
-        method="highs",
-    )
-    if found.fun is None:
-        raise ValueError(f"mu = {mu:g}: {found.message}")
-    return float(found.fun)
 
 
 def spacing(scenario: Scenario) -> float:

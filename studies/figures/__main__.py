@@ -20,7 +20,7 @@ def build_parser() -> argparse.ArgumentParser:
         "--measure",
         action="store_true",
         help="make their data anew before; to those of a secrecy-* figure and of undetected, whose "
-        "runs take long, only what they lack is added",
+        "runs take long, only what they lack or other code made is measured",
     )
     parser.add_argument("--data", metavar="D", help="folder of the data (default: docs/data)")
     parser.add_argument("--output", metavar="D", help="folder to draw in (default: docs/figures)")
@@ -46,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
 
         for file in dict.fromkeys(file for name in names for file in FIGURES[name].data):
             print(f"measuring {file} ...", file=sys.stderr)
-            MEASUREMENTS[file](data / f"{file}.csv")
+            MEASUREMENTS[file].measure(data / f"{file}.csv")
     try:
         for name in names:
             for path in draw(name, data, Path(args.output) if args.output else FIGURES_FOLDER):

@@ -18,7 +18,6 @@ from studies import DATA
 from studies.secrecy.runs import simulate, text_of
 from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import (
-    SOURCES,
     STATED,
     append_rows,
     described,
@@ -34,7 +33,7 @@ from tap_service.eavesdroppers.base import Eavesdropper
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference.english import AnyBytes
 from wyner.runs.score.score import score
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 FILE: Final = DATA / "secrecy-reading.csv"
 
@@ -141,6 +140,11 @@ def readings(taps: Sequence[str] = ("text", "smoother")) -> Iterator[Reading]:
                 yield Reading(f"{name}, loss 30 %", tap, seed, name, view=view)
 
 
+def version() -> str:
+    """Of the code that the rows come from."""
+    return code_version("studies.secrecy.reading")
+
+
 def payload_of(reading: Reading) -> bytes:
     """Its message, by its seed."""
     rng = random.Random(f"reading {reading.scenario} {reading.payload} {reading.seed}")
@@ -165,7 +169,7 @@ def measure(reading: Reading) -> dict[str, object]:
     scored = score(run.truth, said)
     return {
         "task": reading.id,
-        "version": code_version(*SOURCES),
+        "version": version(),
         "condition": reading.condition,
         "tap": reading.tap,
         "seed": reading.seed,
@@ -185,7 +189,9 @@ def add_rows(path: Path = FILE, jobs: int = 1, only: str = "") -> None:
     wanted = (r for r in readings() if only in f"{r.tap}: {r.condition}")
     context = multiprocessing.get_context("spawn")
     with context.Pool(jobs, maxtasksperchild=20) as pool:
-        append_rows(path, COLUMNS, wanted, lambda todo: pool.imap_unordered(measure, todo))
+        append_rows(
+            path, COLUMNS, wanted, lambda todo: pool.imap_unordered(measure, todo), version()
+        )
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The secrecy study: which eavesdropper is measured under which condition, and a row for each run.
 
 ``python -m studies.figures --measure NAME`` adds to a figure's data the rows that they lack,
-for one run costs seconds to minutes here: a run that is in its file already is not measured again.
+for one run costs seconds to minutes here: what this code has measured is not measured again.
 """
 
 import csv
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final, Protocol
 
 from protocol.knowledge import Knowledge
+from runtime.files import PUBLIC_FILE, replacing
 from studies.secrecy.runs import Run, simulate, text_of
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
@@ -23,21 +24,10 @@ from tap_service.eavesdroppers.base import Belief, Eavesdropper
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.eavesdroppers.text import Text
 from wyner.runs.score.score import TapOutput, score
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version, same_code
 
 RUNS: Final = 100
 """Seeds of a condition with a stated target; the others have a fifth of them."""
-
-SOURCES: Final = (
-    "tap_service/capture/*.py",
-    "tap_service/eavesdroppers/*.py",
-    "tap_service/inference/*.py",
-    "studies/secrecy/reading.py",
-    "studies/secrecy/runs.py",
-    "studies/secrecy/sentences.py",
-    "studies/secrecy/study.py",
-)
-"""Where the numbers come from, besides the loop."""
 
 HEARD: Final = ("view", "loss", "noise", "quantise", "delay", "model_error", "seed")
 """What of her view a task varies."""
@@ -112,6 +102,11 @@ class Task:
         text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
         text += f", view={described(self.view)}, raw={self.raw!r})"
         return hashlib.sha256(text.encode()).hexdigest()[:12]
+
+
+def version() -> str:
+    """Of the code that the rows come from."""
+    return code_version("studies.secrecy.study")
 
 
 def tasks(runs: int = RUNS) -> Iterator[Task]:
@@ -217,7 +212,7 @@ def measure(task: Task) -> dict[str, object]:
     decoding = getattr(tap, "decoding", None)
     row = {
         "task": task.id,
-        "version": code_version(*SOURCES),
+        "version": version(),
         "study": task.study,
         "condition": task.condition,
         "tap": task.tap,
@@ -242,13 +237,23 @@ def measure(task: Task) -> dict[str, object]:
     return {column: row[column] for column in columns_of(task.study)}
 
 
+def _rows_in(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
+    """The whole rows of a file; none where it has other columns."""
+    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
+    reader = csv.DictReader([line for line in lines if line.endswith("\n")])
+    return list(reader) if reader.fieldnames == list(columns) else []
+
+
 def append_rows(
     path: Path,
     columns: Sequence[str],
     tasks: Iterable[Identified],
     measure_all: Callable[[list[Any]], Iterable[dict[str, object]]],
+    version: str,
 ) -> None:
     """Add the rows that a file lacks, each as it is made; a run that is there is not made again.
+
+    A task's row that other code made is measured anew: it goes before the first is measured.
 
     Parameters
     ----------
@@ -259,19 +264,27 @@ def append_rows(
     tasks : iterable
     measure_all : callable
         The rows of a list of tasks, in any order.
+    version : str
+        Of today's code.
     """
+    wanted = {task.id: task for task in tasks}
+    kept = [
+        row
+        for row in _rows_in(path, columns)
+        if row["task"] not in wanted or same_code(row["version"], version)
+    ]
+    done = {row["task"] for row in kept}
+    todo = [task for id, task in wanted.items() if id not in done]
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("a+", encoding="utf-8", newline="") as file:
-        file.seek(0)
-        lines = file.read().splitlines(keepends=True)
-        whole = [line for line in lines if line.endswith("\n")]
-        if len(whole) < len(lines):
-            file.truncate(len("".join(whole).encode()))
-        done = {row["task"] for row in csv.DictReader(whole)}
-        todo = [t for t in tasks if t.id not in done]
+    with (
+        replacing(path, PUBLIC_FILE) as partial,
+        partial.open("w", encoding="utf-8", newline="") as file,
+    ):
         writer = csv.DictWriter(file, columns, lineterminator="\n")
-        if not whole:
-            writer.writeheader()
+        writer.writeheader()
+        writer.writerows(kept)
+    with path.open("a", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, columns, lineterminator="\n")
         for number, row in enumerate(measure_all(todo), 1):
             writer.writerow(row)
             file.flush()
@@ -284,6 +297,6 @@ def measure_study(study: str) -> Callable[[Path], None]:
 
     def add_rows(path: Path) -> None:
         mine = (t for t in tasks() if t.study == study)
-        append_rows(path, columns_of(study), mine, lambda todo: map(measure, todo))
+        append_rows(path, columns_of(study), mine, lambda todo: map(measure, todo), version())
 
     return add_rows

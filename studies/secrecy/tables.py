@@ -18,7 +18,7 @@ from studies.secrecy.study import ALL_READ, measure_study
 from tap_service.inference.message_reader import SURE
 from wyner.runs.score.report import over_runs, percent
 from wyner.runs.score.score import Proportion
-from wyner.sweeps.grid import ROOT
+from wyner.sweeps.code import ROOT
 
 PAGE: Final = ROOT / "docs" / "findings.md"
 

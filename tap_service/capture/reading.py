@@ -11,6 +11,7 @@ from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
 from protocol.messages import FIELD, FieldMessage
+from runtime.files import open_regular
 from runtime.recording import END, LONGEST, TRACE_FORMAT, LineReader, decode, number_of, parts_of
 from runtime.run_folder import CAPTURE
 from tap_service.capture.recording import CAPTURE_VERSION
@@ -201,7 +202,7 @@ def _size_of(path: Path) -> int:
 
 def _first_line(path: Path) -> bytes:
     try:
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             return file.readline(LONGEST)
     except FileNotFoundError:
         return b""

@@ -82,17 +82,6 @@ class HeldBlock(BaseModel):
     bits: int
 
 
-class ReadText(BaseModel):
-    """A sealed message: its bits, those that she knows by rank, the bytes that she has."""
-
-    model_config = ConfigDict(frozen=True)
-
-    id: str
-    bits: int
-    known_bits: int
-    text: str
-
-
 class KeysHeld(BaseModel):
     """What one who attacks keys holds of them.
 
@@ -112,10 +101,11 @@ class KeysHeld(BaseModel):
         Whether that is below the claim; whether her misses come in bursts, in either direction.
     absent : int
         Copies 0 that were sent while she was not there.
+    unplaced : int
+        Transitions that she heard of and could place in no block: she missed the beginning of their
+        session, or a stretch of it.
     newest : tuple of HeldBlock
         The last blocks.
-    sealed : tuple of ReadText
-        The last sealed messages.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -130,8 +120,8 @@ class KeysHeld(BaseModel):
     bursts: bool
     direction: str = ""
     absent: int = 0
+    unplaced: int = 0
     newest: tuple[HeldBlock, ...] = ()
-    sealed: tuple[ReadText, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -156,7 +146,10 @@ class Belief:
         The model she uses; empty when she has none.
     bits_left : float, optional
         Entropy of the message given all that she heard, in bits, where she computes it. It stands
-        in place of what her guesses are measured to leave, on every screen.
+        beside what her guesses are measured to leave, and the less counts.
+    given : str
+        What she expects of a message, where she computes that, as ``English sentences``: the
+        entropy is right for messages of which that is true, and for no others.
     keys : KeysHeld, optional
         What she holds of the keys, where she attacks them.
     """
@@ -170,6 +163,7 @@ class Belief:
     A: Matrix = ()
     B: Matrix = ()
     bits_left: float | None = None
+    given: str = ""
     keys: KeysHeld | None = None
 
 
@@ -235,7 +229,7 @@ class Eavesdropper(ABC):
             )
 
     def hear(self, message: FieldMessage) -> None:  # noqa: B027
-        """Take a message as it was heard, repeats and sealed ones included."""
+        """Take a message as it was heard, repeats included."""
 
     @abstractmethod
     def observe(self, transition: Transition) -> Guess:

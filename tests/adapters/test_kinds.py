@@ -9,9 +9,14 @@ import pytest
 from plant_service.adapters import PlantError
 from plant_service.adapters.base import stepped
 from plant_service.adapters.ode import Ode
+from plant_service.adapters.registry import open_plant
 from protocol.integration import runge_kutta_step
+from protocol.link.session import rules_of
+from protocol.scenario import Scenario, parse_scenario
+from runtime.scenario_file import load_scenario
 from runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
+from tests.support.recorded_loop import RecordedLoop
 
 
 def test_runge_kutta_is_of_fourth_order() -> None:
@@ -196,3 +201,171 @@ def test_an_attribute_that_is_not_there_and_an_episode_that_ends() -> None:
     with pytest.raises(PlantError, match="episode has ended"):
         for _ in range(20):
             car.step((1.0,), 1.0)
+
+
+ENVIRONMENTS = """
+import gymnasium
+import numpy as np
+
+class Own(gymnasium.Env):
+    observation_space = gymnasium.spaces.Box(-10.0, 10.0, (1,))
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.x = np.zeros(1)
+        return self.x, {}
+
+    def step(self, u):
+        self.x = 0.9 * self.x + 0.1 * np.asarray(u)
+        return self.x, 0.0, False, False, {}
+
+class Discrete(Own):
+    action_space = gymnasium.spaces.Discrete(2)
+
+class Shared(Own):
+    def step(self, u):
+        self.x = 0.9 * self.x + 0.1 * np.asarray(u) + np.random.uniform(-0.01, 0.01, 1)
+        return self.x, 0.0, False, False, {}
+
+class Seedless(Own):
+    def reset(self):
+        self.x = np.zeros(1)
+        return self.x, {}
+
+class Bare(Own):
+    def reset(self, *, seed=None, options=None):
+        self.x = np.zeros(1)
+        return self.x
+
+class Four(Own):
+    def step(self, u):
+        return self.x, 0.0, False, {}
+
+class Rows(Own):
+    def reset(self, *, seed=None, options=None):
+        return {"x": 1.0}, {}
+
+for own in (Own, Discrete, Shared, Seedless, Bare, Four, Rows):
+    gymnasium.register(f"Wyner{own.__name__}-v0", entry_point=own)
+"""
+
+
+def environment(folder: Path, name: str, inputs: str = "[1.0]") -> Scenario:
+    (folder / "wyner_environments.py").write_text(ENVIRONMENTS)
+    text = f"""
+name = "own"
+[plant]
+kind = "gymnasium"
+id = "wyner_environments:Wyner{name}-v0"
+period_s = 0.1
+operating_point = {{ state = [0.0], input = [0.0] }}
+[plant.disturbance]
+enters = "none"
+[defender]
+A = [[0.9]]
+B = [[0.1]]
+[defender.disturbance]
+half_widths = [0.02]
+[control]
+law = "packed"
+horizon = 5
+inputs = {{ half_widths = {inputs} }}
+[secrecy]
+alpha = 8.0
+candidates = 2
+"""
+    path = folder / "own.toml"
+    path.write_text(text)
+    return load_scenario(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "inputs", "says"),
+    [
+        (
+            "Discrete",
+            "[1.0]",
+            r"action space is Discrete\(2\), expected a Box of one dimension",
+        ),
+        (
+            "Own",
+            "[1.5]",
+            "control.inputs: got input 1 from -1.5 to 1.5, expected it within -1 to 1, the "
+            "environment's action space",
+        ),
+    ],
+)
+def test_an_environment_takes_every_input_of_the_scenario(
+    name: str, inputs: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlantError, match=says) as raised:
+        open_plant(environment(tmp_path, name, inputs), tmp_path)
+    assert str(raised.value).count("\n") == 0
+    open_plant(environment(tmp_path, "Own"), tmp_path).close()
+
+
+@pytest.mark.parametrize(
+    ("name", "says"),
+    [
+        ("Seedless", "reset takes no seed, expected Gymnasium's interface of version 0.26"),
+        ("Bare", "reset returns no observation with its info"),
+        ("Four", "step returns other than five values"),
+        ("Rows", "expected a sequence of numbers"),
+    ],
+)
+def test_an_old_interface_is_named_in_one_line(
+    name: str, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    monkeypatch.syspath_prepend(tmp_path)
+    plant = open_plant(environment(tmp_path, name), tmp_path)
+    with pytest.raises(PlantError, match=says) as raised:
+        plant.start(1)
+        plant.apply((0.5,))
+        plant.sample()
+    assert "\n" not in str(raised.value)
+    plant.close()
+
+
+def test_the_seed_reaches_an_environment_that_draws_from_the_shared_generators(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("gymnasium")
+    monkeypatch.syspath_prepend(tmp_path)
+    readings = []
+    for seed in (5, 5, 6):
+        plant = open_plant(environment(tmp_path, "Shared"), tmp_path)
+        plant.start(seed)
+        plant.apply((0.5,))
+        readings.append(plant.sample())
+        plant.close()
+    assert readings[0] == readings[1] != readings[2]
+
+
+def test_tables_of_free_names_make_a_live_plant(
+    tmp_path: Path, fmu: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`plant.arguments` and `plant.start`: the loop's rules are looked up by their scenario."""
+    pytest.importorskip("gymnasium")
+    more = '\n[plant.arguments]\ng = 10.0\nrender_mode = "rgb_array"\n'
+    loop = RecordedLoop(tmp_path / "run", b"", "gymnasium-pendulum", more=more)
+    loop.run(lambda: loop.transitions >= 20)
+    loop.stop()
+    assert loop.wrong() == []
+    monkeypatch.syspath_prepend(tmp_path)
+    scenario = environment(tmp_path, "Own")
+    given: dict[str, object] = dict(zip(("file", "sha256"), map(str, fmu), strict=True))
+    given |= {"kind": "fmu", "inputs": ["u"], "outputs": ["place"]}
+    data = scenario.model_dump(exclude_unset=True)
+    del data["plant"]["id"]
+    for start in ({"place": 3.0}, {"place": 3.0, "speed": 1.0}):
+        data["plant"] |= given | {"start": start}
+        told = parse_scenario(data, "own")
+        assert hash(told) == hash(told.model_copy())
+        assert rules_of(told).fingerprint == told.fingerprint()
+        plant = open_plant(told)
+        assert plant.start(None)[0] == 3.0
+        plant.close()

@@ -1,6 +1,5 @@
 """Attacks of a user's own, good and bad: each a class in one file."""
 
-import time
 from typing import ClassVar
 
 import numpy as np
@@ -25,14 +24,6 @@ class Raises(SensorAttack):
         raise RuntimeError("out of\nideas")
 
 
-class Loops(SensorAttack):
-    name: ClassVar[str] = "loops"
-
-    def sensor(self, observed: Observation) -> Array:
-        while True:
-            time.sleep(1)
-
-
 class Short(SensorAttack):
     name: ClassVar[str] = "short"
 
@@ -45,13 +36,6 @@ class Nan(SensorAttack):
 
     def sensor(self, observed: Observation) -> Array:
         return observed.shown * np.nan
-
-
-class Eats(SensorAttack):
-    name: ClassVar[str] = "eats"
-
-    def sensor(self, observed: Observation) -> Array:
-        return np.zeros(10**10)
 
 
 class Deaf(BusAttack):

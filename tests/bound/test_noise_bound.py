@@ -12,7 +12,7 @@ from scipy.stats import norm
 from runtime.scenario_file import scenario_of
 from studies.signalling import changed
 from tests.support.toeplitz import toeplitz
-from wyner.bound.coins import Coin, coin_bits, hashed, largest_gain
+from wyner.bound.coins import Coin, largest_gain
 from wyner.bound.loop import BoundError, LinearLoop
 from wyner.bound.taps import block_left, response, smoother_left
 from wyner.cli.main import main
@@ -168,40 +168,6 @@ def test_smoother_with_measurements_alone_is_above_the_bound(
 # --- keys ----------------------------------------------------------------------------------------
 
 
-def test_a_key_of_the_loop_s_own_coins_is_the_same_at_both_ends(four: LinearLoop) -> None:
-    """The receiver has every coin from x(k+1), certain; no input leaves U; and the hash is one."""
-    rng = np.random.default_rng(5)
-    coins, x = rng.integers(0, 4, 1000), np.zeros(2)
-    read = []
-    for b in coins:
-        u = four.K @ x + four.offsets[b]
-        assert abs(u[0]) <= 6.0
-        x_next = four.A @ x + four.B @ u + rng.uniform(-0.12, 0.12, 2)
-        centres = four.A @ x + (four.K @ x + four.offsets) @ four.B.T
-        gauge = np.abs(x_next - centres).max(axis=1) / 0.12
-        (inside,) = np.flatnonzero(gauge <= 1 + 1e-9)
-        read.append(int(inside))
-        x = x_next
-    length = four.coin(2 * HALF_WIDTH).key_bits(1000, 1e-12)
-    seed = rng.integers(0, 2, 2 * 1000 + length - 1, dtype=np.uint8)
-    keys = [hashed(coin_bits(np.array(c), 4), seed, length) for c in (coins, read)]
-    assert len(keys[0]) == length == 1130
-    assert (keys[0] == keys[1]).all()
-    assert (keys[0] == toeplitz(coin_bits(coins, 4), seed, length)).all()  # an independent one
-    read[17] ^= 1
-    assert (hashed(coin_bits(np.array(read), 4), seed, length) != keys[0]).any()
-
-
-def test_the_hash_collides_with_two_inputs_as_often_as_it_may() -> None:
-    """All seeds of a small one: 2^-length exactly, whatever the two inputs."""
-    n, length = 4, 3
-    seeds = [np.array(s, np.uint8) for s in itertools.product((0, 1), repeat=n + length - 1)]
-    inputs = [np.array(v, np.uint8) for v in itertools.product((0, 1), repeat=n)]
-    for one, other in itertools.combinations(inputs, 2):
-        equal = sum((hashed(one, s, length) == hashed(other, s, length)).all() for s in seeds)
-        assert equal * 2**length == len(seeds)
-
-
 def test_a_short_hash_is_as_near_to_uniform_as_the_lemma_says() -> None:
     """Every seed, every coin, a grid of what she saw: the distance itself beside its bound."""
     coin = Coin(np.array([[-1.0], [1.0]]), 1.3)
@@ -216,9 +182,7 @@ def test_a_short_hash_is_as_near_to_uniform_as_the_lemma_says() -> None:
         total, count = 0.0, 0
         for s in seeds:
             seed = np.array(s, np.uint8)
-            place = [
-                int("".join(map(str, hashed(w.astype(np.uint8), seed, length))), 2) for w in words
-            ]
+            place = [int("".join(map(str, toeplitz(w, seed, length))), 2) for w in words]
             hashes = np.zeros((2**length, len(seen)))
             np.add.at(hashes, place, joint)
             total += np.abs(hashes - joint.sum(axis=0) / 2**length).sum()

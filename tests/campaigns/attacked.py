@@ -25,7 +25,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any, Protocol
 
-from attacker_service.asking import Attacker
+from attacker_service.attacker import Attacker
 from attacker_service.attacks import named
 from attacker_service.relay import Asked, Relay
 from controller_service.command import designed
@@ -92,7 +92,6 @@ def run(
         if attack is not None and named(attack.kind).at == "bus":
             hubs.append(MemoryHub())
             attacker = Attacker(scenario, attack, None)
-            stack.callback(attacker.close)
             asked = attacker if watch is None else watch.attacker(attacker)
             relay = Relay(asked, MemoryBus(hubs[0]), MemoryBus(hubs[1]), "loop")
             stack.enter_context(_beside(lambda: relay.run(over), over))

@@ -33,7 +33,7 @@ from tests.campaigns.traffic import Traffic
 SMALL_KB: Final = (0, 40, 100, 200, 400, 1000)
 """What a disk that is found too small has room for, besides what is there."""
 
-SERVICES: Final = ("controller", "plant", "tap", "kme-controller", "kme-plant")
+SERVICES: Final = ("controller", "plant", "tap")
 WHOLE: Final = "run"
 """In place of a service: the folder of the whole run."""
 
@@ -126,11 +126,8 @@ def one_run(service: str, kind: str, left_kb: int, folder: Path) -> tuple[Counte
     draw = random.Random(left_kb)
     text = plain_text(draw, 100)
     loop = LiveLoop(folder, text.encode(), pace="x20")
-    there = service.removeprefix("kme-")
-    home = loop.run_dir if service == WHOLE else loop.run_dir / there
-    sharing = [
-        p for n, p in loop.processes.items() if service == WHOLE or n.removeprefix("kme-") == there
-    ]
+    home = loop.run_dir if service == WHOLE else loop.run_dir / service
+    sharing = [p for n, p in loop.processes.items() if service in (WHOLE, n)]
     disk = Turned(home) if kind == "turned" else Disk(home)
     counts: Counter[str] = Counter()
     traffic = Traffic(loop, text, draw)

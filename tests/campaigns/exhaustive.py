@@ -19,7 +19,7 @@ from typing import Final
 from runtime.files import write_atomically
 from tests.campaigns.loop import SCHEMES, short_keys
 from tests.campaigns.space import SIDES, Space
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 TOLD_S: Final = 15.0
 SAVED_S: Final = 900.0
@@ -168,7 +168,7 @@ def main(argv: list[str] | None = None) -> int:
     name += ", from the first hello" if args.from_hello else ""
     name += f", {args.remembered} remembered" if args.remembered != 2 else ""
     kept = args.results.with_suffix(f".{name.replace(', ', '-').replace(' ', '')}.pickle")
-    version = code_version("tests/campaigns/*.py")
+    version = code_version("tests.campaigns.exhaustive", without=())
     found: Exploration | None = None
     if kept.exists():
         with kept.open("rb") as file:

@@ -1,7 +1,7 @@
 """Messages that nobody should send: ``python -m tests.campaigns.fuzz --count 1000000``.
 
-Structured and raw, small and up to 16 MB, to every program that hears a bus. Nothing may raise, no
-memory may stay, and the loop goes on as if nothing had come.
+Structured and raw, small and up to 16 MB, to both ends of a link. Nothing may raise, no memory may
+stay, and the loop goes on as if nothing had come.
 """
 
 import argparse
@@ -10,7 +10,6 @@ import logging
 import random
 import resource
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -21,11 +20,10 @@ from protocol.messages import ControllerHello, Measurement, Message, Offer, Plan
 from runtime.files import write_atomically
 from runtime.inbox import Inbox
 from runtime.logs import logger
-from tests.campaigns.listeners import LISTENERS, listener
 from tests.campaigns.loop import rules_of
 from tests.support.mail import Mail
 from tests.support.two_ends import LineEnds, Name
-from wyner.sweeps.grid import code_version
+from wyner.sweeps.code import code_version
 
 NUMBERS = (0, -1, 1, 2**63, -(2**63), 10**400, 1e308, -1e308, 5e-324, 0.1, True, None, "", "NaN")
 TEXTS = ("", "x" * 5000, "\x1b[31m", "\u202e", "0" * 16, "../../etc")
@@ -149,33 +147,6 @@ def fuzz(side: Name, count: int, seed: int, until: float = float("inf")) -> int:
     return number
 
 
-def fuzz_listener(
-    name: str, count: int, seed: int, until: float = float("inf"), folder: Path | None = None
-) -> int:
-    """Send ``count`` messages to one that hears a bus beside the ends; how many were sent.
-
-    Raises
-    ------
-    AssertionError
-        When it does not go on, or shows what a terminal would obey.
-    """
-    draw = random.Random(seed + 1)
-    with tempfile.TemporaryDirectory() as temporary:
-        who, heard = listener(name, folder or Path(temporary), Fuzzed().heard)
-        inbox: Inbox[tuple[type[Message], bytes]] = Inbox()
-        for number, payload in enumerate(payloads(seed, heard), start=1):
-            inbox.put((draw.choice(who.kinds), payload), len(payload))
-            over = number >= count or time.monotonic() > until
-            while inbox:
-                who.hear(*inbox.get(0.0))
-            if number % 5000 == 0 or over:
-                who.goes_on()
-            if over:
-                break
-        who.close()
-    return number
-
-
 class _Lines(logging.Handler):
     """Counts what a service logs, in place of its log."""
 
@@ -194,15 +165,15 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--count", type=int, default=1_000_000, help="messages to each end")
     parser.add_argument("--seconds", type=float, default=float("inf"), help="for each end")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--who", default=",".join((*HEARS, *LISTENERS)), help="of these")
+    parser.add_argument("--who", default=",".join(HEARS), help="of these")
     parser.add_argument("--results", type=Path, default=Path("campaign-fuzz.json"))
     args = parser.parse_args(argv)
-    told: dict[str, object] = {"version": code_version()}
+    told: dict[str, object] = {"version": code_version("tests.campaigns.fuzz", without=())}
     for who in args.who.split(","):
         before, until = megabytes(), time.monotonic() + args.seconds
         began, lines = time.monotonic(), _Lines()
         logger(who).handlers[:] = [lines]
-        count = (fuzz if who in HEARS else fuzz_listener)(who, args.count, args.seed, until)
+        count = fuzz(who, args.count, args.seed, until)
         told[who] = {
             "messages": count,
             "grown_mb": round(megabytes() - before, 1),

@@ -23,12 +23,10 @@ from pathlib import Path
 from typing import Final
 
 from runtime.addresses import free_endpoints
-from runtime.keys.secret_file import make_secret
 from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 from tests.campaigns.relay import main as pass_on
-from tests.support.key_sites import Sites
 from wyner.cli.main import main
 from wyner.deployment.certificates import ensure_certificates
 from wyner.fit.toml import as_toml
@@ -41,9 +39,7 @@ PRELOADED: Final = (
     "tap_service.command",
     "tap_service.service",
     "wyner.cli.router",
-    "wyner.cli.kme",
     "wyner.cli.send",
-    "wyner.kme.server",
 )
 
 PR_SET_PDEATHSIG: Final = 1
@@ -186,17 +182,8 @@ def wait_for(holds: Callable[[], bool], seconds: float) -> bool:
     return True
 
 
-class RunSites(Sites):
-    """Key servers over the stores of one run."""
-
-    def run_dir(self, side: str) -> Path:
-        """Both ends of a run share its folder."""
-        del side
-        return self.folder / "run"
-
-
 class LiveLoop:
-    """Controller, plant, tap, key servers and, where asked, a router, as processes.
+    """Controller, plant, tap and, where asked, a router, as processes.
 
     Parameters
     ----------
@@ -212,14 +199,10 @@ class LiveLoop:
     relay : tuple of float, optional
         The field bus between the two ends goes through a relay with these odds: loss, repeat, and
         the longest delay in seconds.
-    secret : bool
-        Blocks of keys are signed.
     boots : random.Random, optional
         Every process has a wall clock and a monotonic clock of its own.
     scenario : str
         A shipped one that makes keys.
-    guard : str, optional
-        What guards the messages.
     """
 
     def __init__(
@@ -231,10 +214,8 @@ class LiveLoop:
         router: bool = False,
         tls: bool = False,
         relay: tuple[float, float, float] | None = None,
-        secret: bool = False,
         boots: random.Random | None = None,
         scenario: str = "keys",
-        guard: str | None = None,
     ) -> None:
         for module in PRELOADED:
             __import__(module)
@@ -245,8 +226,6 @@ class LiveLoop:
         file = self.run_dir / SCENARIO
         tables = tomllib.loads(scenario_file_of(scenario).read_text())
         tables["keys"]["eps_E"] = 0.5  # short blocks, so that some close between two deaths
-        if guard is not None:
-            tables["defence"] = {**tables.get("defence", {}), "messages": guard}
         file.write_text(as_toml(tables))
         knowledge = folder / "knowledge.json"
         knowledge.write_text(scenario_of(str(file)).knowledge().model_dump_json())
@@ -254,19 +233,9 @@ class LiveLoop:
         run = ["--run-dir", str(self.run_dir)]
         self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
         common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
-        if secret:
-            make_secret(folder / "secret-plant")
-            shutil.copy(folder / "secret-plant", folder / "secret-controller")
-            for side, arguments in common.items():
-                arguments += ["--secret", str(folder / f"secret-{side}")]
         self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
         told = ["--message-file", str(folder / "message")]
         self._add("controller", [*common["controller"], *told, *ends["controller"]])
-        self.sites = RunSites(folder, keys=0)
-        for side in ("controller", "plant"):
-            name = f"kme-{side}"
-            log = folder / f"{name}.log"
-            self.processes[name] = Process(name, self.sites.command(side), log)
         if boots is not None:
             for place, process in enumerate(self.processes.values()):
                 process.place, process.boots = place, boots
@@ -338,10 +307,9 @@ class LiveLoop:
             if not process.alive():
                 process.start()
 
-    def send(self, name: str, text: str, *, sealed: bool = False) -> Process:
-        """An operator who asks until a message has been queued, or a sealed one has arrived."""
-        how = ["--sealed"] if sealed else []
-        argv = ["send", text, "--id", name, "--timeout=600", *how, *self.management]
+    def send(self, name: str, text: str) -> Process:
+        """An operator who asks until a message has been queued."""
+        argv = ["send", text, "--id", name, "--timeout=600", *self.management]
         operator = Process(name, argv, self.folder / "send.log")
         operator.start()
         return operator

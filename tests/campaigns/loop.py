@@ -7,11 +7,11 @@ from functools import cache
 from typing import Final
 from unittest.mock import patch
 
-from protocol.defence import key_digits
 from protocol.link import coins
 from protocol.link.session import Rules
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
+from protocol.secret import key_digits
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from tests.support.line_ends import line_rules

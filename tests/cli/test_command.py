@@ -21,7 +21,7 @@ from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
 from tests.support.patience import PATIENCE_S
-from wyner.cli.main import GONE, commands, main
+from wyner.cli.main import commands, main
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESENT = list(commands())
@@ -88,19 +88,6 @@ def test_the_help_lists_every_command_that_is_there(capsys: pytest.CaptureFixtur
     assert max(map(len, lines)) <= 80
 
 
-@pytest.mark.parametrize("name", GONE)
-def test_a_command_of_a_former_version_names_the_one_that_does_its_work(
-    name: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (line,) = usage_error(capsys, name, "anything")
-    assert f"`{GONE[name]}`" in line
-    program, command, *_ = GONE[name].split()
-    if program == "python":
-        assert Path(__file__).resolve().parents[2].joinpath(command).is_file()
-    else:
-        assert program == "make" or command in PRESENT
-
-
 def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as stop:
         main(["--version"])
@@ -131,10 +118,6 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["up", "--eavesdropper", "eve"], "eavesdropper: got 'eve', expected set-membership"),
         (["up", "--eavesdropper", ","], "--eavesdropper: got ',', expected at least one name"),
         (["up", "--pace", "x0"], "--pace: got 'x0', expected realtime, fast, or xN"),
-        (
-            ["up", "--secret"],
-            "--secret: signs key blocks, and scenario sustained has no table keys",
-        ),
         (["up", "--message", ""], "message: got 0 bytes, expected 1 to 65535"),
         (["up", "--message-file", "none.txt"], "none.txt: cannot be read"),
         (["up", "--message", "a", "--message-file", "b"], "not allowed with"),
@@ -377,10 +360,10 @@ def test_the_command_sees_to_ctrl_c_before_it_loads_anything_else() -> None:
         "for name in ('typing', 'enum', 'functools'): sys.modules.pop(name, None)\n"
         "sys.meta_path.insert(0, Note())\n"
         "import wyner.__main__\n"
-        "print(*seen[: seen.index('protocol') + 1])\n"
+        "print(*seen[: seen.index('runtime.early') + 1])\n"
     )
     done = python("-c", code)
-    assert done.stdout == b"wyner controller_service protocol\n"
+    assert done.stdout == b"wyner runtime runtime.early\n"
 
 
 def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:

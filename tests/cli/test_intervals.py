@@ -15,8 +15,8 @@ import pytest
 from runtime.run_folder import BELIEFS, SUMMARY
 from tests.support.bare_figures import bare_figures
 from tests.support.checked_runs import keyed_run
+from tests.support.rehearsal import Rehearsal
 from tests.support.small_run import SmallRun
-from tools.rehearsal import Rehearsal
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
 from wyner.dashboard.model import State, reduce_all

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from runtime.errors import UsageError
+from runtime.errors import Failure, UsageError
 from runtime.scenario_file import scenario_of
 from runtime.shipped import SCENARIOS
 from wyner.cli import up
@@ -21,34 +21,25 @@ def progress(returned: int | None) -> tuple[Any, SimpleNamespace]:
     return up.Progress(until_delivered=True, supervisor=supervisor), plant
 
 
-def test_a_run_is_over_with_its_plant_whatever_was_still_to_be_done(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """`wyner demo` waited for ever for a sealed message that nobody was left to take."""
+def test_a_run_is_over_with_its_plant(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(up, "GRACE_S", 0.0)
     watching, plant = progress(None)
-    asked: list[bool] = []
-
-    def background() -> bool:
-        asked.append(True)
-        return False
-
-    watching.background = background
     assert not watching.over()
     plant.returned = 0
     assert watching.over()
-    assert len(asked) == 2
 
 
-def test_a_run_goes_on_until_its_background_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(up, "GRACE_S", 0.0)
-    watching, _plant = progress(None)
-    watching.delivered = watching.received = 1
-    watching.waiting = False
-    watching.background = lambda: False
+def test_a_service_that_never_says_anything_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user's file may not return while its service is opened."""
+    watching, plant = progress(None)
+    plant.log = Path("run/plant/log")
     assert not watching.over()
-    watching.background = lambda: True
-    assert watching.over()
+    monkeypatch.setattr(up, "SAID_S", 0.0)
+    watching.controller_said("", b"{}", 0)
+    with pytest.raises(Failure, match=r"^plant: nothing heard of it in 0 s \(log: run/pl"):
+        watching.over()
+    watching.plant_said("", b"{}", 0)
+    assert not watching.over()
 
 
 def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path) -> None:

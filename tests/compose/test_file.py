@@ -47,7 +47,6 @@ WRONG = {
     "WYNER_TAPS": ("nobody", "--eavesdropper: got 'nobody'"),
     "WYNER_MESSAGE": ("x" * 70_000, "message: got 70000 bytes"),
     "WYNER_LOOPS": ("0", "--loops: got 0"),
-    "WYNER_KEY_EVERY": ("0", "got '0'"),
 }
 
 
@@ -67,7 +66,6 @@ def project(image: str) -> Iterator[str]:
         *(("direct", name) for name in WRONG),
         ("secure", "WYNER_PACE"),
         ("fleet", "WYNER_LOOPS"),
-        ("keys", "WYNER_KEY_EVERY"),
     ],
 )
 def test_with_a_wrong_variable_nothing_starts_and_it_is_named(

@@ -3,7 +3,7 @@
 from functools import cache
 
 from protocol.messages import PlantStatus
-from tools.rehearsal import Rehearsal
+from tests.support.rehearsal import Rehearsal
 from wyner.dashboard.model import Arrival, State, reduce_all
 
 USUAL = Rehearsal()

@@ -20,13 +20,13 @@ import pytest
 
 from protocol.messages import PlantStatus
 from tests.support.patience import PATIENCE_S
+from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
+from tests.support.screens import to_text
 from tests.support.scripted import ScriptedSource
-from tools.rehearsal import MESSAGE_TEXT, Rehearsal
-from wyner.dashboard.app import FRAME_NS, GO_ON, Ending, Watch, has_screen, speaks_unicode
+from wyner.dashboard.app import FRAME_NS, GO_ON, Ending, Watch, has_screen
 from wyner.dashboard.headless import LINES_AT_ONCE, Reporter, progress, run_headless, secrecy_line
 from wyner.dashboard.keymap import KEYS
 from wyner.dashboard.model import Arrival, State, reduce_all
-from wyner.dashboard.screenshot import to_text
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.terminal import ESCAPE, Keyboard, cbreak, split_keys
 
@@ -48,7 +48,7 @@ def text_of(watch: Watch, now_ns: int = 0) -> str:
 
 @pytest.fixture
 def watch(tmp_path: Path) -> Watch:
-    return Watch(unicode=True, folder=tmp_path)
+    return Watch()
 
 
 # --- keys --------------------------------------------------------------------------------------
@@ -58,7 +58,7 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     script = source()
     for _ in range(5):
         watch.take(script)
-    watch.press(" ", SIZE, 0)
+    watch.press(" ", 0)
     held = text_of(watch)
     for _ in range(5):
         watch.take(script)
@@ -67,7 +67,7 @@ def test_freezing_holds_the_view_and_goes_on_counting(watch: Watch) -> None:
     assert "FROZEN, 50 steps on" in still
     assert held.splitlines()[1:] == still.splitlines()[1:]
     assert watch.state.received == 51
-    watch.press(" ", SIZE, 0)
+    watch.press(" ", 0)
     assert "FROZEN" not in text_of(watch)
     assert "step 100 " in text_of(watch)
 
@@ -76,46 +76,35 @@ def test_frozen_over_a_new_journal_counts_no_steps_backwards(watch: Watch) -> No
     script = source()
     for _ in range(20):
         watch.take(script)
-    watch.press(" ", SIZE, 0)
+    watch.press(" ", 0)
     plant = plant_of(watch.state)
     fresh = {"session": "f" * 16, "k": 3, "seq": 0, "t_ns": plant.t_ns + 1}
     watch.take(ScriptedSource([[Arrival(1, plant.model_copy(update=fresh))]]))
     assert "FROZEN, new session" in text_of(watch)
-    watch.press(" ", SIZE, 0)
+    watch.press(" ", 0)
     assert "step 3 " in text_of(watch)
 
 
 def test_frozen_before_the_plant_was_heard_counts_no_steps(watch: Watch) -> None:
-    watch.press(" ", SIZE, 0)
+    watch.press(" ", 0)
     assert "FROZEN, 0 steps on" in text_of(watch)
     watch.take(source())
     assert "FROZEN, new session" in text_of(watch)
 
 
 def test_help_comes_and_goes(watch: Watch) -> None:
-    watch.press("?", SIZE, 0)
+    watch.press("?", 0)
     assert KEYS[0].meaning in text_of(watch)
-    watch.press(ESCAPE, SIZE, 0)
+    watch.press(ESCAPE, 0)
     assert KEYS[0].meaning not in text_of(watch)
-
-
-def test_saving_names_the_files_and_a_folder_that_cannot_be_written(tmp_path: Path) -> None:
-    watch = Watch(unicode=True, folder=tmp_path)
-    watch.press("s", SIZE, 0)
-    assert "saved screen-1.svg and screen-1.txt" in text_of(watch)
-    assert [path.exists() for path in watch.saved] == [True, True]
-    lost = Watch(unicode=True, folder=tmp_path / "nowhere")
-    lost.press("s", SIZE, 0)
-    assert "not saved" in text_of(lost)
-    assert lost.saved == []
 
 
 def test_unknown_keys_change_nothing_and_q_quits(watch: Watch) -> None:
     before = watch.view
     for key in "xyz1":
-        watch.press(key, SIZE, 0)
+        watch.press(key, 0)
     assert watch.view == before
-    watch.press("q", SIZE, 0)
+    watch.press("q", 0)
     assert watch.quit
 
 
@@ -130,7 +119,7 @@ def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> N
     assert not watch.due(SIZE, FRAME_NS - 1), "what came waits for the next picture"
     assert watch.due(SIZE, FRAME_NS)
     watch.draw(SIZE, 1)
-    watch.press("x", SIZE, 1)
+    watch.press("x", 1)
     assert watch.due(SIZE, 1), "a key is answered at once"
 
 
@@ -155,29 +144,29 @@ def test_steps_are_chosen_while_frozen(watch: Watch) -> None:
     script = source()
     for _ in range(20):
         watch.take(script)
-    watch.press("left", SIZE, 0)
+    watch.press("left", 0)
     assert "FROZEN" in text_of(watch)
     held = sorted(watch.state.pictures)
     shown = watch.view.step
     assert shown is not None
     assert f"Key test at step {shown} " in text_of(watch)
-    watch.press("left", SIZE, 0)
+    watch.press("left", 0)
     assert watch.view.step == held[held.index(shown) - 1]
     for _ in range(300):
-        watch.press("right", SIZE, 0)
+        watch.press("right", 0)
     assert watch.view.step == held[-1]
     for _ in range(300):
-        watch.press("left", SIZE, 0)
+        watch.press("left", 0)
     assert watch.view.step == held[0]
-    watch.press(" ", SIZE, 0)
+    watch.press(" ", 0)
     assert "FROZEN" not in text_of(watch)
-    nobody = Watch(unicode=True, folder=Path())
-    nobody.press("left", SIZE, 0)
+    nobody = Watch()
+    nobody.press("left", 0)
     assert "no step pictured yet" in text_of(nobody)
 
 
 def test_the_first_line_begins_with_what_the_screen_is_of() -> None:
-    watch = Watch(unicode=True, folder=Path())
+    watch = Watch()
     assert text_of(watch).startswith(" wyner  waiting for the plant")
     watch.view = replace(watch.view, title="2/3 sealed")
     assert text_of(watch).startswith(" 2/3 sealed  waiting for the plant")
@@ -201,7 +190,7 @@ def test_the_story_begins_with_the_plants_model_and_keeps_its_order() -> None:
 
 
 def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path) -> None:
-    watch = Watch(unicode=True, folder=tmp_path, story=True)
+    watch = Watch(story=True)
     script = source(1500)
     while not script.exhausted:
         watch.take(script)
@@ -215,7 +204,7 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
         if title.startswith("The first agreement"):
             assert f"Key test at {title.rpartition(', at ')[2]} " in text
         seen.append(watch.view.caption[0])
-        watch.press(" ", SIZE, 0)
+        watch.press(" ", 0)
     assert [title.split(",")[0].split(":")[0] for title in seen] == [
         "The first agreement seen",
         "The first ciphertext under a key after it",
@@ -225,11 +214,11 @@ def test_the_story_pauses_at_each_moment_once_and_misses_nothing(tmp_path: Path)
     ]
     assert "The plant has had it since step" in text
     assert "had it at step 1163" in text_of(watch)
-    watch.press("s", SIZE, 0)
+    watch.press("?", 0)
     left = [watch.quit]
-    watch.press("x", SIZE, 0)
+    watch.press("x", 0)
     left.append(watch.quit)
-    assert left == [False, True], "saving the last screen does not leave it, another key does"
+    assert left == [False, True], "looking at the last screen does not leave it, another key does"
 
 
 # --- the terminal ------------------------------------------------------------------------------
@@ -274,7 +263,7 @@ PROGRAM = """
 import sys, time
 from pathlib import Path
 from wyner.dashboard.app import one_stage, run_dashboard
-from tools.rehearsal import Rehearsal
+from tests.support.rehearsal import Rehearsal
 from tests.support.scripted import ScriptedSource
 source = ScriptedSource(Rehearsal().arrivals(100000))
 def until():
@@ -297,12 +286,12 @@ if sys.argv[1] in ("stage", "stage raise"):
             source = ScriptedSource(Rehearsal().arrivals(100000))
             over = lambda: source.now_ns() > 5e8
             print(f"said before the {act}", file=sys.stderr)
-            run_dashboard(source, until=over, run_dir=Path(sys.argv[2]), stage=stage, title=act)
+            run_dashboard(source, until=over, stage=stage, title=act)
             if sys.argv[1] == "stage raise":
                 raise KeyboardInterrupt
     sys.exit()
 conclude = (lambda: ["the point of it"]) if sys.argv[1] == "conclude" else None
-print(run_dashboard(source, until=until, run_dir=Path(sys.argv[2]), conclude=conclude))
+print(run_dashboard(source, until=until, conclude=conclude))
 """
 
 
@@ -363,14 +352,11 @@ class Screen:
 def test_q_leaves_a_restored_terminal_and_repeats_what_was_said_behind(tmp_path: Path) -> None:
     screen = Screen("watch", tmp_path)
     screen.wait_for(" steps/s")
-    screen.type("s")
-    screen.wait_for("saved screen-1.svg")
     screen.type("?")
     screen.wait_for("How to read it")
     screen.type("\x1b[Aq")
     after = screen.end()
     assert "complaint behind the screen" in after
-    assert f"saved {tmp_path / 'screen-1.svg'}" in after
     assert "Ending.QUIT" in after
     assert "complaint" not in screen.seen.partition(b"\x1b[?1049l")[0].decode()
 
@@ -447,6 +433,14 @@ def test_no_color_has_no_colour_on_the_live_screen(tmp_path: Path) -> None:
 
 
 class Pretender(io.StringIO):
+    def __init__(self, encoding: str = "utf-8") -> None:
+        super().__init__()
+        self._encoding = encoding
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]
+        return self._encoding
+
     def isatty(self) -> bool:
         return True
 
@@ -457,20 +451,16 @@ class Pretender(io.StringIO):
         (Pretender(), "xterm", True),
         (Pretender(), "dumb", False),
         (Pretender(), "", False),
+        (Pretender("latin-1"), "xterm", False),
         (io.StringIO(), "xterm", False),
     ],
 )
-def test_a_screen_needs_a_terminal_that_is_not_dumb(
+def test_a_screen_needs_a_terminal_that_is_not_dumb_and_has_its_characters(
     out: io.StringIO, term: str, expected: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("TERM", term)
     monkeypatch.setenv("FORCE_COLOR", "1")
     assert has_screen(out) is expected
-
-
-def test_ascii_streams_get_ascii() -> None:
-    assert speaks_unicode(io.TextIOWrapper(io.BytesIO(), encoding="utf-8"))
-    assert not speaks_unicode(io.TextIOWrapper(io.BytesIO(), encoding="latin-1"))
 
 
 def headless(steps: int, monkeypatch: pytest.MonkeyPatch) -> str:

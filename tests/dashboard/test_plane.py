@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from protocol.agreement import AgreementRule, Gauge
 from protocol.messages import Message, PlantModel, PlantStatus
-from tools.rehearsal import Rehearsal
+from tests.support.rehearsal import Rehearsal
 from wyner.dashboard.plane import Axes, axes_of, draw, fits, outline, verdict
 
 
@@ -80,22 +80,20 @@ def test_axes_follow_the_input_in_widths_of_the_defenders_set() -> None:
     assert Axes(2, 0).words == "horizontal x3, vertical x1"
 
 
-@pytest.mark.parametrize("unicode", [True, False])
-def test_the_picture_has_its_size_both_centres_and_the_next_state(unicode: bool) -> None:
+def test_the_picture_has_its_size_both_centres_and_the_next_state() -> None:
     for status in statuses():
-        rows = draw(plant_model(), status, 60, 20, unicode=unicode)
+        rows = draw(plant_model(), status, 60, 20)
         assert [len(row) for row in rows] == [60] * 20
         cells = [cell for row in rows for cell in row]
         shown = {cell.character for cell in cells if cell.kind == "centre"}
         assert shown == {"0", "1"}, "a number makes way for the state, and stays"
         assert sum(cell.kind == "next" for cell in cells) == 1
         assert {"defender", "eavesdropper"} <= {cell.kind for cell in cells}
-        assert unicode or all(cell.character.isascii() for cell in cells)
 
 
 def test_marks_lie_as_the_points_do() -> None:
     status = next(s for s in statuses() if s.pictured_k > 100)
-    rows = draw(plant_model(), status, 76, 24, unicode=True)
+    rows = draw(plant_model(), status, 76, 24)
     where = {
         cell.character: (x, y)
         for y, row in enumerate(rows)
@@ -111,12 +109,12 @@ def test_the_frame_is_that_of_the_small_sets_and_arrows_say_what_goes_on() -> No
     status, model = statuses()[-1], plant_model()
     narrow = model.model_copy(update={"alpha": 1.1})
     for drawn, arrows in ((model, 2), (narrow, 0)):
-        cells = [cell for row in draw(drawn, status, 60, 20, unicode=True) for cell in row]
+        cells = [cell for row in draw(drawn, status, 60, 20) for cell in row]
         assert sum(cell.character in "◀▶" for cell in cells) == arrows
         # half of the frame and more is what the two small sets and the state span
         columns = {
             x
-            for row in draw(drawn, status, 60, 20, unicode=True)
+            for row in draw(drawn, status, 60, 20)
             for x, cell in enumerate(row)
             if cell.kind == "defender"
         }
@@ -125,7 +123,7 @@ def test_the_frame_is_that_of_the_small_sets_and_arrows_say_what_goes_on() -> No
 
 def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
     status = statuses()[-1].model_copy(update={"pictured_x_next": (50.0, -50.0)})
-    rows = draw(plant_model(), status, 40, 12, unicode=True)
+    rows = draw(plant_model(), status, 40, 12)
     assert rows[0][-1].kind != "next"
     assert sum(cell.kind == "next" for row in rows for cell in row) == 1
 
@@ -133,16 +131,12 @@ def test_a_state_outside_every_set_is_still_in_the_picture() -> None:
 def test_a_state_too_far_out_for_a_float_to_span_leaves_the_picture_blank() -> None:
     for x in ((1.7e308, -1.7e308), (-1.7e308, 0.0)):
         status = statuses()[-1].model_copy(update={"pictured_x_next": x, "pictured_x": x})
-        assert {
-            c.character for row in draw(plant_model(), status, 10, 4, unicode=True) for c in row
-        } == {" "}
+        assert {c.character for row in draw(plant_model(), status, 10, 4) for c in row} == {" "}
 
 
 def test_before_the_first_step_the_picture_is_blank() -> None:
     status = statuses()[0].model_copy(update={"pictured_k": -1})
-    assert {
-        c.character for row in draw(plant_model(), status, 10, 4, unicode=True) for c in row
-    } == {" "}
+    assert {c.character for row in draw(plant_model(), status, 10, 4) for c in row} == {" "}
 
 
 @pytest.mark.parametrize(
@@ -167,9 +161,7 @@ def test_the_verdict_says_why(gauges: tuple[float, ...], words: str) -> None:
 
 
 def marks(status: PlantStatus, model: PlantModel | None = None) -> str:
-    cells = [
-        c for line in draw(model or plant_model(), status, 120, 30, unicode=True) for c in line
-    ]
+    cells = [c for line in draw(model or plant_model(), status, 120, 30) for c in line]
     return "".join(sorted(c.character for c in cells if c.kind == "centre"))
 
 

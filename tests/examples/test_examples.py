@@ -16,8 +16,8 @@ import pytest
 from wyner.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
-ELSEWHERE = {"rotate_keys", "lesson"}
-"""Run beside two key servers (`tests/kme/test_recipes.py`), and a page (`test_lesson.py`)."""
+ELSEWHERE = {"lesson"}
+"""A page (`test_lesson.py`)."""
 PROGRAMS = sorted(path for path in (ROOT / "examples").glob("*.py") if path.stem not in ELSEWHERE)
 NOTEBOOKS = sorted((ROOT / "examples").glob("*.ipynb"))
 
@@ -108,7 +108,7 @@ def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
     options = ["--output", str(tmp_path / "alpha.csv")]
     assert main(["sweep", str(tmp_path / "few.toml"), *options]) == 0
     rates = (tmp_path / "alpha-rates.csv").read_text(encoding="utf-8")
-    assert "speed-watcher keys right" in rates
+    assert "speed-watcher keys known" in rates
     assert len(rates.splitlines()) == 4
 
 

@@ -11,7 +11,6 @@ from wyner.fit.conformal import (
     conformal_scale,
     rank,
     session_score,
-    sessions_needed,
     template,
     violation_bound,
 )
@@ -27,7 +26,6 @@ from wyner.fit.conformal import (
     ],
 )
 def test_sessions_without_an_exit(violation: float, confidence: float, sessions: int) -> None:
-    assert sessions_needed(violation, confidence) == sessions
     assert violation_bound(sessions, 0, confidence) <= violation
     assert violation_bound(sessions - 1, 0, confidence) > violation
 

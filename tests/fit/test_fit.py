@@ -228,3 +228,85 @@ def test_an_fmu_of_a_tank_is_identified_from_its_own_data_and_every_step_agrees(
     assert (runs.key >= 0).sum() == tested
     assert (runs.key[runs.key >= 0] == runs.coin[runs.key >= 0]).all()
     assert runs.rate.value == pytest.approx(2 * 0.5 / 5.0)
+
+
+# --- what is no plant to fit ----------------------------------------------------------------------
+
+OWN = """
+import random
+
+class Plant:
+    NOISE, B = 0.0, ((0.005,), (0.1,))
+
+    def reset(self, seed):
+        self.draw, self.x = random.Random(seed), [0.0, 0.0]
+        return self.x
+
+    def step(self, u, period_s):
+        a, b = self.x
+        moved = [a + 0.1 * b, 0.9 * b]
+        self.x = [
+            v + sum(p * w for p, w in zip(row, u)) + self.NOISE * self.draw.uniform(-1, 1)
+            for v, row in zip(moved, self.B)
+        ]
+        return self.x
+
+class Dead(Plant):
+    NOISE, B = 0.01, ((0.0,), (0.0,))
+
+class DeadAndStill(Plant):
+    B = ((0.0,), (0.0,))
+
+class OneOfTwo(Plant):
+    NOISE, B = 0.01, ((0.005, 0.0), (0.1, 0.0))
+"""
+
+
+@pytest.mark.parametrize(
+    ("name", "inputs", "says"),
+    [
+        ("Dead", 1, "input u_1 has no effect: B's column is within its error"),
+        ("OneOfTwo", 2, "input u_2 has no effect: B's column is within its error"),
+        ("DeadAndStill", 1, "state x_1 is zero throughout: no input has an effect on it"),
+        ("Plant", 1, "the plant shows no disturbance: the model leaves nothing but rounding"),
+    ],
+)
+def test_a_plant_without_an_input_or_a_disturbance_is_named(
+    name: str, inputs: int, says: str, tmp_path: Path
+) -> None:
+    (tmp_path / "own.py").write_text(OWN)
+    tables = {
+        **CART,
+        "plant": {
+            "kind": "python",
+            "object": f"own.py:{name}",
+            "period_s": 0.1,
+            "operating_point": {"state": [0.0, 0.0], "input": [0.0] * inputs},
+            "disturbance": {"enters": "none"},
+        },
+        "control": {"law": "packed", "horizon": 5, "inputs": {"half_widths": [2.0] * inputs}},
+    }
+    with pytest.raises(FitError) as raised:
+        fit(tables, "own.toml", opened(tmp_path), law, PLAN)
+    assert str(raised.value).startswith(says)
+    assert "\n" not in str(raised.value)
+
+
+def test_the_steps_that_a_network_misses_count_with_the_fallbacks_input() -> None:
+    """A linear plant whose D is known: the fitted D_c is about it, missed steps and all."""
+    tables = {
+        **CART,
+        "plant": {
+            "A": [[1.0, 0.1], [0.0, 0.9]],
+            "B": [[0.005], [0.1]],
+            "period_s": 0.1,
+            "initial_state": [0.0, 0.0],
+            "disturbance": {"half_widths": [0.002, 0.01]},
+        },
+        "control": {**CART["control"], "gain": [[-3.0, -2.0]], "inputs": {"half_widths": [4.0]}},
+        "link": {"fallback": "zero"},
+        "network": {"to_plant": {"loss": 0.5}},
+    }
+    found = fit(tables, "net.toml", opened(Path()), law, PLAN)
+    widths = found.scenario.defender.disturbance.half_widths
+    assert widths == pytest.approx((0.002, 0.01), rel=0.1)

@@ -38,8 +38,12 @@ def test_with_noise_the_standard_errors_are_honest() -> None:
     ("x", "u", "says"),
     [
         (np.ones((3, 2)), np.ones((3, 1)), "got 3 transitions, expected more than 3"),
-        (np.random.default_rng(1).random((9, 2)), np.zeros((9, 1)), "input 1 is zero throughout"),
-        (np.zeros((9, 2)), np.ones((9, 1)), "state 1 is zero throughout"),
+        (np.random.default_rng(1).random((9, 2)), np.zeros((9, 1)), "input u_1 is zero throughout"),
+        (
+            np.zeros((9, 2)),
+            np.ones((9, 1)),
+            "x_1 is zero throughout: no input has an effect",
+        ),
         (
             np.random.default_rng(1).random((9, 1)) * [1.0, 2.0],
             np.random.default_rng(2).random((9, 1)),

@@ -24,7 +24,3 @@ def test_the_changes_and_the_citation_name_the_same_day() -> None:
     assert found("CHANGELOG.md", r"^## \S+, (.+)$") == found(
         "CITATION.cff", r"^date-released: (.+)$"
     )
-
-
-def test_the_changes_stay_short() -> None:
-    assert len((ROOT / "CHANGELOG.md").read_text(encoding="utf-8").splitlines()) <= 40

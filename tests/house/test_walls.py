@@ -102,17 +102,9 @@ def test_a_service_imports_the_protocol_the_shell_and_itself_only(service: str) 
         assert rooms_of(path) <= {"protocol", "runtime", service} | BESIDES[service], name_of(path)
 
 
-def test_the_plant_loads_nothing_of_who_attacks_it() -> None:
-    """Her code, and her eavesdropper, run in a process of their own."""
-    naming = [p for p in inside("plant_service") if "attacker_service" in rooms_of(p)]
-    assert {n for p in naming for n in imports_of(p) if n.startswith("attacker_service.")} == {
-        "attacker_service.asking",
-        "attacker_service.asking.Attacker",
-        "attacker_service.asking.BusMessage",
-    }
+def test_the_plant_loads_no_attack_where_there_is_none() -> None:
     loaded = loaded_by(*(name_of(path) for path in inside("plant_service")))
-    hers = {n for n in loaded if n.startswith(("attacker_service", "tap_service"))}
-    assert hers == {"attacker_service", "attacker_service.asking"}
+    assert not {n for n in loaded if n.startswith(("attacker_service", "tap_service"))}
 
 
 def test_the_protocol_imports_no_other_room() -> None:
@@ -176,8 +168,10 @@ SHELL = {
     "time",
     "datetime",
     "zenoh",
+    "_signal",
+    "secrets",
 }
-"""Threads, processes, sockets, files and clocks: what the protocol has none of."""
+"""Threads, processes, sockets, files, clocks, chance: what the protocol has none of."""
 
 
 SECRET_WORD = re.compile(r"(^|_)(tag|mac|proof)(_of)?$")
@@ -213,7 +207,7 @@ def test_a_tag_is_compared_in_constant_time() -> None:
         if compared_in_haste(path.read_text(encoding="utf-8"))
     }
     asked = {name for name in found if not name.startswith(("wyner/runs/check/", "tap_service/"))}
-    assert asked == {"protocol/defence/mac.py"}
+    assert asked == {"wyner/simulate/engine/defences.py"}
 
 
 def test_the_protocol_is_pure() -> None:
@@ -226,6 +220,50 @@ def test_the_protocol_is_pure() -> None:
             calls = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call)]
             opened = [n for n in calls if isinstance(n.func, ast.Name) and n.func.id == "open"]
             assert not opened, name_of(path)
+            drawn = [ast.unparse(n) for n in calls if DRAWS.fullmatch(ast.unparse(n))]
+            assert not drawn, (name_of(path), drawn)
+
+
+DRAWS = re.compile(
+    r"(np\.random\.|random\.)?(default_rng|SeedSequence|Random|SystemRandom|PCG64)\(\)"
+    r"|random\.(?!Random\().*|(uuid\.)?uuid[14]\(.*\)",
+    re.DOTALL,
+)
+"""Calls that ask the operating system for randomness, or a generator that everybody shares."""
+
+
+def test_what_the_protocol_may_not_draw_is_seen() -> None:
+    for call in ("random.random()", "np.random.default_rng()", "uuid.uuid4()", "random.Random()"):
+        assert DRAWS.fullmatch(call), call
+    for call in ("random.Random(seed)", "np.random.SeedSequence(seed)", "random(3)"):
+        assert not DRAWS.fullmatch(call), call
+
+
+def test_the_protocol_leaves_the_process_that_imports_it_as_it_was() -> None:
+    """Also where that process is one of the programs: no signal, no randomness, no environment."""
+    code = (
+        "import importlib, json, os, secrets, signal, sys\n"
+        "sys.argv[0] = 'wyner'\n"
+        "import numpy, pydantic, uuid\n"
+        "import pathlib, random, statistics, tempfile\n"
+        "def state():\n"
+        "    at = [repr(signal.getsignal(n)) for n in sorted(signal.valid_signals())]\n"
+        "    return at, dict(os.environ), os.getcwd(), list(sys.path), random.getstate()\n"
+        "def drawn(*_): raise SystemExit('it draws')\n"
+        "before, os.urandom, secrets.token_bytes = state(), drawn, drawn\n"
+        "for name in json.loads(sys.argv[1]): importlib.import_module(name)\n"
+        "assert state() == before\n"
+    )
+    names = json.dumps([name_of(path) for path in inside("protocol")])
+    done = subprocess.run(
+        [sys.executable, "-c", code, names],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_rooms_of_the_protocol_stand_on_one_another() -> None:
@@ -334,7 +372,6 @@ SECRETS = {
     "controller_service.core",
     "plant_service.core",
     "runtime.journal",  # both, and the message
-    "runtime.journal_files",
     "protocol.streams",  # the coins
 }
 """What holds alpha, D_c, coins, keys, journals or the truth. Schemes are algorithms, and public."""

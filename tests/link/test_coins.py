@@ -4,9 +4,9 @@ from random import Random
 
 import pytest
 
-from protocol.defence.key_digits import digits
 from protocol.link.coins import AGAIN_S, BATCH, LACKING_S, AppliedCoins, OfferedCoins
 from protocol.messages import Offer
+from protocol.secret.key_digits import digits
 from protocol.secret.records import Key
 from protocol.secret.tasks import CoinKeys, CoinTask
 

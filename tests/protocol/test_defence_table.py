@@ -39,6 +39,25 @@ def test_a_keyed_coin_needs_keys() -> None:
     )
 
 
+def test_a_keyed_coin_needs_candidates_that_every_step_tells_apart() -> None:
+    changed = tables("watched")
+    changed["control"]["alphabet"] = {"spacing": 1.9}
+    assert (
+        "defence.kind: got 'keyed-coin' beside control.alphabet.spacing = 1.9, expected a spacing "
+        "of 2 or more"
+    ) in refused(changed)
+    changed["control"]["alphabet"] = {"spacing": 2.0}
+    assert made(changed).defence.keyed
+    for law in ("sustained", "paper"):
+        changed = tables(law)
+        changed |= {"keys": {"eps_E": 0.3}, "defence": {"kind": "keyed-coin"}}
+        assert (
+            f"defence.kind: got 'keyed-coin' beside control.law = '{law}', expected law 'packed'"
+        ) in refused(changed)
+        del changed["defence"]
+        assert made(changed).keys is not None
+
+
 def test_a_safe_alarm_needs_a_watchdog() -> None:
     changed = tables("watched")
     changed["defence"]["on_alarm"] = "safe"

@@ -302,3 +302,26 @@ def test_what_one_says_that_she_leaves_lies_within_its_limits(bits: float, most:
     assert 0.0 == left.low <= left.value <= left.high <= most
     assert stated_left(0.0, 100.0).high == pytest.approx(100 * MISSTATED, abs=1.0)
     assert stated_left(0.0, 100.0).high > 100 * MISSTATED
+
+
+@pytest.mark.parametrize(
+    ("rhythm", "least"), [(False, 0.94), (True, 0.99)], ids=["independent", "in a rhythm"]
+)
+@pytest.mark.parametrize("share", [0.305, 0.33, 0.395, 0.5])
+def test_few_runs_that_may_be_all_alike_cover_their_share(
+    share: float, rhythm: bool, least: float
+) -> None:
+    """5 runs of 10 trials, independent, or each with the share to the nearest trial."""
+    rng, draws, covered = np.random.default_rng(17), 400, 0
+    for _ in range(draws):
+        alike = np.floor(10 * share + rng.random(5))
+        right = alike if rhythm else rng.binomial(10, share, size=5)
+        interval = share_over_runs([(int(r), 10) for r in right], resamples=500)
+        assert interval.width > 0
+        covered += interval.low <= share <= interval.high
+    assert covered / draws >= least
+
+
+def test_runs_of_unequal_length_with_the_same_share_have_an_interval_with_a_width() -> None:
+    interval = share_over_runs([(3, 10), (6, 20), (3, 10), (9, 30), (3, 10)])
+    assert interval == wilson(24, 80)

@@ -15,13 +15,13 @@ from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.end_in_hand import kept
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
+from tests.support.rehearsal import Rehearsal
 from tests.support.two_ends import LineEnds, Name
-from tools.rehearsal import Rehearsal
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
 OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)
-STEP = Actions(offer=OFFER, coin=0, measurement=SAID)
-RECORD = Actions(record=SenderRecord(), later=True)
+STEP = Actions(record=SenderRecord(), offer=OFFER, coin=0, measurement=SAID)
+RECORD = Actions(record=SenderRecord(k=7))
 VERDICT = BlockResult("1" * 16, 0, "confirmed")
 WELL = next(
     arrival.message

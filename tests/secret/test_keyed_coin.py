@@ -10,10 +10,10 @@ from random import Random
 import pytest
 from hypothesis import HealthCheck, settings
 
-from protocol.defence import key_digits
 from protocol.link import coins as coins_module
 from protocol.link.coins import AppliedCoins, OfferedCoins
 from protocol.messages import Offer
+from protocol.secret import key_digits
 from protocol.secret.records import Key
 from protocol.secret.tasks import CoinKeys, CoinTask
 from runtime.keys import coins

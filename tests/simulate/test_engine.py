@@ -18,8 +18,9 @@ from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
 from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
-from runtime.sandbox import SandboxError
 from runtime.scenario_file import load_scenario
+from tap_service.capture.transcript import Transition
+from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
 from wyner.simulate.engine import (
     Draws,
     Runs,
@@ -33,7 +34,7 @@ from wyner.simulate.engine import (
 from wyner.simulate.engine.draws import disturbances
 from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.seeding import generator_states
-from wyner.simulate.engine.taps import listen
+from wyner.simulate.engine.taps import EavesdropperError, listen
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
@@ -416,6 +417,39 @@ def test_eavesdroppers_hear_what_the_scheme_sends() -> None:
         listen(blind, transfer(blind), names, 0)
 
 
+class Reads(Eavesdropper):
+    """Had one of the messages whole, and no more."""
+
+    name = "reads"
+    guesses = False
+    had: tuple[bytes, ...] = (b"Ahoy",)
+    count = 1
+
+    def observe(self, transition: Transition) -> Guess:
+        return Guess(transition.k, (0.25,) * 4, 0.5)
+
+    def belief(self) -> Belief:
+        return Belief(whole=self.had, whole_count=self.count)
+
+
+class ReadsMany(Reads):
+    """Had a hundred, and keeps the last two."""
+
+    had = (b"Ahoy", b"Ahoy")
+    count = 100
+
+
+def test_a_message_read_once_counts_once_however_often_it_was_sent() -> None:
+    scenario, law = system("packed")
+    runs = simulate_runs(scenario, law, seed=12, runs=range(1), steps=200, record=True)
+    sent = transfer(runs, payloads=[b"Ahoy"] * 100)
+    once, many, oracle = listen(runs, sent, (Reads, ReadsMany, "oracle"), 0)
+    assert once.delivered > 2
+    assert once.read == 1
+    assert (many.delivered, many.read) == (2, 2)
+    assert (oracle.delivered, oracle.read) == (once.delivered, once.delivered)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("answer", "expected"),
@@ -443,7 +477,7 @@ def test_an_answer_that_is_none_is_one_line_that_names_her(
         f"    def belief(self): return Belief()\n{answer}\n"
     )
     name = f"{path}:Mine"
-    with pytest.raises(SandboxError) as told:
+    with pytest.raises(EavesdropperError) as told:
         listen(runs, transfer(runs), [name], 0)
     assert str(told.value).startswith(f"eavesdropper {name}: {expected}")
     assert "\n" not in str(told.value)

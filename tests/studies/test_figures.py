@@ -21,22 +21,15 @@ from studies.figures import FIGURES, FigureError, draw
 from studies.figures.__main__ import main as figures
 from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
-from studies.measurements import (
-    MEASUREMENTS,
-    centre_distances,
-    closed_form,
-    gauges_of,
-    measure_sets,
-    measure_taps,
-    system,
-    write,
-)
+from studies.loops import centre_distances, closed_form, gauges_of, system, tap_rows
+from studies.measurements import MEASUREMENTS, stale, write
 from studies.secrecy.tables import PAGE
 from tests.support.patience import PATIENCE_S
 from tests.support.size import size
 from wyner.drawing.style import drawing, save
 from wyner.simulate.engine import simulate_runs
-from wyner.sweeps.grid import ROOT, Row, load_sweep, points_of
+from wyner.sweeps.code import ROOT
+from wyner.sweeps.grid import Row, load_sweep, points_of
 from wyner.sweeps.results import SUMS, read_rows, read_table
 
 PAGES = {
@@ -191,15 +184,15 @@ def test_what_is_wrong_with_a_sweeps_data_is_told(
 
 def test_measuring_again_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        measure_sets(tmp_path / name / "sets.csv")
-        MEASUREMENTS["fig7-paper-20"](tmp_path / name / "fig7.csv")
-    for file in ("sets.csv", "fig7.csv"):
+        for file in ("sets", "fig7-paper-20"):
+            MEASUREMENTS[file].measure(tmp_path / name / f"{file}.csv")
+    for file in ("sets.csv", "fig7-paper-20.csv"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
 def test_a_measurement_that_fails_loses_nothing(tmp_path: Path) -> None:
     path = tmp_path / "some.csv"
-    write(path, ("a",), [(1,)])
+    write(path, ("a",), [(1,)], "1+a")
     before = path.read_bytes()
 
     def failing() -> Iterator[tuple[int]]:
@@ -207,11 +200,22 @@ def test_a_measurement_that_fails_loses_nothing(tmp_path: Path) -> None:
         raise RuntimeError
 
     with pytest.raises(RuntimeError):
-        write(path, ("a",), failing())
+        write(path, ("a",), failing(), "1+a")
     assert path.read_bytes() == before
-    write(path, ("a",), [(3,)])
+    write(path, ("a",), [(3,)], "1+a")
     assert path.read_text(encoding="utf-8").endswith(",3\n")
     assert [one.name for one in tmp_path.iterdir()] == ["some.csv"]
+
+
+def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
+    for name, (_, version) in MEASUREMENTS.items():
+        write(tmp_path / f"{name}.csv", ("a",), [(1,), (2,)], version())
+    assert list(stale(tmp_path)) == []
+    path = tmp_path / "secrecy-ladder.csv"
+    now = MEASUREMENTS["secrecy-ladder"].version()
+    path.write_text(f"version,a\n0.1.0,1\n0.1.0,2\n1.0.0+deadbeef,3\n{now},4\n")
+    told = "secrecy-ladder.csv: 3 of 4 rows by 0.1.0 (2), 1.0.0+deadbeef (1); today " + now
+    assert list(stale(tmp_path)) == [told]
 
 
 def without_version(path: Path) -> list[Row]:
@@ -225,14 +229,14 @@ def without_version(path: Path) -> list[Row]:
     "name", ["sets", "distance", "fig7-paper", "fig7-paper-20", "fig7-sustained"]
 )
 def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
-    MEASUREMENTS[name](tmp_path / "now.csv")
+    MEASUREMENTS[name].measure(tmp_path / "now.csv")
     assert without_version(tmp_path / "now.csv") == without_version(DATA / f"{name}.csv")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price", "plants"])
 def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
-    MEASUREMENTS[name](tmp_path / "now.csv")
+    MEASUREMENTS[name].measure(tmp_path / "now.csv")
     now, shipped = read_rows(tmp_path / "now.csv"), read_rows(DATA / f"{name}.csv")
     for ours, theirs in zip(now, shipped, strict=True):
         sums = {key: pytest.approx(ours[key], rel=1e-9) for key in SUMS}  # a solver's rounding
@@ -363,16 +367,14 @@ def test_the_closed_form_at_its_limits() -> None:
 
 
 @pytest.mark.long
-def test_taps_get_what_the_scheme_claims_to_hide(tmp_path: Path) -> None:
+def test_taps_get_what_the_scheme_claims_to_hide() -> None:
     runs = size(1, 3)
-    measure_taps(tmp_path / "taps.csv", runs=runs, steps=1200)
-    lines = (tmp_path / "taps.csv").read_text(encoding="utf-8").splitlines()
-    rows = [line.rsplit(",", 4) for line in lines[1:]]
+    rows = [row[-4:] for row in tap_rows(runs, 1200)]
     assert len(rows) == 8
-    for _, agreements, right, delivered, read in rows:
-        assert int(right) == int(agreements) > 0
-        assert int(read) <= int(delivered)
-    assert rows[0][3:] == [str(runs)] * 2, "uniform: every message is read"
+    for agreements, right, delivered, read in rows:
+        assert right == agreements > 0
+        assert read <= delivered
+    assert rows[0][2:] == (runs, runs), "uniform: every message is read"
 
 
 def test_a_figure_is_never_drawn_through_a_link(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from studies.capacity.blocks import chained_keys, most_keys
 from studies.capacity.clique import adjacency, largest_clique
 from studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
-from wyner.sweeps.grid import ROOT
+from wyner.sweeps.code import ROOT
 
 
 def copies(code: TwoStepCode, shift: tuple[float, float], reach: int = 4) -> np.ndarray:

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linprog
 
 from controller_service.sets.packed_design import alphabet_of
 from controller_service.sets.separation import Separation
@@ -15,11 +16,38 @@ from studies.attacks.watermark import (
     gaussian,
     gaussian_passes,
     least,
-    least_by_program,
     packed,
     price_rows,
     spacing,
 )
+
+
+def least_by_program(mu: float, cells: int, reach: float) -> float:
+    """The least variance over every distribution on a grid, in sigma^2: a linear program.
+
+    Parameters
+    ----------
+    mu : float
+        Most mass of ``cells`` neighbouring points, which is a window a little shorter than sigma.
+    cells : int
+        Points a sigma.
+    reach : float
+        How far the grid goes, in sigma.
+    """
+    count = 2 * round(reach * cells) + 1
+    z = (np.arange(count) - count // 2) / cells
+    ones = np.ones((count, count))
+    windows = np.triu(ones) - np.triu(ones, cells)
+    found = linprog(
+        z**2,
+        A_ub=windows,
+        b_ub=np.full(count, mu),
+        A_eq=np.vstack((np.ones(count), z)),
+        b_eq=[1.0, 0.0],
+        method="highs",
+    )
+    assert found.fun is not None, found.message
+    return float(found.fun)
 
 
 @pytest.mark.parametrize(("size", "variance"), [(2, 0.25), (3, 2 / 3), (4, 1.25), (5, 2.0)])

@@ -15,15 +15,13 @@ from typing import Any
 import pytest
 
 from runtime.shipped import SCENARIOS, scenario_file_of
-from studies.measurements import TAP_SOURCES
 from tests.support.patience import PATIENCE_S
 from wyner import api
 from wyner.cli.main import main
+from wyner.sweeps.code import loop_version
 from wyner.sweeps.grid import (
-    SOURCES,
     Sweep,
     SweepError,
-    code_version,
     groups_of,
     load_sweep,
     points_of,
@@ -252,7 +250,7 @@ def test_counts_of_a_row_fit_together(tmp_path: Path) -> None:
     rows = rows_of(small(tmp_path), tmp_path / "a.csv")
     assert len(rows) == 18
     for row in rows:
-        assert row["version"] == code_version()
+        assert row["version"] == loop_version()
         assert row["tested"] + row["message_symbols"] == row["runs"] * row["steps"]
         assert row["message_symbols"] <= row["agreements"] <= row["message_symbols"] + row["runs"]
         histogram = histogram_of(row["runs_by_symbols"])
@@ -329,81 +327,9 @@ def test_a_worker_with_other_code_is_told(
     output = tmp_path / "a.csv"
     assert main(["sweep", str(small(tmp_path)), "--jobs", "1", "--output", str(output)]) == 1
     assert capsys.readouterr().err == (
-        f"wyner: a worker has code version 0.0.9+cafecafe, this is {code_version()}\n"
+        f"wyner: a worker has code version 0.0.9+cafecafe, this is {loop_version()}\n"
     )
     assert output.read_bytes().count(b"\n") == 1, "the header alone"
-
-
-def imported(statement: str) -> set[Path]:
-    code = f"import sys; {statement}; print(*(getattr(m, '__file__', '') for m in " + (
-        "list(sys.modules.values())), sep='\\n')"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    packages = (
-        "wyner",
-        "controller_service",
-        "plant_service",
-        "protocol",
-        "runtime",
-        "tap_service",
-    )
-    return {
-        path
-        for line in done.stdout.splitlines()
-        if (path := Path(line)).is_relative_to(ROOT)
-        and path.relative_to(ROOT).parts[0] in packages
-        and path.name != "__init__.py"
-    }
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("statement", "sources", "others"),
-    [
-        ("import wyner.sweeps.running", SOURCES, {"protocol/knowledge.py"}),
-        (
-            "import wyner.simulate.engine.taps, tap_service.eavesdroppers as e; "
-            "e.named('nearest-centre'), e.named('list-decoder')",
-            (*SOURCES, *TAP_SOURCES),
-            {  # they hold a user's eavesdropper; the shipped ones answer themselves
-                "runtime/sandbox.py",
-                "runtime/errors.py",
-                "runtime/processor_time.py",
-                "protocol/text.py",
-                "tap_service/sandboxed.py",
-                "tap_service/status.py",
-            },
-        ),
-    ],
-)
-def test_the_version_covers_what_the_numbers_come_from(
-    statement: str, sources: tuple[str, ...], others: set[str]
-) -> None:
-    # These say which runs there are and what they add up to; a task does not use them.
-    others = others | {
-        # where a law's tables are cached
-        "runtime/files.py",
-        "runtime/cache_folder.py",
-        # how a scenario's file is found and opened; what it says is read by protocol/scenario
-        *(f"runtime/{name}.py" for name in ("errors", "options", "pace", "run_folder")),
-        "runtime/scenario_file.py",
-        "protocol/brief.py",  # how objects look in a notebook
-        "protocol/wrong_fields.py",  # how a wrong field is told
-        "runtime/shipped.py",
-        "protocol/statistics.py",
-        # types that the session's module names: the engine sends no message and keeps no record
-        "protocol/link/records.py",
-        *(f"protocol/messages/{path.name}" for path in (ROOT / "protocol/messages").glob("*.py")),
-        "runtime/child.py",  # starts the process of a user's eavesdropper
-        *(f"protocol/secret/{path.name}" for path in (ROOT / "protocol/secret").glob("*.py")),
-        *(f"wyner/sweeps/{name}.py" for name in ("grid", "results")),
-    }
-    covered = {path for pattern in sources for path in ROOT.glob(pattern)}
-    assert imported(statement) - covered <= {ROOT / name for name in others}
-    assert all(list(ROOT.glob(pattern)) for pattern in sources)
-
-
-# --- the stopping rule ---------------------------------------------------------------------------
 
 
 def test_looks_double_up_to_the_limit() -> None:
@@ -562,10 +488,10 @@ def test_a_file_in_the_way_is_never_spoilt(tmp_path: Path) -> None:
     )
     with pytest.raises(SweepError, match="columns are not this sweep's"):
         rows_of(other, output, resume=True)
-    output.write_bytes(before.replace(code_version().encode(), b"0.0.9+cafecafe"))
+    output.write_bytes(before.replace(loop_version().encode(), b"0.0.9+cafecafe"))
     with pytest.raises(SweepError, match=r"rows of code version 0\.0\.9\+cafecafe"):
         rows_of(small(tmp_path), output, resume=True)
-    torn = before.replace(code_version().encode(), b"0.0.9+cafecafe") + b"torn"
+    torn = before.replace(loop_version().encode(), b"0.0.9+cafecafe") + b"torn"
     output.write_bytes(torn)
     with pytest.raises(SweepError, match="rows of code version"):
         rows_of(small(tmp_path), output, resume=True)

@@ -6,17 +6,16 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import Sealed
-from runtime.sandbox import SandboxError
+from protocol.messages import Offer
 from tap_service import sandboxed as guests
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError
-from tap_service.sandboxed import guarded
+from tap_service.sandboxed import sandboxed
 from tap_service.status import Listener
 from tests.support.patience import PATIENCE_S
 from tests.support.small_run import law_of
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import listen
+from wyner.simulate.engine.taps import EavesdropperError, listen
 
 KNOWLEDGE = law_of("sustained")[0].knowledge()
 
@@ -49,7 +48,7 @@ def guest(tmp_path: Path, act: str = "pass", before: str = "") -> str:
 
 
 def test_she_guesses_and_believes_as_in_the_taps_own_process(tmp_path: Path) -> None:
-    listener = Listener.of(guarded(guest(tmp_path, 'print("hello" * 100000)')), KNOWLEDGE)
+    listener = Listener.of(sandboxed(guest(tmp_path, 'print("hello" * 100000)')), KNOWLEDGE)
     guesses = [listener.observe(step(k)) for k in range(5)]
     assert [g and (g.k, g.symbol, g.best) for g in guesses] == [
         (k, (0.25, 0.75), 1) for k in range(5)
@@ -72,7 +71,7 @@ class Mine(Eavesdropper):
     heard = 0
     def hear(self, message):
         self.heard += 1
-        if message.id == "bad":
+        if message.k == 7:
             raise ValueError("not that one")
     def observe(self, transition):
         return Guess(transition.k, (0.25, 0.75), 1.0)
@@ -85,14 +84,14 @@ class Mine(Eavesdropper):
 def test_she_hears_messages_where_she_asks_to(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text(HEARS)
-    listener = Listener.of(guarded(f"{path}:Mine"), KNOWLEDGE)
-    sealed = Sealed(id="m", key_ids=("a",), cipher=b"x", tag="0" * 32)
-    listener.hear(sealed)
-    listener.hear(sealed)
+    listener = Listener.of(sandboxed(f"{path}:Mine"), KNOWLEDGE)
+    offer = Offer(session="f" * 16, k=0, candidates=((0.1,), (0.2,)), cipher=0)
+    listener.hear(offer)
+    listener.hear(offer)
     keys = listener.belief().keys
     assert keys is not None
     assert keys.copies == 2
-    listener.hear(sealed.model_copy(update={"id": "bad"}))
+    listener.hear(offer.model_copy(update={"k": 7}))
     assert "a message: ValueError: not that one" in listener.failed
 
 
@@ -114,7 +113,7 @@ def test_what_she_does_stops_her_alone(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, act: str, why: str
 ) -> None:
     monkeypatch.setattr(guests, "LIGHT_S", 2.0 if "too slow" in why else PATIENCE_S)
-    listener = Listener.of(guarded(guest(tmp_path, act)), KNOWLEDGE)
+    listener = Listener.of(sandboxed(guest(tmp_path, act)), KNOWLEDGE)
     guesses = [listener.observe(step(k)) for k in range(4)]
     assert [g is not None for g in guesses] == [True, True, False, False]
     assert listener.failed.startswith("step 2: ")
@@ -123,17 +122,15 @@ def test_what_she_does_stops_her_alone(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("leave", ["", "child or os.setsid(); "])
-def test_what_she_started_ends_with_her(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, leave: str
+def test_what_she_started_in_her_group_ends_with_her(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(guests, "LIGHT_S", 2.0)
     note = tmp_path / "pid"
     forking = (
-        f"child = os.fork(); {leave}child and open({str(note)!r}, 'w').write(str(child)); "
-        "time.sleep(60)"
+        f"child = os.fork(); child and open({str(note)!r}, 'w').write(str(child)); time.sleep(60)"
     )
-    listener = Listener.of(guarded(guest(tmp_path, forking)), KNOWLEDGE)
+    listener = Listener.of(sandboxed(guest(tmp_path, forking)), KNOWLEDGE)
     for k in range(3):
         listener.observe(step(k))
     assert "too slow" in listener.failed
@@ -162,26 +159,16 @@ def test_one_that_cannot_be_loaded_is_one_line(
 ) -> None:
     monkeypatch.setattr(guests, "START_S", 3.0 if "too slow" in why else PATIENCE_S)
     with pytest.raises(KnowledgeError) as error:
-        guarded(guest(tmp_path, before=before))
+        sandboxed(guest(tmp_path, before=before))
     assert why in str(error.value)
     assert "\n" not in str(error.value)
-
-
-def test_one_after_the_other_shares_a_process(tmp_path: Path) -> None:
-    kind = guarded(guest(tmp_path))
-    pids = set()
-    for _ in range(3):
-        tap = kind(KNOWLEDGE)
-        assert tap.observe(step(1)).k == 1
-        pids.add(tap.process.child.pid)  # type: ignore[attr-defined]
-        del tap
-    assert len(pids) == 1
 
 
 def test_in_a_sweep_the_line_names_her(tmp_path: Path) -> None:
     scenario, law = law_of("sustained")
     runs = simulate_runs(scenario, law, seed=1, runs=range(1), steps=5, record=True)
-    with pytest.raises(SandboxError, match=r"mine.py:Mine: step 2: the process ended"):
-        listen(runs, transfer(runs), [guest(tmp_path, "os._exit(0)")], 0)
-    (heard,) = listen(runs, transfer(runs), [guest(tmp_path)], 0)
+    with pytest.raises(EavesdropperError, match=r"mine.py:Mine: step 2: ValueError: no idea"):
+        listen(runs, transfer(runs), [guest(tmp_path, "raise ValueError('no\\nidea')")], 0)
+    (tmp_path / "fine").mkdir()
+    (heard,) = listen(runs, transfer(runs), [guest(tmp_path / "fine")], 0)
     assert heard.read == 0

@@ -22,7 +22,6 @@ from protocol.messages import (
     Measurement,
     Message,
     Offer,
-    Sealed,
     TapStatus,
 )
 from protocol.topics import key_of
@@ -93,6 +92,11 @@ def lines(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_bytes().splitlines()]
 
 
+def health_in(run_dir: Path) -> str:
+    told: str = json.loads((run_dir / TAP_STATUS).read_bytes())["health"]
+    return told
+
+
 @pytest.fixture(scope="module")
 def run() -> Run:
     return simulate(300, 11)
@@ -108,20 +112,6 @@ def test_every_message_is_mirrored_as_it_came(run: Run, tmp_path: Path) -> None:
     assert mirrored == list(run.messages)
     assert wire.statuses[-1].mirrored == len(run.messages)
     assert wire.statuses[-1].dropped == 0
-
-
-def test_sealed_messages_are_mirrored_beside_the_loops(run: Run, tmp_path: Path) -> None:
-    sealed = Sealed(id="m0", key_ids=("a", "b"), cipher=b"\x00\xff", tag="f" * 32)
-    wire = Wire(config(run, tmp_path))
-    sent = [*run.messages[:40], sealed, *run.messages[40:80], sealed]
-    for message in sent:
-        wire.send(message)
-    wire.finish()
-    assert [m for _, m in CaptureReader(tmp_path).records()] == sent
-    assert wire.statuses[-1].steps == 39
-    replay = Replay(tmp_path, LIGHT)
-    replay.run()
-    assert [status.steps for status in replay.statuses()] == [39] * len(LIGHT)
 
 
 def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: Path) -> None:
@@ -212,6 +202,43 @@ def test_a_busy_tap_goes_on_mirroring_and_leaves_out_the_guessing(
     left_out = f"{status.dropped} messages were mirrored and not guessed at"
     assert any(line.startswith(left_out) for line in caplog.messages)
     assert json.loads((tmp_path / TAP_STATUS).read_bytes())["unguessed"] == status.dropped
+
+
+def test_what_the_tap_could_not_use_is_in_its_status_its_beliefs_and_its_health(
+    run: Run, tmp_path: Path
+) -> None:
+    """A tap that no longer followed the true session looked like a secret that was kept."""
+    wire = Wire(config(run, tmp_path, names=("nearest-centre", "smoother")))
+    late, *others = run.messages[101], *run.messages[:101], *run.messages[102:]
+    for i, message in enumerate(others):
+        wire.send(message)
+        if i % 20 == 0:
+            wire.send(message.model_copy(update={"session": f"{i % 3:016x}"}))
+    wire.send(late)
+    wire.finish()
+    for name in ("nearest-centre", "smoother"):
+        (status,) = [s for s in wire.statuses if s.name == name][-1:]
+        assert (status.foreign, status.late, status.jumped) == (30, 1, 0)
+        assert (status.steps, status.lost) == (300, 1)
+        record = json.loads((tmp_path / BELIEFS).read_bytes())[name]
+        assert record["unused"]["foreign"] == 30
+        assert record["unused"]["late"] == 1
+    health = health_in(tmp_path)
+    assert health.startswith("bad: ")
+    assert "not used: 30 messages of other sessions, 1 late, 0 dropped" in health
+    holes = [e["k"] for e in lines(tmp_path / GUESSES) if e.get("hole")]
+    assert holes == [50]
+
+
+def test_a_tap_that_is_started_again_says_so(run: Run, tmp_path: Path) -> None:
+    for times in range(3):
+        wire = Wire(config(run, tmp_path))
+        for message in run.messages:
+            wire.send(message)
+        wire.finish()
+        assert wire.statuses[-1].restarts == times
+        beliefs = json.loads((tmp_path / BELIEFS).read_bytes())
+        assert beliefs["nearest-centre"]["unused"]["restarts"] == times
 
 
 @pytest.mark.parametrize("names", [("list-decoder", "oracle"), ("nobody",)])
@@ -315,7 +342,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         wire.service.write_beliefs()
         record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
         assert record["failed"] == dead.failed
-        assert "her process died" in (tmp_path / "tap" / "health").read_text()
+        assert "her process died" in health_in(tmp_path)
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
     assert any("started again" in line for line in knowledge_of)
     assert wire.service.heavy.process is not process
@@ -324,6 +351,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     assert (record["failed"], record["behind"]) == ("", 0)
     assert [base64.b64decode(w) for w in record["whole"]] == list(run.payloads)
     assert wire.statuses[-1].steps == 1000
+    assert wire.statuses[-1].restarts == record["unused"]["restarts"] == 1
 
 
 @pytest.mark.slow
@@ -374,7 +402,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     assert last["set-membership"].steps == 300
     record = json.loads((tmp_path / BELIEFS).read_bytes())["nearest-centre"]
     assert (record["failed"], record["symbols"]) == (why, None)
-    assert "nearest-centre failed" in (tmp_path / "tap" / "health").read_text()
+    assert "nearest-centre failed" in health_in(tmp_path)
 
 
 def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:

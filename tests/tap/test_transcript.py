@@ -2,19 +2,22 @@
 
 import random
 
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.messages import Measurement, Offer
 from tap_service.capture.transcript import (
+    CONFIRMED,
     LONGEST_BRIDGE,
     ONE_SIDED_PATIENCE,
     UNHEARD_PATIENCE,
     Transcript,
     Transition,
+    Unused,
 )
 
-A, B = "a" * 16, "b" * 16
+A, B, C = "a" * 16, "b" * 16, "c" * 16
 
 
 def measurement(k: int, applied: int, session: str = A) -> Measurement:
@@ -36,6 +39,10 @@ def lock_step(steps: int, missed: frozenset[int] = frozenset()) -> list[Measurem
         if k not in missed:
             applied = k
     return [*out, measurement(steps, applied)]
+
+
+def of_session(session: str, messages: list[Measurement | Offer]) -> list[Measurement | Offer]:
+    return [m.model_copy(update={"session": session}) for m in messages]
 
 
 def hear(messages: list[Measurement | Offer]) -> list[Transition]:
@@ -142,16 +149,98 @@ def test_a_sender_who_falls_silent_is_waited_for_a_bounded_time() -> None:
 def test_a_new_session_starts_afresh_and_the_old_one_is_over() -> None:
     transcript = Transcript()
     heard = [t for m in lock_step(10) for t in transcript.hear(m)]
+    second = of_session(B, lock_step(CONFIRMED))
+    second.insert(1, offer(10, A))  # its connection was slower
+    heard += [t for m in second for t in transcript.hear(m)]
+    steps = [(A, k) for k in range(10)] + [(B, k) for k in range(CONFIRMED)]
+    assert [(t.session, t.k) for t in heard] == steps
+    assert [t.k for t in heard if t.start] == [0, 0]
+    assert transcript.hear(offer(11, A)) == []
+    assert transcript.unused == Unused(foreign=1)
+
+
+def test_a_session_that_ends_soon_after_it_began_is_heard_too() -> None:
     second: list[Measurement | Offer] = [
         measurement(0, -1, B),
         offer(0, B),
         measurement(1, 0, B),
     ]
-    heard += [t for m in second for t in transcript.hear(m)]
+    heard = hear([*lock_step(10), *second])
     assert [(t.session, t.k) for t in heard] == [(A, k) for k in range(10)] + [(B, 0)]
-    assert heard[-1].start
-    assert transcript.hear(offer(11, A)) == []
-    assert transcript.late == 1
+    third = of_session(C, lock_step(20))
+    heard = hear([*lock_step(10), *second, *third])
+    assert [(t.session, t.k) for t in heard][10:] == [(B, 0), *((C, k) for k in range(20))]
+
+
+STRAYS: list[Measurement | Offer] = [
+    measurement(5, 4, B),
+    measurement(0, -1, B),
+    offer(5, B),
+    measurement(10**9, 10**9 - 1),
+    measurement(2000, 1),
+    measurement(2000, 1999),
+    offer(3000),
+    offer(10**9),
+]
+
+
+@pytest.mark.parametrize("at", [0, 1, 40, 41, 400])
+@pytest.mark.parametrize("stray", STRAYS)
+def test_one_stray_message_costs_nothing_and_is_counted(
+    stray: Measurement | Offer, at: int
+) -> None:
+    """One of another session ended the true one: 1,000 steps later there was no transition."""
+    messages = lock_step(200)
+    transcript = Transcript()
+    heard = [t for m in (*messages[:at], stray, *messages[at:]) for t in transcript.hear(m)]
+    heard += transcript.flush()
+    assert heard == hear(messages)
+    assert transcript.unused == Unused(foreign=1)
+
+
+def test_a_stray_before_its_session_is_followed_costs_nothing() -> None:
+    """It is of the second session, and came while the first was followed."""
+    second = of_session(B, lock_step(100))
+    for stray in (measurement(100, 99, B), offer(30, B), measurement(200, 1, B)):
+        first = lock_step(10)
+        assert hear([*first[:9], stray, *first[9:], *second]) == hear([*first, *second])
+
+
+def test_strays_again_and_again_cost_nothing_either() -> None:
+    messages = lock_step(1000)
+    transcript = Transcript()
+    heard = []
+    for i, message in enumerate(messages):
+        heard += transcript.hear(message)
+        heard += transcript.hear(STRAYS[i % len(STRAYS)])
+        heard += transcript.hear(offer(i, f"{i % 7:016x}"))
+    heard += transcript.flush()
+    assert heard == hear(messages)
+    assert transcript.unused.foreign > len(messages)
+    assert transcript.unused.late == transcript.unused.jumped == 0
+    assert transcript.sessions == 1
+
+
+def test_a_session_that_was_taken_for_over_is_followed_again() -> None:
+    first, second = lock_step(200), lock_step(60)
+    heard = hear([*first[:200], *of_session(B, second), *first[200:]])
+    assert [t.session for t in heard] == [A] * 99 + [B] * 60 + [A] * 100
+    assert [t.k for t in heard if t.session == A] == [*range(99), *range(100, 200)]
+    assert [t.k for t in heard if t.gap] == [100]
+    assert [t.k for t in heard if t.start] == [0, 0]
+
+
+def test_what_comes_after_its_step_was_given_out_is_counted_and_a_repeat_is_not() -> None:
+    messages = lock_step(40)
+    slow = [m for m in messages if isinstance(m, Offer) and m.k in (10, 11)]
+    transcript = Transcript()
+    for message in messages:
+        if message not in slow:
+            transcript.hear(message)
+    assert transcript.holes == 2
+    for message in (*slow, *slow, *messages):
+        assert transcript.hear(message) == []
+    assert transcript.unused == Unused(late=2)
 
 
 def test_joining_late_and_long_gaps_are_marked() -> None:
@@ -166,7 +255,7 @@ def test_joining_late_and_long_gaps_are_marked() -> None:
     for k in range(far + 2, far + 20):
         after += transcript.hear(measurement(k, k - 1))
         after += transcript.hear(offer(k))
-    assert transcript.jumped > 0
+    assert transcript.unused.jumped > 0
     assert any(t.gap for t in after)
     assert [t.k for t in after if t.whole][-1] == far + 18
 

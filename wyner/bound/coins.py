@@ -23,11 +23,8 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from protocol.arrays import Array
-
-Bits = NDArray[np.uint8]
 
 FINE: Final = 64
 """Points of the grid in a standard deviation of the channel's noise, one input."""
@@ -175,7 +172,8 @@ class Coin:
         return max(0.0, order / (1 - order) * math.log2(norm))
 
     def key_bits(self, coins: int, eps: float) -> int:
-        """Length of a key that :func:`hashed` makes of so many coins.
+        """Length of a key that a random Toeplitz matrix, whose seed is public from when the last
+        coin has fallen, makes of the bits of so many coins.
 
         It is within ``eps`` of uniform and apart from all that she has, in the sum of absolute
         differences: twice the statistical distance.
@@ -197,40 +195,3 @@ class Coin:
         low, high = ORDERS[max(0, best - 1)], ORDERS[min(best + 1, len(ORDERS) - 1)]
         finer = np.linspace(low, high, 33).tolist()
         return max(0, math.floor(max(map(length, finer)) - 1e-6))
-
-
-def hashed(bits: Bits, seed: Bits, length: int) -> Bits:
-    """T x over GF(2), T[i, j] = seed[i - j + n - 1]: a random Toeplitz matrix.
-
-    For a seed drawn fairly, and public from when the last coin has fallen, two different inputs
-    have the same hash with probability 2^-length exactly.
-
-    Parameters
-    ----------
-    bits : array of 0 and 1, shape (n,)
-    seed : array of 0 and 1, shape (n + length - 1,)
-    length : int
-
-    Returns
-    -------
-    array of 0 and 1, shape (length,)
-
-    Raises
-    ------
-    ValueError
-        When the seed has another length.
-    """
-    n = len(bits)
-    if len(seed) != n + length - 1:
-        raise ValueError(f"seed: got {len(seed)} bits, expected {n + length - 1}")
-    if length == 0:
-        return np.zeros(0, np.uint8)
-    sums = np.convolve(bits.astype(np.int64), seed.astype(np.int64))[n - 1 : n - 1 + length]
-    return np.asarray(sums & 1, np.uint8)
-
-
-def coin_bits(coins: NDArray[np.integer], size: int) -> Bits:
-    """Coins as bits, each with as many as M symbols need, the most significant first."""
-    width = max(1, (size - 1).bit_length())
-    places = np.arange(width - 1, -1, -1)
-    return np.asarray((np.asarray(coins)[:, None] >> places) & 1, np.uint8).reshape(-1)

@@ -17,14 +17,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Without a terminal it prints lines. In the screen, ? shows the keys."
     )
     parser.add_argument("--headless", action="store_true", help="print lines even on a terminal")
-    parser.add_argument(
-        "--run-dir", type=Path, metavar="D", help="folder for saved screens (default: this one)"
-    )
-    parser.add_argument(
-        "--fleet",
-        action="store_true",
-        help="list all loops (docs/deployment.md); --loop ID opens one",
-    )
     add_run_argument(parser)
     add_endpoint_arguments(parser, "dashboard")
 
@@ -34,16 +26,15 @@ def run(args: argparse.Namespace) -> int:
     from protocol.text import printable
     from runtime.bus import TransportError
     from runtime.errors import DONE, INTERRUPTED, UsageError
+    from runtime.link_watchdog import watched
+    from runtime.logs import logger
     from runtime.signals import stop_on_signals
     from runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
-    from wyner.dashboard.fleet import FleetTable, watch
     from wyner.dashboard.headless import run_headless
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import listens
 
-    if args.run_dir is not None and not args.run_dir.is_dir():
-        raise UsageError(f"--run-dir: got {str(args.run_dir)!r}, expected an existing folder")
     run, buses = joined(picked(BusOptions, vars(args)), args.run_name, "dashboard")
     if run is not None:
         told = printable(f"joining the run {run.seen_from(Path.cwd())} ({run.scenario})")
@@ -67,17 +58,13 @@ def run(args: argparse.Namespace) -> int:
             stop_on_signals() as stopping,
             open_bus(management) as management_bus,
             open_bus(adversary) as adversary_bus,
+            watched(stopping, logger("dashboard"), management_bus, adversary_bus),
         ):
-            if args.fleet:
-                table = FleetTable()
-                table.attach(management_bus, adversary_bus)
-                watch(table, stopping.is_set, screen=has_screen() and not args.headless)
-                return INTERRUPTED
             source = BusSource(management_bus, adversary_bus, loop)
             if args.headless or not has_screen():
                 ending = run_headless(source, until=stopping.is_set)
             else:
-                ending = run_dashboard(source, until=stopping.is_set, run_dir=args.run_dir)
+                ending = run_dashboard(source, until=stopping.is_set)
             interrupted = stopping.is_set() or ending is Ending.INTERRUPTED
     except TransportError as error:
         raise UsageError(str(error)) from None

@@ -29,7 +29,7 @@ def save_table(name: str, drawing_function: str, result: dict[str, Any]) -> None
 
         draw = resolve_name(drawing_function)
     except ImportError:
-        raise UsageError(needs("--figure", "matplotlib")) from None
+        raise UsageError(needs("--plot", "matplotlib")) from None
     with drawing((7.0, 4.2)) as figure:
         draw(figure, result)
         try:

@@ -81,6 +81,7 @@ def run(args: argparse.Namespace) -> int:
             lambda s: make_law(s, synthesise(s)),
             plan,
             lambda line: print(f"wyner: {line}", file=sys.stderr),
+            path.parent,
         )
     except ScenarioError as error:
         raise UsageError(error.problems) from None
@@ -120,8 +121,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _tables(path: Path) -> dict[str, Any]:
+    from runtime.files import read_regular
+
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(read_regular(path).decode())
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UsageError(f"{path}: cannot be read: {reason}") from None

@@ -9,7 +9,6 @@ from importlib.metadata import version
 from typing import Final
 
 from runtime.command import Parser, carry_out
-from runtime.errors import UsageError
 from runtime.services import SERVICES
 
 COMMANDS: Final[dict[str, dict[str, str]]] = {
@@ -37,29 +36,13 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
     "operate": {
         "router": "a Zenoh router, with access control",
-        "certs": "for mutual TLS; --secret to sign key blocks with",
-        "kme": "serve the keys made to applications (ETSI 014)",
+        "certs": "for mutual TLS",
         "status": "what a run's services last said; --healthy",
         "bench": "how fast wyner is here; did a change slow it?",
     },
 }
 """Subcommands by group, with their lines in the help; the module is ``wyner.cli.NAME``. Services
 bring theirs. Neighbours of one line share it."""
-
-GONE: Final = {
-    "replay": "wyner score RUN --decode",
-    "secrecy": "wyner score RUN",
-    "unsealed": "wyner score RUN --unsealed",
-    "plot": "wyner sweep ROWS.csv --plot",
-    "bound": "wyner design SCENARIO --noise",
-    "capacity": "wyner design SCENARIO --alphas",
-    "knowledge": "wyner scenarios SCENARIO --knowledge",
-    "rotate": "python examples/rotate_keys.py",
-    "secret": "wyner certs --secret FILE",
-    "health": "wyner status RUN --healthy SERVICE",
-    "figures": "make figures",
-}
-"""Commands of former versions, and what does their work now."""
 
 
 def groups() -> dict[str, dict[str, str]]:
@@ -134,8 +117,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     name = next((a for a in arguments if not a.startswith("-")), None)
 
     def command() -> int:
-        if name in GONE:
-            raise UsageError(f"{name}: is no command any more; `{GONE[name]}` does its work")
         args = build_parser(name).parse_args(arguments)
         return int(args.run(args))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from protocol.topics import DEFAULT_LOOP
 from runtime.bus_options import BusOptions
-from runtime.errors import Failure, UsageError
+from runtime.errors import Failure
 from runtime.services import CONTROLLER_MANAGEMENT, SERVICES
 
 if TYPE_CHECKING:
@@ -27,6 +27,12 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
         metavar="NAME",
         help="the run of `wyner up` to join, where several go on: its folder's name",
     )
+
+
+def is_told(buses: BusOptions) -> bool:
+    """Whether an option says where the loop is, or which one is meant."""
+    where = buses.connect or buses.listen or buses.client or buses.scouting
+    return bool(where) or buses.loop != DEFAULT_LOOP
 
 
 def joined(
@@ -59,8 +65,7 @@ def joined(
     """
     from wyner.deployment.running import chosen, is_there
 
-    told = buses.connect or buses.listen or buses.client or buses.scouting
-    if (told or buses.loop != DEFAULT_LOOP) and run_name is None:
+    if is_told(buses) and run_name is None:
         return None, buses
     if wait_s and not is_there(run_name, CONTROLLER_MANAGEMENT):
         which = "no run" if run_name is None else f"no run {run_name!r}"
@@ -82,16 +87,3 @@ def joined(
     }
     connect = [f"{bus}={end}" for bus in SERVICES[service].ends for end in ends.get(bus, ())]
     return loop, replace(buses, loop=loop.loop, connect=connect)
-
-
-def host_port(option: str, text: str) -> tuple[str, int]:
-    """A host and a port as an option names them.
-
-    Raises
-    ------
-    UsageError
-    """
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise UsageError(f"{option}: got {text!r}, expected HOST:PORT")
-    return host.strip("[]"), int(port)

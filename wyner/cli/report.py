@@ -11,7 +11,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Write one self-contained HTML page of a run: what counts as secret by the paper's rule "
-        "against the truth, what was sent and recovered, states and inputs, one step, keys against "
+        "against the truth, what was sent and recovered, states and inputs, keys against "
         "taps over time, and the checks. The page's path goes to standard output."
     )
     parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
@@ -19,19 +19,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--output", "-o", type=Path, metavar="FILE", help="the page (default: RUN_DIR/report.html)"
     )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
-    parser.add_argument("--step", type=int, metavar="K", help="draw this step, and those about it")
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the page."""
     from protocol.scenario import ScenarioError
     from runtime.recording import TraceError
-    from wyner.runs.page import StepError, write_report
+    from wyner.runs.page import write_report
     from wyner.runs.run import RunError
 
     try:
         with reading(str(args.run_dir)):
-            page = write_report(args.run_dir, args.output, args.step)
+            page = write_report(args.run_dir, args.output)
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     except FileNotFoundError as error:
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         where = error.filename or args.run_dir
         raise UsageError(f"{where}: {error.strerror or error}") from None
-    except (StepError, TraceError, RunError) as error:
+    except (TraceError, RunError) as error:
         raise UsageError(str(error)) from None
     print(json.dumps({"run_dir": str(args.run_dir), "page": str(page)}) if args.json else page)
     return DONE

@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from runtime.errors import DONE, UsageError
-from runtime.logs import RateLimitedLog, logger
+from runtime.logs import logger
 from runtime.services import BUSES, bus_names
 from runtime.signals import stop_on_signals
 
@@ -16,7 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Relay a bus between services that connect as clients (--client BUS). Each bus "
         "gets a router of its own inside the process, so that nothing crosses from one to another. "
-        "With --guard, the names in the certificates decide who may publish what."
+        "With --guard, the names in the certificates decide who may publish what; a message that "
+        "they do not allow is dropped without a word. Routers are not joined to one another: all "
+        "services of a bus connect to the same one."
     )
     parser.add_argument(
         "--listen",
@@ -100,9 +102,9 @@ def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
     from runtime.addresses import TlsFiles, check_endpoint
     from runtime.bus import TransportError
-    from runtime.zenoh_bus import log_access, open_router
+    from runtime.link_watchdog import watched
+    from runtime.zenoh_bus import ZenohBus, open_router
     from wyner.deployment.access import access_control
-    from wyner.deployment.denials import denials_told
 
     listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
     check_guards(args.guard, listens, folders)
@@ -112,19 +114,18 @@ def run(args: argparse.Namespace) -> int:
             for endpoint in endpoints:
                 check_endpoint(endpoint, f"--listen {bus}", tls=bus in folders)
         with stop_on_signals() as stopping, ExitStack() as stack:
-            if args.guard:
-                stack.enter_context(denials_told(RateLimitedLog(log)))
-                log_access()
+            routers: list[ZenohBus] = []
             for bus, endpoints in listens.items():
                 tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None
                 rules = access_control(bus) if bus in args.guard else None
-                stack.enter_context(open_router(endpoints, tls, rules))
+                routers.append(stack.enter_context(open_router(endpoints, tls, rules)))
                 log.info(
                     "%s at %s, %s",
                     bus,
                     ", ".join(endpoints),
                     "guarded by certificate" if rules else "open to whoever connects",
                 )
+            stack.enter_context(watched(stopping, log, *routers))
             stopping.wait()
             log.info("stopping")
     except TransportError as error:

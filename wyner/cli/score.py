@@ -43,9 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--watch", action="store_true", help="watch the decoding, on the dashboard or in lines"
     )
-    parser.add_argument(
-        "--unsealed", action="store_true", help="show the sealed messages that the plant opened"
-    )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
@@ -55,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
     from wyner.cli.decode import decode
 
     with reading(", ".join(args.runs)):
-        if args.unsealed:
-            return _unsealed(Path(_only(args.runs, "--unsealed")), as_json=args.json)
         if args.decode or args.watch or args.first is not None or args.last is not None:
             return decode(args, Path(_only(args.runs, "--decode")))
         if any(Path(one).is_file() for one in args.runs):
@@ -144,31 +139,6 @@ def _only(runs: Sequence[str], option: str) -> str:
     return runs[0]
 
 
-def _unsealed(run_dir: Path, *, as_json: bool) -> int:
-    """What came by ``wyner send --sealed``, in order."""
-    import base64
-    import json
-
-    from protocol.secret.records import StoreError
-    from protocol.text import readable
-    from runtime.errors import DONE, UsageError
-    from runtime.keys.sealed_book import SealedBook
-    from runtime.keys.store import KeyStore
-    from runtime.run_folder import PLANT_KEYS
-
-    try:
-        with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
-            opened = SealedBook(store).opened()
-    except StoreError as error:
-        raise UsageError(str(error)) from None
-    if as_json:
-        print(json.dumps([{"id": i, "payload": base64.b64encode(p).decode()} for i, p in opened]))
-    else:
-        for identifier, payload in opened:
-            print(f"{identifier}  {readable(payload)}")
-    return DONE
-
-
 def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":
     """What the tap of each run that makes keys holds of them."""
     from protocol.scenario import ScenarioError
@@ -197,11 +167,16 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
     for block in audit.blocks:
         print(
             f"{block.number:5}  {block.transitions:11}  {block.lost:4}  {block.rows:4}  "
-            f"{block.keys:4}  {block.missed:10}  {block.held_bits if block.keys else 0:14}"
+            f"{block.keys:4}  {_known(block.missed):>10}  "
+            f"{_known(block.held_bits if block.keys else 0):>14}"
         )
     for line in key_lines(audit.as_json()):
         red = color and "WARNING" in line and "NO_COLOR" not in environ
         print(f"\x1b[31m{line}\x1b[0m" if red else line)
+
+
+def _known(count: int | None) -> str:
+    return "-" if count is None else str(count)
 
 
 def _replayed(run: "Run", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
@@ -228,7 +203,7 @@ def _print(report: object, *, color: bool) -> None:
     from os import environ
 
     from protocol.text import printable
-    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
+    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, remarks, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]
@@ -238,10 +213,8 @@ def _print(report: object, *, color: bool) -> None:
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         )
     for tap in report.taps:
-        if tap.why_unscored:
-            print(printable(f"{tap.name}: not scored: {tap.why_unscored}"))
-        if tap.not_on_record:
-            print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
+        for remark in remarks(tap):
+            print(printable(f"{tap.name}: {remark}"))
         for held in tap.keys:
             print(printable(f"{tap.name}: {held_line(held)}"))
     print()

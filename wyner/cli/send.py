@@ -5,12 +5,10 @@ import json
 import math
 import queue
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
-from protocol.secret.sealed import keys_needed
+from protocol.messages import SendCommand, SendReply
 from protocol.text import printable
 from protocol.topics import key_of
 from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
@@ -18,10 +16,13 @@ from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
 from runtime.options import message_of, picked
-from wyner.cli.options import add_run_argument, joined
+from runtime.services import CONTROLLER_MANAGEMENT
+from wyner.cli.options import add_run_argument, is_told, joined
+from wyner.deployment.running import names_of
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
+    from wyner.deployment.running import RunningLoop
 
 REPEAT_S: Final = 0.1
 
@@ -44,9 +45,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "- as above",
     )
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
-    parser.add_argument(
-        "--sealed", action="store_true", help="under distilled keys: a one-time pad and a tag"
-    )
     parser.add_argument(
         "--timeout",
         type=float,
@@ -72,84 +70,96 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--timeout: got {args.timeout}, expected more than 0")
     payload = message_of(args.text, args.file)
     assert payload is not None
-    kind = SealCommand if args.sealed else SendCommand
     try:
-        command = kind(id=args.id or new_id(), payload=payload)
+        command = SendCommand(id=args.id or new_id(), payload=payload)
     except ValidationError:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
     told = picked(BusOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout)
+    _check_own(run, told, args.run_name)
     loop = loop_of(buses)
     ends = endpoints_of(buses, "operator", "management")
-    said, until = "no answer", time.monotonic() + args.timeout
+    until = time.monotonic() + args.timeout
     try:
         with open_bus(ends, args.timeout) as management:
-            for reply in answers(management, loop, command, until):
-                if not reply.accepted:
-                    raise Failure(reply.detail)
-                if isinstance(reply, SendReply) or reply.delivered:
-                    print_reply(reply, len(payload), as_json=args.json)
-                    return DONE
-                said = reply.detail
+            reply = answer(management, loop, command, until)
     except TransportError as error:
         raise UsageError(str(error)) from None
-    if said != "no answer":
-        raise Failure(f"{command.id}: not acknowledged within {args.timeout:g} s; {said}")
+    if reply is not None:
+        if not reply.accepted:
+            raise Failure(reply.detail)
+        at = None if run is None else run.seen_from(Path.cwd())
+        print_reply(reply, len(payload), loop, at, as_json=args.json)
+        return DONE
     if run is not None:
         where = printable(run.seen_from(Path.cwd()))
         raise Failure(
             f"{command.id}: the run {where} did not answer within {args.timeout:g} s; where it is "
             "only being started, try again or give it longer (--timeout)"
-            + ("; without a table [keys] it seals nothing" if args.sealed else "")
         )
     at = ", ".join((*ends.connect, *ends.listen))
-    start = "with a table [keys]: wyner up --scenario keys" if args.sealed else "wyner up"
     raise Failure(
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
-        f"start one ({start}), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"
+        "start one (wyner up), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"
     )
 
 
-def print_reply(reply: SendReply | SealReply, size: int, *, as_json: bool) -> None:
-    """Tell what became of a message that was taken in."""
-    sealed = isinstance(reply, SealReply)
-    queued = None if isinstance(reply, SealReply) else reply.queued
-    keys = keys_needed(size) if sealed else None
+def _check_own(run: "RunningLoop | None", told: BusOptions, run_name: str | None) -> None:
+    """Refuse a loop that nobody named and that is not of this folder: it may be a stranger's.
+
+    Raises
+    ------
+    UsageError
+        When it is another folder's run, or services that somebody started by hand.
+    """
+    if run_name is not None or is_told(told):
+        return
+    if run is None:
+        raise UsageError(
+            f"no run of this user on this machine, and services at {CONTROLLER_MANAGEMENT} that "
+            "may be anybody's; where they are meant expected "
+            f"--connect management={CONTROLLER_MANAGEMENT}"
+        )
+    if not Path(run.run_dir).is_relative_to(Path.cwd()):
+        raise UsageError(
+            f"the one run on this machine, {printable(run.run_dir)}, is not of this folder; where "
+            f"it is meant expected --run {printable(names_of([run]))}"
+        )
+
+
+def print_reply(reply: SendReply, size: int, loop: str, run: str | None, *, as_json: bool) -> None:
+    """Tell that a message was taken in, and by which loop of which run."""
     if as_json:
-        told = {"id": reply.id, "bytes": size, "sealed": sealed, "delivered": sealed}
-        print(json.dumps({**told, "queued": queued, "keys": keys}))
-    elif sealed:
-        print(f"delivered as {reply.id}: {size} bytes under {keys} keys")
+        told = {"id": reply.id, "bytes": size, "queued": reply.queued, "loop": loop, "run": run}
+        print(json.dumps(told))
     else:
-        print(f"queued as {reply.id}: {size} bytes, {queued} not delivered yet")
+        where = f"loop {loop}" if run is None else f"run {printable(run)}, loop {loop}"
+        print(f"queued as {reply.id} at {where}: {size} bytes, {reply.queued} not delivered yet")
 
 
-def answers(
-    management: "Bus", loop: str, command: SendCommand | SealCommand, until: float
-) -> "Iterator[SendReply | SealReply]":
-    """Say the command again and again; each answer to it.
+def answer(management: "Bus", loop: str, command: SendCommand, until: float) -> SendReply | None:
+    """Say the command again and again until it is answered; None where it is not in time.
 
     Others who wait hear the same answers: saying it on each of them would be a flood.
     """
     from pydantic import ValidationError
 
-    kind: type[SendReply | SealReply]
-    kind = SealReply if isinstance(command, SealCommand) else SendReply
     heard: Inbox[bytes] = Inbox()
     management.subscribe(
-        key_of(kind, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply))
+        key_of(SendReply, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply))
     )
-    publisher = management.publisher(key_of(type(command), loop))
+    publisher = management.publisher(key_of(SendCommand, loop))
     again = -math.inf
     while (now := time.monotonic()) < until:
         if now >= again:
             publisher.put(command.wire())
             again = now + REPEAT_S
         try:
-            reply = kind.model_validate_json(heard.get(timeout=again - now))
+            reply = SendReply.model_validate_json(heard.get(timeout=again - now))
         except (queue.Empty, ValidationError):
             continue
         if reply.id == command.id:
-            yield reply
+            return reply
+    return None

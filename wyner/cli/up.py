@@ -35,11 +35,13 @@ from wyner.deployment.one_machine import RunOptions, lay_out, text_of
 if TYPE_CHECKING:
     from protocol.link.events import AttackBegan
     from protocol.scenario import Scenario
-    from runtime.bus import Bus
     from wyner.dashboard.app import Stage
     from wyner.deployment.supervisor import Supervisor
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
+
+SAID_S: Final = 120.0
+"""Seconds within which plant and controller have to say something: opening one may take a while."""
 
 GRACE_S: Final = 0.5
 """Seconds that the tap has for its last thoughts once the message has arrived."""
@@ -78,11 +80,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
     )
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
-    parser.add_argument(
-        "--secret",
-        action="store_true",
-        help="sign key blocks with a secret made for this run",
-    )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
 
 
@@ -100,7 +97,6 @@ def run(args: argparse.Namespace) -> int:
             pace=args.pace,
             steps=args.steps,
             seed=args.seed,
-            secret=args.secret,
             attack=args.attack,
             until_delivered=args.until_delivered,
             headless=args.headless,
@@ -131,13 +127,8 @@ class Outcome(NamedTuple):
     """Whether the screen was left before the run had come to its end."""
 
 
-Background = Callable[[], bool]
-"""Something to be done beside a run, a little at each call; True once it is done."""
-
-
 def run_session(
     options: RunOptions,
-    background: "Callable[[Bus], Background] | None" = None,
     epilogue: Callable[[dict[str, Any]], Sequence[str]] | None = None,
     *,
     stays: bool = True,
@@ -149,9 +140,6 @@ def run_session(
     Parameters
     ----------
     options : RunOptions
-    background : callable, optional
-        Takes the management bus; the run is not over before what it gives is, or the plant has
-        ended.
     epilogue : callable, optional
         Lines for the last screen, from the summary; the verdict's if not given.
     stays : bool, optional
@@ -175,10 +163,6 @@ def run_session(
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
-    if options.secret and scenario.keys is None:
-        raise UsageError(
-            f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
-        )
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
@@ -219,13 +203,10 @@ def run_session(
             management.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             management.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(management, adversary_bus, DEFAULT_LOOP)
-            if background is not None:
-                watching.background = background(management)
             if screen:
                 ending = run_dashboard(
                     source,
                     until=watching.over,
-                    run_dir=run_dir,
                     story=options.story,
                     conclude=conclude if stays else None,
                     title=title,
@@ -278,7 +259,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     from tap_service.capture.channel import View
     from tap_service.command import find_each, names_of
     from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.sandboxed import each_once, guarded
+    from tap_service.sandboxed import each_once, sandboxed
 
     text = options.eavesdropper
     asked = () if text is None else names_of([text])
@@ -287,7 +268,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     knowledge = scenario.knowledge()
 
     def find(name: str) -> None:
-        guarded(name).suits(knowledge)
+        sandboxed(name).suits(knowledge)
 
     find_each(asked, find, "--eavesdropper: ")
     its = scenario.tap.eavesdroppers
@@ -303,14 +284,12 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
 
 def _attack(options: RunOptions, scenario: "Scenario") -> "AttackBegan | None":
     """The attack with every parameter, made once before anything starts."""
-    from attacker_service.asking import Attacker
+    from attacker_service.attacker import Attacker
 
     attack = attack_option(options.attack, scenario.attack, options.steps)
     if attack is None:
         return None
-    attacker = Attacker(scenario, attack, options.seed)
-    attacker.close()
-    return attacker.began
+    return Attacker(scenario, attack, options.seed).began
 
 
 class Progress:
@@ -319,19 +298,22 @@ class Progress:
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered
         self._supervisor = supervisor
-        self.background: Background = lambda: True
         self.received = 0
         self.delivered = 0
         self.waiting = True
         self._over_at: float | None = None
+        self._began = time.monotonic()
+        self._silent = {"plant", "controller"}
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """How many messages the plant has (called on the transport's thread)."""
+        self._silent.discard("plant")
         with suppress(ValidationError):  # the dashboard counts malformed
             self.received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """What the controller has delivered, and whether more is waiting (the same thread)."""
+        self._silent.discard("controller")
         with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
             self.delivered = status.delivered
@@ -343,13 +325,16 @@ class Progress:
         Raises
         ------
         Failure
-            When a service ended with an error.
+            When a service ended with an error, or has not said anything yet.
         """
         self._supervisor.poll()
         now = time.monotonic()
+        if self._silent and now >= self._began + SAID_S:
+            name = min(self._silent)
+            log = self._supervisor.child(name).log
+            raise Failure(f"{name}: nothing heard of it in {SAID_S:g} s (log: {log})")
         ended = self._supervisor.child("plant").returned is not None
-        done = self.background()  # asked each time: it goes on while it is asked
         arrived = 0 < self.delivered <= self.received and not self.waiting
-        if self._over_at is None and (ended or (self._until_delivered and arrived and done)):
+        if self._over_at is None and (ended or (self._until_delivered and arrived)):
             self._over_at = now + GRACE_S
         return self._over_at is not None and now >= self._over_at

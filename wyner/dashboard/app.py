@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from enum import Enum
-from pathlib import Path
 from typing import IO, Final
 
 from rich.console import Console, ConsoleDimensions, RenderableType
@@ -17,7 +16,6 @@ from rich.text import Text
 
 from wyner.dashboard.keymap import Action, action_of
 from wyner.dashboard.model import State, reduce
-from wyner.dashboard.screenshot import save
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import MOMENTS, Moment, next_moment
 from wyner.dashboard.terminal import ESCAPE, cbreak, hold_stderr
@@ -33,8 +31,8 @@ REDRAW_NS: Final = 1_000_000_000
 """A screen without news is drawn again after so long, so that silence shows."""
 
 STOPPING: Final = "The run is over; its services stop. She thinks to the end of what she heard."
-GO_ON: Final = "Space goes on.  Left, Right: other steps.  s saves.  q leaves."
-LEAVE: Final = "The run is over.  Any key leaves; Left, Right, s and ? look at it first."
+GO_ON: Final = "Space goes on.  Left, Right: other steps.  q leaves."
+LEAVE: Final = "The run is over.  Any key leaves; Left, Right and ? look at it first."
 """What the last line says while a caption is shown."""
 
 LOOKING: Final = frozenset(Action) - {Action.QUIT, Action.FREEZE}
@@ -59,15 +57,13 @@ class Watch:
     reduced all the same, and later moments wait for their turn.
     """
 
-    def __init__(self, *, unicode: bool, folder: Path, story: bool = False) -> None:
+    def __init__(self, *, story: bool = False) -> None:
         self.state = State()
         self._told = set() if story else set(range(len(MOMENTS)))
         self._moments: deque[tuple[Moment, State, int]] = deque()
         self._ending: tuple[str, ...] = ()
-        self.view = ViewState(unicode=unicode)
+        self.view = ViewState()
         self.quit = False
-        self.saved: list[Path] = []
-        self._folder = folder
         self._held: State | None = None
         self._held_ns = 0
         self._dirty, self._fresh = True, False
@@ -118,7 +114,7 @@ class Watch:
             self._held, self._held_ns = self.state, self.state.last_seen_ns
             self.view = replace(self.view, caption=self._ending, press=LEAVE)
 
-    def press(self, key: str, size: Size, now_ns: int) -> None:
+    def press(self, key: str, now_ns: int) -> None:
         """Act on one key."""
         self._dirty = True
         self.view = replace(self.view, note="")
@@ -138,8 +134,6 @@ class Watch:
             case Action.BACK | Action.ON:
                 self._hold(now_ns)
                 self._choose_step(-1 if action is Action.BACK else 1)
-            case Action.SAVE:
-                self._save(size, now_ns)
             case None:
                 if key == ESCAPE:
                     self.view = replace(self.view, help=False)
@@ -183,16 +177,6 @@ class Watch:
             shown, now_ns = self._held, self._held_ns
             view = replace(view, held_steps=_steps_between(shown, self.state))
         return screen(shown, *size, view, now_ns)
-
-    def _save(self, size: Size, now_ns: int) -> None:
-        try:
-            svg, text = save(self._whole(size, now_ns), size, self._folder)
-        except OSError as error:
-            note = f"not saved: {self._folder}: {error.strerror}"
-        else:
-            self.saved += [svg, text]
-            note = f"saved {svg.name} and {text.name}"
-        self.view = replace(self.view, note=note)
 
 
 class Stage:
@@ -246,7 +230,6 @@ def run_dashboard(
     source: Source,
     *,
     until: Callable[[], bool],
-    run_dir: Path | None = None,
     out: IO[str] | None = None,
     keyboard: int | None = None,
     story: bool = False,
@@ -262,8 +245,6 @@ def run_dashboard(
         Where messages come from.
     until : callable
         Whether there is nothing more to watch.
-    run_dir : Path, optional
-        Where screenshots go; the current folder if not given.
     out : text file, optional
         A terminal; standard output if not given.
     keyboard : int, optional
@@ -282,8 +263,7 @@ def run_dashboard(
     -------
     Ending
         How it ended; a last screen that was left has come to its end. The terminal is as it was
-        before, whatever happened; what was written to standard error meanwhile and the names of
-        saved screens are printed there.
+        before, whatever happened; what was written to standard error meanwhile is repeated there.
     """
     stream = out or sys.stdout
     console = (
@@ -291,7 +271,7 @@ def run_dashboard(
         if stage is None
         else stage.console
     )
-    watch = Watch(unicode=speaks_unicode(stream), folder=run_dir or Path(), story=story)
+    watch = Watch(story=story)
     watch.view = replace(watch.view, title=title)
     over = False
     ending = Ending.FINISHED
@@ -326,7 +306,7 @@ def run_dashboard(
                     watch.end(lines)
                     continue
                 for key in keys.read(REFRESH_S):
-                    watch.press(key, size, source.now_ns())
+                    watch.press(key, source.now_ns())
             # Left as it is, a screen that grew while it was shown stays behind in some terminals.
             if stage is None:
                 console.clear()
@@ -336,22 +316,21 @@ def run_dashboard(
         console.set_alt_screen(False)
         console.show_cursor()
     finally:
-        for path in watch.saved:
-            print(f"saved {path}", file=sys.stderr)
         for line in source.problems():
             print(line, file=sys.stderr)
     return Ending.QUIT if watch.quit and not over else ending
 
 
 def has_screen(out: IO[str] | None = None) -> bool:
-    """Whether the live screen can be shown: a terminal, and one that can move its cursor."""
-    return (out or sys.stdout).isatty() and os.environ.get("TERM", "") not in ("", "dumb")
+    """Whether the live screen can be shown.
 
-
-def speaks_unicode(stream: IO[str]) -> bool:
-    """Whether a stream can carry the picture's characters."""
+    It takes a terminal that can move its cursor, and an encoding that has the screen's characters.
+    """
+    stream = out or sys.stdout
+    if not stream.isatty() or os.environ.get("TERM", "") in ("", "dumb"):
+        return False
     try:
-        "⣿▁─●…".encode(getattr(stream, "encoding", None) or "ascii")
+        "⣿▁─●…".encode(getattr(stream, "encoding", None) or "utf-8")
     except (UnicodeEncodeError, LookupError):
         return False
     return True

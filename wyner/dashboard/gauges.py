@@ -12,7 +12,7 @@ from rich.text import Text
 
 from protocol.agreement import INSIDE
 from wyner.dashboard.parts import line
-from wyner.dashboard.text import STYLES, Glyphs, longest, number
+from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, longest, number
 
 INDEX: Final = 4
 """Cells of a candidate's number, at the left of its bar."""
@@ -35,7 +35,6 @@ def bars(
     alpha: float,
     width: int,
     most: int,
-    glyphs: Glyphs,
     *,
     own_shape: bool = False,
 ) -> Table:
@@ -51,8 +50,6 @@ def bars(
         Cells of a line.
     most : int
         Candidates for which there is room.
-    glyphs : Glyphs
-        Characters that the terminal can show.
     own_shape : bool
         Whether alpha D_c only holds D_e, which has a shape of its own.
     """
@@ -62,7 +59,7 @@ def bars(
     grid.add_column(no_wrap=True, overflow="crop")
     shown = shown_first(gauges, most)
     for i in shown:
-        grid.add_row(line(f" {i}"), _bar(gauges[i], alpha, half, glyphs))
+        grid.add_row(line(f" {i}"), _bar(gauges[i], alpha, half))
     scale = line().append("0".ljust(half) + "D_c".ljust(half + 1), style=STYLES["label"])
     hidden = len(gauges) - len(shown)
     more = f"   and {hidden} more" if hidden else ""
@@ -73,7 +70,7 @@ def bars(
     return grid
 
 
-def _bar(gauge: float, alpha: float, half: int, glyphs: Glyphs) -> Text:
+def _bar(gauge: float, alpha: float, half: int) -> Text:
     inside = gauge <= INSIDE
     beyond = gauge > alpha
     if inside:
@@ -82,11 +79,11 @@ def _bar(gauge: float, alpha: float, half: int, glyphs: Glyphs) -> Text:
         at = 2 * half + 1
     else:
         at = half + 1 + round((gauge - 1) / (alpha - 1) * (half - 1))
-    cells = [glyphs.line] * half + [glyphs.edge] + [glyphs.faint] * half + [glyphs.edge]
+    cells = [LINE] * half + [EDGE] + [FAINT] * half + [EDGE]
     bar = line()
     for j, cell in enumerate(cells):
         if j == at:
-            bar.append(glyphs.beyond if beyond else glyphs.dot, style=STYLES["next"])
+            bar.append(BEYOND if beyond else DOT, style=STYLES["next"])
         else:
             bar.append(cell, style=STYLES["defender" if j <= half else "eavesdropper"])
     word = "in D_c" if inside else "beyond" if beyond else "outside"

@@ -11,7 +11,6 @@ class Action(Enum):
     QUIT = "quit"
     HELP = "help"
     FREEZE = "freeze"
-    SAVE = "save"
     BACK = "back"
     ON = "on"
 
@@ -34,9 +33,6 @@ KEYS: Final[tuple[Binding, ...]] = (
     Binding("q", "q", Action.QUIT, "quit", "leave the dashboard"),
     Binding("?", "?", Action.HELP, "help", "show or hide this page"),
     Binding(" ", "Space", Action.FREEZE, "freeze", "hold the view; capture goes on and is counted"),
-    Binding(
-        "s", "s", Action.SAVE, "save", "save the screen as SVG and as text; the names are printed"
-    ),
     Binding("left", "Left", Action.BACK, "", "the pictured step before (freezes the view)"),
     Binding(
         "right", "Right", Action.ON, "", "the pictured step after, up to the moment of the freeze"

@@ -25,9 +25,9 @@ from wyner.dashboard.score import (
     truth_for,
 )
 from wyner.dashboard.text import (
-    ASCII,
+    FAINT,
+    LEVELS,
     STYLES,
-    UNICODE,
     component,
     count,
     drawn,
@@ -57,7 +57,7 @@ BAR: Final = 30
 
 @dataclass(frozen=True, slots=True)
 class ViewState:
-    """What the user asked of the view, and what the terminal can show.
+    """What the user asked of the view, of its size.
 
     ``held_steps`` counts the steps made since the view was frozen, None when another session began
     meanwhile; ``note`` stands in the last line instead of the keys; ``step`` is the one that was
@@ -73,7 +73,6 @@ class ViewState:
     caption: tuple[str, ...] = ()
     press: str = ""
     note: str = ""
-    unicode: bool = True
 
 
 class Panels:
@@ -84,7 +83,6 @@ class Panels:
         self.width = width
         self.view = view
         self.now_ns = now_ns
-        self.glyphs = UNICODE if view.unicode else ASCII
         self.taps = ranked(state)
         self.secrecy: SecrecyScore = secrecy(state, self.taps)
 
@@ -186,7 +184,7 @@ class Panels:
             if attacked:
                 told.append((f"x{i + 1} true", true[-1] if true else nan, true))
             for name, now, history in told:
-                bar = sparkline(history, self.glyphs.levels, [*shown, *true])
+                bar = sparkline(history, LEVELS, [*shown, *true])
                 cells.append(line(f" {name} {component(now, '+'):>8}  {bar}"))
         room = per_row * rows
         if len(cells) > room:
@@ -281,9 +279,7 @@ class Panels:
         status = self.state.pictured
         if self.view.step is not None:
             status = self.state.pictures.get(self.view.step, status)
-        return agreement(
-            self.state.model, status, width, rows, self.glyphs, unicode=self.view.unicode
-        )
+        return agreement(self.state.model, status, width, rows)
 
     def message(self, taps: int, *, bar: bool) -> RenderableType:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
@@ -326,8 +322,8 @@ class Panels:
         grid.add_column(width=room)
         grid.add_column(no_wrap=True)
         done = room * min(recovered, sent) // max(1, sent)
-        bar = line(self.glyphs.levels[-1] * done, STYLES["good"])
-        bar.append(self.glyphs.faint * (room - done), STYLES["label"])
+        bar = line(LEVELS[-1] * done, STYLES["good"])
+        bar.append(FAINT * (room - done), STYLES["label"])
         grid.add_row(bar, line(words))
         return grid
 

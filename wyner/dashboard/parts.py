@@ -1,14 +1,13 @@
-"""What the panels are put together from, all of it rich's: titled rules, labelled rows, ASCII."""
+"""What the panels are put together from, all of it rich's: titled rules, labelled rows, tables."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
-from rich.cells import cell_len, set_cell_size
-from rich.console import Console, ConsoleOptions, Group, RenderableType, RenderResult
+from rich.cells import cell_len
+from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.rule import Rule
-from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
@@ -27,8 +26,6 @@ VALUE_AT: Final = LABEL + 2
 
 Row = tuple[str, RenderableType]
 """A label, and what it is of."""
-
-_KNOWN: Final = {"…": "~", "·": "."}
 
 
 def line(text: str = "", style: str = "") -> Text:
@@ -93,26 +90,3 @@ def table(
     for name, of in rows:
         drawn_table.add_row(line(drawn(name)), *(line(column.value(of)) for column in columns))
     return drawn_table
-
-
-class InAscii:
-    """A renderable as a terminal shows it that has no more than ASCII, cell for cell.
-
-    Boxes, rules and bars are rich's own for such a terminal; characters of a text that has others
-    are replaced.
-    """
-
-    def __init__(self, shown: RenderableType) -> None:
-        self._shown = shown
-
-    def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
-        """The segments, each character in ASCII."""
-        plain = replace(options, encoding="ascii")
-        for text, style, control in console.render(self._shown, plain):
-            yield Segment("".join(map(_ascii, text)), style, control)
-
-
-def _ascii(character: str) -> str:
-    if character.isascii():
-        return character
-    return set_cell_size(_KNOWN.get(character, "?"), cell_len(character))

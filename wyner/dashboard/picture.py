@@ -10,7 +10,7 @@ from protocol.messages import PlantModel, PlantStatus
 from wyner.dashboard import plane
 from wyner.dashboard.gauges import bars
 from wyner.dashboard.parts import line, rule, titled
-from wyner.dashboard.text import STYLES, Glyphs, longest
+from wyner.dashboard.text import DOT, STYLES, longest
 
 PLANE_ROWS: Final = 3
 """Rows below which the plane is left to the bars."""
@@ -23,9 +23,6 @@ def agreement(
     status: PlantStatus | None,
     width: int,
     rows: int,
-    glyphs: Glyphs,
-    *,
-    unicode: bool,
 ) -> RenderableType:
     """The last pictured step, for a place of ``rows`` lines of ``width`` cells.
 
@@ -44,20 +41,18 @@ def agreement(
     own_shape = bool(model.eavesdropper_H)
     agreed = status.pictured_symbol >= 0
     body: list[RenderableType] = [
-        bars(gauges, plane.spread(model), width, most, glyphs, own_shape=own_shape),
+        bars(gauges, plane.spread(model), width, most, own_shape=own_shape),
         line(f" {plane.verdict(status)}", STYLES["good"] if agreed else ""),
     ]
     if with_plane:
-        body.append(_plane(model, status, width, room - most - 1, unicode=unicode))
-        body.append(_legend(glyphs, width))
+        body.append(_plane(model, status, width, room - most - 1))
+        body.append(_legend(width))
     return titled(rule(title, width, axes.words, axes.short), *body)
 
 
-def _plane(
-    model: PlantModel, status: PlantStatus, width: int, rows: int, *, unicode: bool
-) -> Group:
+def _plane(model: PlantModel, status: PlantStatus, width: int, rows: int) -> Group:
     lines = []
-    for cells in plane.draw(model, status, width - 2, rows, unicode=unicode):
+    for cells in plane.draw(model, status, width - 2, rows):
         drawn = line(" ")
         for kind, run in itertools.groupby(cells, key=lambda cell: cell.kind):
             drawn.append("".join(cell.character for cell in run), style=STYLES[kind])
@@ -65,8 +60,8 @@ def _plane(
     return Group(*lines)
 
 
-def _legend(glyphs: Glyphs, width: int) -> Text:
-    dot = glyphs.dot
+def _legend(width: int) -> Text:
+    dot = DOT
     return line(
         " "
         + longest(

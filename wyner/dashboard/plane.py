@@ -95,9 +95,7 @@ def fits(model: PlantModel, status: PlantStatus) -> bool:
     )
 
 
-def draw(
-    model: PlantModel, status: PlantStatus, width: int, height: int, *, unicode: bool
-) -> list[list[Cell]]:
+def draw(model: PlantModel, status: PlantStatus, width: int, height: int) -> list[list[Cell]]:
     """The pictured transition, which fits the model, as ``height`` rows of ``width`` cells.
 
     Blank before the first one, and where it is too far out for a float to span.
@@ -119,19 +117,19 @@ def draw(
     points = [(c[0] + p[0], c[1] + p[1]) for c in predictions for p in shape] + [fallen]
     if not isfinite(sum(abs(v) for point in points for v in point)):
         return blank
-    canvas = _Canvas(width, height, points, unicode)
+    canvas = _Canvas(width, height, points)
     for c in predictions:
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in wide], "eavesdropper")
     for c in predictions:
         canvas.polygon([(c[0] + a, c[1] + b) for a, b in shape], "defender")
-    canvas.mark(fallen, "●" if unicode else "*", "next")
+    canvas.mark(fallen, "●", "next")
     for i, c in enumerate(predictions):
         name = symbol_of(i, len(predictions))
         canvas.mark(c, name if len(name) == 1 else "+", "centre")
     spread = max(abs(a) for a, _ in wide)
     leaves_left = min(c[0] for c in predictions) - spread
     leaves_right = max(c[0] for c in predictions) + spread
-    canvas.arrows(leaves_left, leaves_right, "◀▶" if unicode else "<>")
+    canvas.arrows(leaves_left, leaves_right, "◀▶")
     return canvas.rows()
 
 
@@ -217,11 +215,11 @@ def _turn(a: Point, b: Point, c: Point) -> float:
 
 
 class _Canvas:
-    """A grid of cells, each two dots wide and four high where braille may be used."""
+    """A grid of cells, each two dots wide and four high."""
 
-    def __init__(self, width: int, height: int, points: Sequence[Point], unicode: bool) -> None:
-        self._width, self._height, self._unicode = width, height, unicode
-        self._columns, self._lines = (width * 2, height * 4) if unicode else (width, height)
+    def __init__(self, width: int, height: int, points: Sequence[Point]) -> None:
+        self._width, self._height = width, height
+        self._columns, self._lines = width * 2, height * 4
         xs, ys = [p[0] for p in points], [p[1] for p in points]
         wider, higher = ((max(v) * MARGIN - min(v) * MARGIN) for v in (xs, ys))
         self._left, self._right = min(xs) - wider, max(xs) + wider
@@ -274,7 +272,7 @@ class _Canvas:
     def mark(self, p: Point, character: str, kind: Kind) -> None:
         """Put one character where a point lies, or beside it where another one stands."""
         x, y = self._dot(p)
-        column, line = (x // 2, y // 4) if self._unicode else (x, y)
+        column, line = x // 2, y // 4
         for step in (0, 1, -1, 2, -2):
             place = (column + step, line)
             if 0 <= place[0] < self._width and place not in self._marks:
@@ -297,9 +295,6 @@ class _Canvas:
     def _cell(self, x: int, y: int) -> Cell:
         if (x, y) in self._marks:
             return self._marks[x, y]
-        if not self._unicode:
-            kind = self._dots.get((x, y), "")
-            return Cell({"": " ", "defender": "#"}.get(kind, "."), kind)
         bits, kinds = 0, set()
         for row, pair in enumerate(_BRAILLE):
             for column, bit in enumerate(pair):

@@ -13,8 +13,8 @@ from wyner.dashboard.model import State, TapState
 from wyner.dashboard.parts import LABEL, VALUE_AT, Column, Row, fitting, line, table
 from wyner.dashboard.score import Score, SecrecyScore, characters_right, course, model_error
 from wyner.dashboard.text import (
+    LEVELS,
     STYLES,
-    Glyphs,
     bars_of,
     count,
     drawn,
@@ -36,6 +36,8 @@ def verdict(its: SecrecyScore, width: int) -> Text:
         told = longest(width - len(claimed), f"true: unknown, {its.why}", f"true: {its.why}")
         return Text.assemble(claimed, (told, style))
     left = f"{its.left_bits:.0f} bit"
+    if its.silent_bits:
+        left = f"{its.left_bits:.0f} of {its.claimed_bits - its.silent_bits:.0f} bit"
     room = width - len(claimed)
     strongest = drawn(its.strongest)
     if not its.exceeds:
@@ -149,14 +151,9 @@ def contradictions(state: State) -> Iterator[str]:
         yield f"CLAIM REFUTED: she misses {hers.missed_at_most:.2g}{of} at most"
     if hers.misses_in_bursts:
         yield "MISSES IN BURSTS"
-    if hers.sealed_bits_known:
-        yield (
-            f"SHE READS {count(hers.sealed_bits_known)} of {count(hers.sealed_bits)} sealed bits: "
-            f"{drawn(hers.sealed_text)}"
-        )
 
 
-def curves(state: State, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[Row]:
+def curves(state: State, its: SecrecyScore, width: int) -> list[Row]:
     """What the paper's rule counts and what is true over time, on one scale, with last figures."""
     claimed = f" {its.claimed_bits:.0f} bit"
     left = " unknown" if its.left_bits is None else f" {its.left_bits:.0f} bit"
@@ -175,7 +172,7 @@ def curves(state: State, its: SecrecyScore, width: int, glyphs: Glyphs) -> list[
         ("paper's rule", "claimed", [c for c, _ in shown], claimed, loud, "bad"),
         ("true, at most", "true", [t for _, t in shown], left, who, "bad" if its.failed else ""),
     ):
-        bars = bars_of(values, max(its.claimed_bits, 1.0), glyphs.levels)
+        bars = bars_of(values, max(its.claimed_bits, 1.0), LEVELS)
         value = line().append(bars, style=STYLES[style]).append(told.rjust(figures))
         value.append(longest(room + figures - value.cell_len, note), style=STYLES[noted])
         rows.append((label, value))
@@ -209,7 +206,7 @@ def _model_off(state: State, tap: TapState) -> str:
 
 
 def keys_right(its: Score) -> str:
-    """The share of keys that she guessed right, in per cent, with its limits."""
+    """The share of keys that she knows, up to a relabelling, in per cent, with its limits."""
     if not its.scored:
         return "-"
     low, high = int(100 * its.guessed.low), math.ceil(100 * its.guessed.high)
@@ -235,6 +232,12 @@ def _broke(tap: TapState) -> str:
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
 
 
+def _unused(tap: TapState) -> int:
+    """Messages that the tap heard and could not use, and steps that it skipped."""
+    its = tap.status
+    return its.foreign + its.late + its.dropped + its.jumped
+
+
 _Judged = tuple[State, TapState, Score]
 
 _COLUMNS: Final[tuple[Column[_Judged], ...]] = (
@@ -247,5 +250,6 @@ _COLUMNS: Final[tuple[Column[_Judged], ...]] = (
     Column("whole at step", 14, 1, lambda of: _broke(of[1])),
     Column("steps to read", 13, 7, lambda of: count(of[1].status.behind)),
     Column("steps missed", 12, 8, lambda of: count(of[1].status.lost)),
+    Column("not used", 8, 9, lambda of: count(_unused(of[1]))),
 )
 """Left to right."""

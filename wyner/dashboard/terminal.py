@@ -1,10 +1,10 @@
 """Keys from a terminal: cbreak mode, select, and the old mode back whatever happens."""
 
 import contextlib
+import io
 import os
 import select
 import sys
-import tempfile
 import termios
 import tty
 from collections.abc import Iterator
@@ -15,8 +15,8 @@ ESCAPE: Final = "\x1b"
 ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
 """Names of the arrow keys, by the last character of what a terminal sends."""
 
-HELD_BYTES: Final = 16_384
-"""Newest bytes of standard error that are repeated after the screen closed."""
+HELD_CHARACTERS: Final = 16_384
+"""Newest characters of standard error that are repeated after the screen closed."""
 
 _READ_BYTES: Final = 256
 
@@ -96,34 +96,16 @@ def cbreak(descriptor: int | None = None) -> Iterator[Keyboard]:
 
 @contextlib.contextmanager
 def hold_stderr() -> Iterator[None]:
-    """Keep what is written to standard error, by anyone in this process, and repeat it at the end.
+    """Keep what Python writes to standard error, and repeat the newest of it at the end.
 
-    Without this a warning would be drawn over the screen and be gone with it. Where standard error
-    is no terminal it is left alone. The newest `HELD_BYTES` are repeated.
+    Without this a warning would be drawn over the screen and be gone with it.
     """
+    held = io.StringIO()
     try:
-        descriptor = sys.stderr.fileno()
-        if not os.isatty(descriptor):
-            descriptor = -1
-    except (AttributeError, OSError, ValueError):
-        descriptor = -1
-    if descriptor < 0:
-        yield
-        return
-    sys.stderr.flush()
-    before = os.dup(descriptor)
-    with tempfile.TemporaryFile() as file:
-        try:
-            os.dup2(file.fileno(), descriptor)
+        with contextlib.redirect_stderr(held):
             yield
-        finally:
-            sys.stderr.flush()
-            os.dup2(before, descriptor)
-            os.close(before)
-            length = file.seek(0, os.SEEK_END)
-            file.seek(max(0, length - HELD_BYTES))
-            held = file.read()
-            if length > HELD_BYTES:
-                held = b"(earlier lines are left out)\n" + held.partition(b"\n")[2]
-            if held:
-                os.write(descriptor, held)
+    finally:
+        text = held.getvalue()
+        if len(text) > HELD_CHARACTERS:
+            text = "(earlier lines are left out)\n" + text[-HELD_CHARACTERS:].partition("\n")[2]
+        sys.stderr.write(text)

@@ -3,7 +3,6 @@
 import math
 import unicodedata
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -34,22 +33,13 @@ STYLES: Final[dict[str, str]] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Glyphs:
-    """Characters of sparklines and of the bars of the agreement test."""
-
-    line: str
-    levels: str
-    edge: str
-    faint: str
-    dot: str
-    beyond: str
-
-
-UNICODE: Final = Glyphs("─", "▁▂▃▄▅▆▇█", "┤", "·", "●", "▶")
-"""For terminals whose encoding is Unicode."""
-ASCII: Final = Glyphs("-", "_.:-=+*#", "|", ".", "*", ">")
-"""For all others."""
+LINE: Final = "─"
+LEVELS: Final = "▁▂▃▄▅▆▇█"
+EDGE: Final = "┤"
+FAINT: Final = "·"
+DOT: Final = "●"
+BEYOND: Final = "▶"
+"""Characters of sparklines and of the bars of the agreement test."""
 
 
 PHASES: Final[dict[tuple[str, str], str]] = {

@@ -18,7 +18,7 @@ from rich.text import Text
 from wyner.dashboard import keymap
 from wyner.dashboard.model import State
 from wyner.dashboard.panels import Panels, ViewState
-from wyner.dashboard.parts import InAscii, labelled, line, rule, titled
+from wyner.dashboard.parts import labelled, line, rule, titled
 from wyner.dashboard.secrecy_panel import curves, distilled, eavesdroppers, explanation, verdict
 from wyner.dashboard.text import count, drawn, in_words, longest, number
 
@@ -87,7 +87,7 @@ def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) 
         shown = page.help(height)
     else:
         shown = page.whole(height)
-    return shown if view.unicode else InAscii(shown)
+    return shown
 
 
 _BLANK: Final = Text(" ")
@@ -304,7 +304,7 @@ class _Page(Panels):
         note = ""
         if 0 < taps < len(self.taps):
             note = f"the strongest {taps} of {len(self.taps)} eavesdroppers"
-        rows = curves(self.state, self.secrecy, self.width, self.glyphs)
+        rows = curves(self.state, self.secrecy, self.width)
         rows += distilled(self.state, self.width)
         regions: list[tuple[int, RenderableType]] = [
             (1 + len(rows), titled(rule("Secrecy", self.width, note), labelled(rows)))

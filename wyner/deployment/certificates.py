@@ -21,6 +21,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
+from runtime.files import open_regular, read_regular
+
 AUTHORITY_CERTIFICATE: Final = "ca.pem"
 AUTHORITY_KEY: Final = "ca-key.pem"
 CERTIFICATE: Final = "cert.pem"
@@ -98,6 +100,8 @@ def make_authority(folder: Path, days: int) -> bool:
         there, gone = (certificate, key) if certificate.exists() else (key, certificate)
         raise CertificateError(f"{there} is there and {gone} is not; expected both or neither")
     if certificate.exists():
+        for path in (certificate, key):  # openssl would wait at a pipe
+            open_regular(path).close()
         return False
     _make_folder(folder)
     with tempfile.TemporaryDirectory(dir=folder) as work:
@@ -167,7 +171,7 @@ def is_current(folder: Path, name: str, margin_days: int = 1) -> bool:
         return False
     if not (target / AUTHORITY_CERTIFICATE).exists():
         return False
-    if (target / AUTHORITY_CERTIFICATE).read_bytes() != authority.read_bytes():
+    if read_regular(target / AUTHORITY_CERTIFICATE) != read_regular(authority):
         return False
     try:
         _openssl("verify", "-CAfile", str(authority), str(certificate))

@@ -81,11 +81,3 @@ def violation_bound(sessions: int, exceeded: int, confidence: float) -> float:
     if not 0 <= exceeded <= sessions or sessions < 1:
         raise ValueError(f"got {exceeded} of {sessions} sessions, expected 0 to all of at least 1")
     return clopper_pearson(exceeded, sessions, 1 - confidence)[1]
-
-
-def sessions_needed(violation: float, confidence: float) -> int:
-    """Sessions that must all stay in D_c to promise ``violation`` with this confidence.
-
-    N >= ln(1 / (1 - confidence)) / -ln(1 - violation).
-    """
-    return math.ceil(math.log1p(-confidence) / math.log1p(-violation) - 1e-9)

@@ -10,6 +10,7 @@ and too small where N is taken too large.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +20,14 @@ from protocol.arrays import Array
 from protocol.scenario import ConvexSet, NoiseSet, Scenario, ScenarioError, parse_scenario
 from protocol.scenario.noise import widened
 from wyner.fit.conformal import conformal_scale, session_score, template, violation_bound
-from wyner.fit.identification import FitError, FittedModel, identify, sensor_deviation
+from wyner.fit.identification import (
+    ROUNDED,
+    FitError,
+    FittedModel,
+    identify,
+    inputs_without_effect,
+    sensor_deviation,
+)
 from wyner.fit.sessions import OpenPlant, Transitions, excite, residuals_under
 from wyner.simulate.single import Law
 
@@ -116,6 +124,7 @@ def fit(
     make_law: MakeLaw,
     plan: Plan,
     tell: Tell = lambda _: None,
+    folder: Path = Path(),
 ) -> Fit:
     """Fit a scenario to its plant.
 
@@ -131,6 +140,8 @@ def fit(
     plan : Plan
     tell : callable
         Takes a line on each stage.
+    folder : Path
+        Where the file of a network's measured delays is looked for.
 
     Raises
     ------
@@ -159,9 +170,21 @@ def fit(
         errors = seen.x_next - seen.x @ np.array(blank.A).T - seen.u @ np.array(blank.B).T
     else:
         found = _identified(seen, noisy=noisy)
+        for j in inputs_without_effect(found, seen.x, seen.u):
+            raise FitError(
+                f"input u_{j + 1} has no effect: B's column is within its error (the largest entry "
+                f"is {float(np.abs(found.B[:, j]).max()):.2g}); connect it, leave it out of "
+                "control.inputs, or excite the plant with a larger --amplitude"
+            )
         errors = seen.x_next - seen.x @ found.A.T - seen.u @ found.B.T
         defender |= {"A": found.A.tolist(), "B": found.B.tolist()}
         tell(f"identified A and B from {len(seen.x)} steps, condition {found.condition:.3g}")
+    if (template(errors) <= ROUNDED * np.sqrt((seen.x_next**2).mean(axis=0))).all():
+        raise FitError(
+            "the plant shows no disturbance: the model leaves nothing but rounding (residuals up "
+            f"to {float(template(errors).max()):.1g}), and a D_c of that size is none; state "
+            "plant.disturbance, or state defender.disturbance without a fit"
+        )
     A = np.array(defender.get("A") or blank.A)
     if plan.noise is not None:
         deviation = sensor_deviation(errors, A, seen.steps)
@@ -183,7 +206,7 @@ def fit(
                 "--amplitude shows less of what the model leaves out)"
             ) from None
         residuals = residuals_under(
-            s, law, open_plant, runs=sessions, steps=plan.steps, seed=plan.seed
+            s, law, open_plant, runs=sessions, steps=plan.steps, seed=plan.seed, folder=folder
         )
         first = sessions.stop
         sessions = range(first, first + plan.calibration)
@@ -207,7 +230,9 @@ def fit(
         rounds += 1
     tell("frozen; fresh sessions under this law")
     fresh = range(sessions.start, sessions.start + plan.fresh)
-    residuals = residuals_under(s, law, open_plant, runs=fresh, steps=plan.steps, seed=plan.seed)
+    residuals = residuals_under(
+        s, law, open_plant, runs=fresh, steps=plan.steps, seed=plan.seed, folder=folder
+    )
     exceeded = sum(session_score(r, widths) > 1 + 1e-9 for r in residuals)
     defender["calibration"] = {
         "sessions": plan.fresh,

@@ -37,6 +37,12 @@ class FittedModel:
 LARGEST_CONDITION = 1e6
 """Regressors that are nearer to dependent than this determine nothing."""
 
+WITHIN = 4.0
+"""Standard errors that count as within the error: by chance one number in 16,000 is beyond."""
+
+ROUNDED = 1e-12
+"""Share of a state that is rounding."""
+
 
 def identify(
     x: ArrayLike, u: ArrayLike, x_next: ArrayLike, instruments: ArrayLike | None = None
@@ -71,7 +77,9 @@ def identify(
     lengths = np.sqrt((Z * Z).sum(axis=0))
     if not lengths.all():
         j = int((lengths == 0).argmax())
-        what = f"state {j + 1}" if j < n else f"input {j - n + 1}"
+        if j < n and lengths[n:].all():
+            raise FitError(f"state x_{j + 1} is zero throughout: no input has an effect on it")
+        what = f"state x_{j + 1}" if j < n else f"input u_{j - n + 1}"
         raise FitError(f"{what} is zero throughout: the plant was not excited")
     singular = np.linalg.svd(Z / lengths, compute_uv=False)
     condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
@@ -95,6 +103,22 @@ def identify(
         errors=np.sqrt(np.outer(variance, spread)),
         condition=condition,
     )
+
+
+def inputs_without_effect(model: FittedModel, x: ArrayLike, u: ArrayLike) -> list[int]:
+    """Inputs whose column of B is within its error, from 0.
+
+    Parameters
+    ----------
+    model : FittedModel
+    x, u : array, shapes (T, n) and (T, m)
+        The data of the fit. They tell what a number of B would have to be to be more than rounding.
+    """
+    X, U = np.asarray(x, dtype=float), np.asarray(u, dtype=float)
+    least = ROUNDED * np.outer(np.sqrt((X**2).mean(axis=0)), 1 / np.sqrt((U**2).mean(axis=0)))
+    errors = model.errors[:, X.shape[1] :]
+    dead = (np.abs(model.B) <= np.maximum(WITHIN * errors, least)).all(axis=0)
+    return [int(j) for j in np.flatnonzero(dead)]
 
 
 def sensor_deviation(residuals: ArrayLike, A: ArrayLike, steps: int) -> Array:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from operator import add
+from pathlib import Path
 
 import numpy as np
 
@@ -107,20 +108,31 @@ def _read(x: tuple[float, ...], n: tuple[float, ...]) -> tuple[float, ...]:
 
 
 def residuals_under(
-    scenario: Scenario, law: Law, open_plant: OpenPlant, *, runs: range, steps: int, seed: int
+    scenario: Scenario,
+    law: Law,
+    open_plant: OpenPlant,
+    *,
+    runs: range,
+    steps: int,
+    seed: int,
+    folder: Path = Path(),
 ) -> Array:
     """x+ - A x - B u of every step of whole sessions under the law, shape (sessions, steps, n).
 
-    Of readings: where sensors are noisy each is d + n(k+1) - A n(k).
+    Of readings: where sensors are noisy each is d + n(k+1) - A n(k). A step that the network missed
+    counts with the fallback's input.
     """
     record = simulate_plant(
-        scenario, law, lambda: open_plant(scenario), seed=seed, runs=runs, steps=steps
+        scenario,
+        law,
+        lambda: open_plant(scenario),
+        seed=seed,
+        runs=runs,
+        steps=steps,
+        folder=folder,
     )
     assert record.x is not None
-    assert record.candidates is not None
-    x = np.moveaxis(record.x, 2, 0)
-    offers = np.moveaxis(record.candidates, 3, 0)
-    coin = record.coin.T[:, :, None, None].astype(np.intp)
-    u = np.take_along_axis(offers, coin, axis=2)[:, :, 0]
+    assert record.u is not None
+    x, u = np.moveaxis(record.x, 2, 0), np.moveaxis(record.u, 2, 0)
     out: Array = x[:, 1:] - x[:, :-1] @ np.array(scenario.A).T - u @ np.array(scenario.B).T
     return out

@@ -1,7 +1,7 @@
 """Which files of a run's folder are evidence, and what holds each of them to what it was.
 
 A file that matches none of the patterns is no evidence: a page, a table or a copy that somebody put
-there. What goes on being written beside a run that is over (a key server's line, a lock) is none
+there. What goes on being written beside a run that is over (a lock) is none
 either.
 """
 
@@ -38,8 +38,8 @@ KINDS: Final = (
     FileKind("controller/trace*.jsonl", True, _BOTH),
     FileKind("plant/journal.sqlite3*", True, "whole, frames; the seal"),
     FileKind("controller/journal.sqlite3*", True, "whole, messages; the seal"),
-    FileKind("plant/keys.sqlite3", True, "key-stores, key-ids, sealed-once; the seal"),
-    FileKind("controller/keys.sqlite3", True, "key-stores, key-ids, sealed-once; the seal"),
+    FileKind("plant/keys.sqlite3", True, "key-stores, key-ids; the seal"),
+    FileKind("controller/keys.sqlite3", True, "key-stores, key-ids; the seal"),
     FileKind("*/keys.sqlite3-given", True, "key-stores: the count beside its store"),
     FileKind("tap/capture*.jsonl", True, "the checks of the bus, its end marks, the seal"),
     FileKind("tap/guesses*.jsonl", True, "whole: its end marks; the seal"),
@@ -54,12 +54,9 @@ KINDS: Final = (
     FileKind("plant/log", True, SEAL),
     FileKind("controller/log", True, SEAL),
     FileKind("tap/log", True, SEAL),
-    FileKind("*/health", False, "a line for health checks, written anew"),
-    FileKind("kme-*/*", False, "a key server's own, beside a run that is over"),
     FileKind("*/.*", False, "on its way to its name, or the one before it"),
     FileKind("*/keys.sqlite3-journal", False, "SQLite's own, empty between two writes"),
     FileKind("*/log.old", False, "a log that was begun again"),
-    FileKind("*/secret", False, "taken into the key store, which says so"),
     FileKind("*/lock", False, "empty"),
     FileKind("report.html", False, "made of the run, and can be made again"),
 )

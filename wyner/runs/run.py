@@ -8,7 +8,6 @@ run of a million steps is never in memory as a whole.
 import base64
 import json
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -18,6 +17,7 @@ from pydantic_core import from_json
 
 from protocol.scenario import Scenario
 from protocol.secret.records import Side
+from runtime.files import read_regular
 from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
@@ -89,7 +89,7 @@ class Run:
         if not path.is_file():
             return None
         try:
-            value = json.loads(path.read_bytes())
+            value = json.loads(read_regular(path))
         except (ValueError, RecursionError):
             return {}
         return value if isinstance(value, dict) else {}
@@ -150,15 +150,22 @@ class Run:
         return events.behind
 
     def sent(self) -> list[bytes]:
-        """The messages that the controller was handed, in order; as far as its trace tells."""
+        """The messages that the controller was handed, in order; none where it left no trace.
+
+        Raises
+        ------
+        runtime.recording.TraceError
+            When its trace cannot be read.
+        """
         sent: dict[str, bytes] = {}
+        if not self.has("controller"):
+            return []
 
         def take(event: Event) -> None:
             if event["event"] == "sent":
                 sent.setdefault(event["id"], base64.b64decode(event["payload"]))
 
-        with suppress(TraceError):
-            self.feed("controller", take)
+        self.feed("controller", take)
         return list(sent.values())
 
     def capture(self) -> CaptureReader:
@@ -181,7 +188,7 @@ class Run:
         """
         path = self.folder / BELIEFS
         try:
-            found = from_json(path.read_bytes())
+            found = from_json(read_regular(path))
         except OSError as error:
             raise RunError(f"{path}: cannot be read: {error.strerror}") from None
         except ValueError:
@@ -202,6 +209,6 @@ class Run:
     def unguessed(self) -> int:
         """Messages that the tap left out of its live guessing, since too many waited."""
         try:
-            return int(json.loads((self.folder / TAP_STATUS).read_bytes())["unguessed"])
+            return int(json.loads(read_regular(self.folder / TAP_STATUS))["unguessed"])
         except (OSError, ValueError, LookupError, TypeError):
             return 0

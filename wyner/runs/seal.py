@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.secret.records import Side, StoreError
-from runtime.files import write_atomically
+from runtime.files import open_regular, read_regular, write_atomically
 from runtime.keys.store import KeyStore
 from runtime.recording import CONTINUED, decode
 from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
@@ -36,9 +36,6 @@ _STAYS: Final = (
     "SELECT session, number, transitions, steps, counted, rows, keys, state, tag "
     "FROM block ORDER BY place",
     "SELECT id, row, own FROM key ORDER BY place",
-    "SELECT origin, kind, session FROM pad ORDER BY place",
-    "SELECT id, hex(digest), key_ids, hex(cipher), tag FROM sealed ORDER BY number",
-    "SELECT id, hex(payload) FROM opened ORDER BY number",
 )
 
 CHANGED: Final = "it is not as the run left it"
@@ -62,7 +59,7 @@ def seal(run_dir: Path, summary: bytes | None = None) -> None:
     OSError
         When a file cannot be read, or the manifest not be written.
     """
-    manifest = json.loads((run_dir / MANIFEST).read_bytes())
+    manifest = json.loads(read_regular(run_dir / MANIFEST))
     manifest[FILES] = _all_held(run_dir)
     if summary is not None:
         write_atomically(run_dir / COMING, summary)
@@ -125,7 +122,7 @@ def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
 
 def _continues(path: Path, size: int) -> bool:
     """Whether another incarnation of the writer begins behind its first ``size`` bytes."""
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         file.seek(size)
         first = file.read(4096).lstrip(b"\n").split(b"\n")[0]
     return (decode(first) or {}).get("event") == CONTINUED
@@ -154,7 +151,7 @@ def _digest(path: Path, size: object) -> str:
     """SHA-256 of a file's first ``size`` bytes."""
     digest = hashlib.sha256()
     left = size if isinstance(size, int) else 0
-    with path.open("rb") as file:
+    with open_regular(path) as file:
         while left > 0 and (chunk := file.read(min(left, 1 << 20))):
             digest.update(chunk)
             left -= len(chunk)

@@ -10,7 +10,6 @@ import json
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -18,12 +17,13 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
 from runtime.errors import UsageError
+from runtime.files import read_regular
 from runtime.network import check_delays, measured_delays
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.simulate import UNATTACKED
+from wyner.sweeps.code import LOOP, code_version
 
-ROOT: Final = Path(__file__).resolve().parents[2]
 ALPHA: Final = "secrecy.alpha"
 FILE: Final = "file"
 """A column of a sweep over several scenarios: as the sweep names each. Two may have one name."""
@@ -151,7 +151,7 @@ def load_sweep(path: Path) -> Sweep:
         With one line for each wrong field.
     """
     try:
-        data = tomllib.loads(path.read_text(encoding="utf-8"))
+        data = tomllib.loads(read_regular(path).decode())
     except OSError as error:
         raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
@@ -240,7 +240,7 @@ def _heard(sweep: Sweep, scenario: Scenario) -> dict[str, Any]:
         **misses,
         "eavesdroppers": [name.rpartition("/")[2] for name in sweep.eavesdroppers],
         "message": sweep.message,
-        "version": code_version(*TAP_SOURCES),
+        "version": code_version(LOOP),
         "files": own,
     }
 
@@ -343,55 +343,6 @@ def groups_of(points: Iterable[Point]) -> list[Group]:
         key = canonical([point.scenario.name, point.variant, substance, misses])
         found.setdefault(key, Group([])).points.append(point)
     return list(found.values())
-
-
-SOURCES: Final = (
-    "wyner/simulate/engine/*.py",
-    "wyner/sweeps/running.py",
-    "controller_service/**/*.py",
-    "plant_service/disturbance.py",
-    "wyner/simulate/missed.py",
-    "runtime/network.py",
-    "protocol/fates.py",
-    "protocol/gilbert_elliott.py",
-    "protocol/losses.py",
-    "protocol/link/channel.py",
-    "protocol/link/fallback.py",
-    "protocol/link/session.py",
-    "protocol/link/outputs.py",
-    "protocol/box_observer.py",
-    "protocol/defence/*.py",
-    "protocol/agreement.py",
-    "protocol/schemes/*.py",
-    "protocol/streams.py",
-    "protocol/registry.py",
-    "protocol/scenario/*.py",
-    "protocol/arrays.py",
-    "protocol/convex.py",
-    "protocol/vectors.py",
-)
-"""Where the numbers come from."""
-
-TAP_SOURCES: Final = ("wyner/simulate/engine/*.py", "tap_service/**/*.py", "protocol/knowledge.py")
-"""Where the numbers of eavesdroppers come from besides."""
-
-SHELLS: Final = ("service.py", "__main__.py", "design_cache.py", "diagrams.py")
-
-
-@cache
-def code_version(*more: str) -> str:
-    """The package's version and a hash of the sources that the numbers come from.
-
-    ``more`` are patterns of sources besides those of the loop.
-    """
-    from importlib.metadata import version
-
-    digest = hashlib.blake2b(digest_size=4)
-    for pattern in (*SOURCES, *more):
-        for path in sorted(ROOT.glob(pattern)):
-            if path.name not in SHELLS:
-                digest.update(path.name.encode() + b"\0" + path.read_bytes())
-    return f"{version('wyner')}+{digest.hexdigest()}"
 
 
 def describe(point: Point) -> str:

@@ -19,8 +19,9 @@ from protocol.statistics import (
     mean_sequence,
     share_over_runs,
 )
-from runtime.files import PUBLIC_FILE, write_atomically
-from wyner.sweeps.grid import Point, Row, SweepError, canonical, code_version
+from runtime.files import PUBLIC_FILE, read_regular, refuse_irregular, write_atomically
+from wyner.sweeps.code import loop_version
+from wyner.sweeps.grid import Point, Row, SweepError, canonical
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
 SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
@@ -43,9 +44,10 @@ BY_RUN: Final = "runs_by_agreed"
 those tested. Without it, as in files of before, the share has no interval: how runs differ cannot
 be told from a sum over them."""
 TAPPED_BY_RUN: Final = ("runs_by_keys", "runs_by_messages")
-"""The same of each eavesdropper: keys right of those agreed, messages read of those delivered."""
-TAPPED: Final = ("agreed", "right", "delivered", "read", "key_blocks", "key_bits")
-"""Columns of each eavesdropper, after MEASURED: keys agreed and, of these, guessed right at once;
+"""The same of each eavesdropper: keys known of those agreed, messages read of those delivered."""
+TAPPED: Final = ("agreed", "right", "known", "delivered", "read", "key_blocks", "key_bits")
+"""Columns of each eavesdropper, after MEASURED: keys agreed and, of these, named right at once, and
+known at once up to one relabelling of the symbols a run (:mod:`protocol.relabelling`);
 messages that the plant had whole and, of these, those that she had; key blocks and the bits of
 their rows that she holds, where she goes for keys. Named ``tap.NAME.right``."""
 
@@ -88,6 +90,7 @@ class Results:
         self.columns = (*FIXED, *fields, *MEASURED, *tap_columns(taps))
         self.rows: list[Row] = []
         path.parent.mkdir(parents=True, exist_ok=True)
+        refuse_irregular(path)
         try:
             self._file: IO[bytes] = path.open("a+b" if resume else "x+b")
         except FileExistsError:
@@ -115,10 +118,10 @@ class Results:
             )
         whole = data[: data.rfind(b"\n") + 1]
         self.rows = _numbers(self.path, _table(self.path, whole))
-        foreign = sorted({r["version"] for r in self.rows} - {code_version()})
+        foreign = sorted({r["version"] for r in self.rows} - {loop_version()})
         if foreign:
             raise SweepError(
-                f"{self.path}: has rows of code version {foreign[0]}, this is {code_version()}; "
+                f"{self.path}: has rows of code version {foreign[0]}, this is {loop_version()}; "
                 "--output names another file"
             )
         self._file.truncate(len(whole))
@@ -133,7 +136,7 @@ class Results:
         """Append one row; returns it as a reader will see it."""
         row = {
             "task": point.task,
-            "version": code_version(),
+            "version": loop_version(),
             "scenario": point.scenario.name,
             "variant": point.variant,
             **{name: canonical(value) for name, value in point.fields.items()},
@@ -168,7 +171,7 @@ def read_table(path: Path) -> list[Row]:
         When the file cannot be read, has no rows, or its last line is torn.
     """
     try:
-        data = path.read_bytes()
+        data = read_regular(path)
     except OSError as error:
         raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
     if not data.endswith(b"\n"):
@@ -274,10 +277,10 @@ class Summary:
 
     @property
     def shares(self) -> dict[str, Interval]:
-        """Steps that agreed, and of each eavesdropper keys right and messages read, over runs."""
+        """Steps that agreed, and of each eavesdropper keys known and messages read, over runs."""
         sums = {"agreed": (self.counts["agreements"], self.counts["tested"])}
         for name, counts in self.taps.items():
-            sums[f"{name} keys right"] = (counts["right"], counts["agreed"])
+            sums[f"{name} keys known"] = (counts["known"], counts["agreed"])
             sums[f"{name} messages read"] = (counts["read"], counts["delivered"])
         found = {}
         for name, (right, of) in sums.items():
@@ -315,7 +318,7 @@ def _pairs(rows: Sequence[Row]) -> dict[str, dict[tuple[int, int], int]]:
     """The shares of which every row says how many runs had how many."""
     columns = {"agreed": BY_RUN}
     for name in taps_in(rows[0]):
-        for share, column in zip(("keys right", "messages read"), TAPPED_BY_RUN, strict=True):
+        for share, column in zip(("keys known", "messages read"), TAPPED_BY_RUN, strict=True):
             columns[f"{name} {share}"] = f"tap.{name}.{column}"
     found = {}
     for share, column in columns.items():

@@ -21,13 +21,13 @@ from controller_service.sets.design import SynthesisError
 from protocol.scenario import Scenario
 from protocol.schemes.framing import frame_length
 from wyner.simulate.engine import Runs, SimulationError, follow, simulate_runs, transfer
+from wyner.sweeps.code import loop_version
 from wyner.sweeps.grid import (
     Group,
     Point,
     Row,
     Sweep,
     SweepError,
-    code_version,
     describe,
     groups_of,
 )
@@ -89,7 +89,7 @@ def run_task(
             record=bool(eavesdroppers),
         )
     except (SynthesisError, ProgramError, SimulationError) as error:
-        return code_version(), str(error)
+        return loop_version(), str(error)
     link = follow(simulated, alphas)
     x2, u2 = simulated.state_cost / steps, simulated.input_effort / steps
     common = {
@@ -115,7 +115,7 @@ def run_task(
         agreed = zip(link.agreements[i].tolist(), link.tested[i].tolist(), strict=True)
         by_run = {"runs_by_symbols": text, BY_RUN: pairs_text(agreed)}
         rows.append(common | counts | sums | by_run | heard)
-    return code_version(), rows
+    return loop_version(), rows
 
 
 def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str) -> Row:
@@ -133,7 +133,7 @@ def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str)
         mine = [of_run[i] for of_run in of_runs]
         sums = [sum(column) for column in zip(*map(astuple, mine), strict=True)]
         by_run = [
-            pairs_text((got.right, got.agreements) for got in mine),
+            pairs_text((got.known, got.agreements) for got in mine),
             pairs_text((got.read, got.delivered) for got in mine),
         ]
         row |= zip(tap_columns([name_of(eavesdropper)]), (*sums, *by_run), strict=True)
@@ -148,9 +148,9 @@ def name_of(eavesdropper: str) -> str:
     KnowledgeError
         When there is no such eavesdropper.
     """
-    from tap_service.sandboxed import guarded
+    from tap_service.eavesdroppers import named
 
-    return guarded(eavesdropper).name
+    return named(eavesdropper).name
 
 
 class SerialExecutor(Executor):
@@ -290,8 +290,8 @@ def _take(task: _Task, future: "Future[Any]", results: Results, batch: int) -> N
         future.cancel()
         return
     version, answer = future.result()
-    if version != code_version():
-        raise SweepError(f"a worker has code version {version}, this is {code_version()}")
+    if version != loop_version():
+        raise SweepError(f"a worker has code version {version}, this is {loop_version()}")
     if isinstance(answer, str):
         group.failure = answer
         return

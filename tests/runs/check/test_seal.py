@@ -6,14 +6,12 @@ import os
 import shutil
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from benchmarks.check import make_run
 from protocol.secret.records import BlockRow
 from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
@@ -38,6 +36,7 @@ from runtime.scenario_file import load_scenario
 from tests.runs.check.mutants import ALTERATIONS
 from tests.support.checked_runs import failed
 from tests.support.giving import deliver
+from tests.support.long_run import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
@@ -103,32 +102,12 @@ def test_an_honest_run_passes_and_a_key_that_is_taken_out_later_is_none_of_it(ru
     assert failed(run) == set()
 
 
-def test_what_goes_on_beside_a_run_that_is_over_is_none_of_it(run: Path) -> None:
-    """A key server writes its line there once a second, under a name that comes and goes."""
-    server = run / "kme-plant" / "health"
-    write_atomically(server, b"ok: 3 ready, 0 given")
-    (run / "plant" / "health").write_text("ok")
-    (run / "report.html").write_text("made meanwhile")
-    over, told = threading.Event(), 0
-
-    def serve() -> None:
-        nonlocal told
-        while not over.is_set():
-            write_atomically(server, f"ok: {told}".encode())
-            told += 1
-
-    thread = threading.Thread(target=serve)
-    thread.start()
-    try:
-        for _ in range(40):
-            seal(run)
-    finally:
-        over.set()
-        thread.join()
-    write_atomically(server, b"stopped: 2 ready, 1 given")
-    (run / "plant" / "health").write_text("bad: no transition for 5 s")
-    (run / "report.html").write_text("made again")
-    assert told > 40
+def test_what_is_made_anew_beside_a_run_is_none_of_it(run: Path) -> None:
+    for name in ("plant/lock", "report.html"):
+        (run / name).write_text("made meanwhile")
+    seal(run)
+    for name in ("plant/lock", "report.html"):
+        (run / name).write_text("made again")
     assert failed(run) == set()
 
 

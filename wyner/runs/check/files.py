@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
+from runtime.files import read_regular
 from runtime.recording import CONTINUED, END, HEADER, decode, parts_of, raw_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
@@ -235,7 +236,7 @@ def _as_the_tap_says(e: Evidence, counter: Counter) -> None:
     path = e.run_dir / TAP_STATUS
     if not path.is_file():
         return
-    told = decode(path.read_bytes()) or {}
+    told = decode(read_regular(path)) or {}
     first, captured = told.get("first_part"), told.get("captured")
     if not isinstance(first, int) or not isinstance(captured, int):
         counter.count(False, "", -1, -1, f"{TAP_STATUS}: expected first_part and captured")

@@ -1,5 +1,5 @@
 """``wyner report``: a run on one page of HTML that needs no network, no script, no library."""
 
-from wyner.runs.page.page import StepError, write_report
+from wyner.runs.page.page import write_report
 
-__all__ = ["StepError", "write_report"]
+__all__ = ["write_report"]

@@ -55,16 +55,6 @@ class Flag:
     label: str
 
 
-@dataclass(frozen=True, slots=True)
-class Door:
-    """A stretch of the chart that leads to another part of the page."""
-
-    low: float
-    high: float
-    href: str
-    label: str
-
-
 def ticks(low: float, high: float, about: int = 6) -> list[float]:
     """Round numbers from ``low`` to ``high``, about so many."""
     span = high - low
@@ -237,7 +227,6 @@ def chart(
     *,
     marks: Iterable[Mark] = (),
     flags: Iterable[Flag] = (),
-    doors: Iterable[Door] = (),
     floor: float | None = None,
 ) -> str:
     """Lines over time with a legend.
@@ -250,8 +239,6 @@ def chart(
     marks : iterable of Mark
         Those of one place are drawn once.
     flags : iterable of Flag
-    doors : iterable of Door
-        What a click leads to.
     floor : float, optional
         A value that the vertical axis shows in any case.
     """
@@ -278,12 +265,6 @@ def chart(
         parts.append(f'<path class="flag" d="M{number(x)} {TOP}V{foot}"/>')
         at = f'x="{number(x + 3)}" y="{TOP + 10 + 13 * place}"'
         parts.append(f"<text {at}>{escape(flag.label)}</text>")
-    for door in doors:
-        x, end = (min(max(frame.at(v, 0.0)[0], LEFT), WIDTH - RIGHT) for v in (door.low, door.high))
-        parts.append(
-            f'<a href="{door.href}"><title>{escape(door.label)}</title><rect class="door" '
-            f'x="{number(x)}" y="{TOP}" width="{number(end - x)}" height="{foot - TOP}"/></a>'
-        )
     return svg(title, CHART_HEIGHT, parts) + legend([(x.label, x.place) for x in lines])
 
 

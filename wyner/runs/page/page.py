@@ -12,20 +12,17 @@ import numpy as np
 
 from protocol.scenario import Scenario
 from protocol.text import readable
-from runtime.files import write_atomically
+from runtime.files import read_regular, write_atomically
 from runtime.run_folder import MANIFEST
 from wyner.runs.check import check
 from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import Evidence, Part, read_evidence
 from wyner.runs.check.records import MissedLine, OtherLine, TracedTransition, Walked
 from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
-from wyner.runs.page.walk import STYLE as WALK_STYLE
-from wyner.runs.page.walk import Walk, shapes_legend
-from wyner.runs.page.windows import Windows
-from wyner.runs.run import Run, RunError
+from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import step_cost
-from wyner.runs.score.report import HEADINGS, NOTE, rows
+from wyner.runs.score.report import HEADINGS, NOTE, remarks, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
     RunScore,
@@ -49,7 +46,9 @@ body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: var(
 h1 { font-size: 1.5em; } h2 { font-size: 1.15em; margin-top: 2em; }
 svg { width: 100%; height: auto; } svg text { font-size: 11px; fill: var(--ink); }
 .grid { stroke: var(--faint); stroke-width: .5; fill: none; }
-.line { fill: none; stroke-width: 1.5; } .mark { stroke: var(--ink); stroke-width: .7; }
+.line { fill: none; stroke-width: 1.5; }
+.flag { stroke: var(--ink); stroke-dasharray: 2 2; fill: none; }
+.mark { stroke: var(--ink); stroke-width: .7; }
 .star { fill: var(--ink); } .sample { width: 28px; height: 8px; }
 .legend { display: flex; flex-wrap: wrap; gap: .2em 1.2em; margin: 0; font-size: .85em; }
 table { border-collapse: collapse; font-size: .85em; width: 100%; }
@@ -63,11 +62,8 @@ pre { white-space: pre-wrap; overflow-wrap: anywhere; border-left: 3px solid var
 SHOWN: Final = 5
 """Messages that are shown, the last."""
 
-MOST_KEPT: Final = 1024
-"""Agreed steps of which one is drawn."""
 
-
-def write_report(run_dir: Path, output: Path | None = None, step: int | None = None) -> Path:
+def write_report(run_dir: Path, output: Path | None = None) -> Path:
     """Write a run's page; returns its path.
 
     Parameters
@@ -75,13 +71,9 @@ def write_report(run_dir: Path, output: Path | None = None, step: int | None = N
     run_dir : Path
     output : Path, optional
         ``report.html`` in the run's folder if not given.
-    step : int, optional
-        A step to be drawn, and its neighbours; one from the middle of the run if not given.
 
     Raises
     ------
-    StepError
-        When the run has no such step.
     FileNotFoundError, ScenarioError, TraceError
         When there is no run, or it cannot be read.
     OSError
@@ -89,12 +81,8 @@ def write_report(run_dir: Path, output: Path | None = None, step: int | None = N
     """
     path = run_dir / PAGE if output is None else output
     evidence = read_evidence(run_dir)
-    write_atomically(path, page(evidence, _outputs(evidence.run), step).encode())
+    write_atomically(path, page(evidence, _outputs(evidence.run)).encode())
     return path
-
-
-class StepError(RunError):
-    """A step that the run does not have; the message is one line."""
 
 
 def _outputs(run: Run) -> list[TapOutput] | str:
@@ -105,16 +93,12 @@ def _outputs(run: Run) -> list[TapOutput] | str:
         return str(error)
 
 
-def page(e: Evidence, said: list[TapOutput] | str, step: int | None = None) -> str:
+def page(e: Evidence, said: list[TapOutput] | str) -> str:
     """The whole page."""
-    recorded = _Recorded(e.scenario, step)
+    recorded = _Recorded(e.scenario)
     results = check(e, recorded.take)
-    if step is not None and recorded.windows.step() is None:
-        raise StepError(f"--step: got {step}, expected one of the run's: 0 to {recorded.newest}")
     s, attack = e.scenario, attacked(e.run).as_json()
     period_s = s.plant.period_s
-    heard = () if isinstance(said, str) else said
-    walk = Walk(s, e.rules, recorded.windows.stretches(), heard, _flags(attack))
     if e.plant is None or isinstance(said, str):
         why = escape(said if isinstance(said, str) else "no plant trace")
         keys = secrecy = [f"<p>Not known: {why}.</p>"]
@@ -127,8 +111,7 @@ def page(e: Evidence, said: list[TapOutput] | str, step: int | None = None) -> s
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
         *_attack(attack),
         *_section("What was sent and what arrived", _message(e, recorded)),
-        *_section("States and inputs", _loop(e, recorded, walk, _flags(attack, period_s))),
-        *_section("Any step", _steps(recorded, walk)),
+        *_section("States and inputs", _loop(e, recorded, _flags(attack, period_s))),
         *_section("Keys against taps", keys),
         *_section("Checks", _checks(results)),
         *_section("The run", _about(e)),
@@ -136,7 +119,7 @@ def page(e: Evidence, said: list[TapOutput] | str, step: int | None = None) -> s
     return (
         '<!doctype html><html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width">'
-        f"<title>wyner: {escape(s.name)}</title><style>{STYLE}{WALK_STYLE}</style></head><body>"
+        f"<title>wyner: {escape(s.name)}</title><style>{STYLE}</style></head><body>"
         f"{''.join(parts)}</body></html>\n"
     )
 
@@ -180,9 +163,8 @@ class _Recorded:
     Of each line it keeps what is drawn, so that a page of a million steps is made like any other.
     """
 
-    def __init__(self, scenario: Scenario, chosen: int | None = None) -> None:
+    def __init__(self, scenario: Scenario) -> None:
         self._scenario = scenario
-        self._chosen = chosen
         self.payloads = {name: deque[bytes](maxlen=SHOWN) for name in ("sent", "recovered")}
         self.messages = dict.fromkeys(self.payloads, 0)
         self.born_in = ""
@@ -196,10 +178,6 @@ class _Recorded:
         self.inputs = [Series() for _ in range(s.m)]
         self.true_states = [Series() for _ in range(s.n)]
         self.agreed = array("q")
-        self.some: list[TracedTransition] = []
-        self._every = 1
-        self.newest = -1
-        self.windows = Windows(self._chosen)
 
     def take(self, part: Part) -> None:
         """Take a part of the run."""
@@ -222,8 +200,6 @@ class _Recorded:
         self.cost += step_cost(
             s.cost_weights, step.true_x_next or step.x_next, step.true_u or step.u or ()
         )
-        self.newest = step.k
-        self.windows.add(step)
         at = step.k * self._scenario.plant.period_s
         for lines, values in ((self.states, step.x), (self.inputs, step.u or ())):
             for line, value in zip(lines, values, strict=False):
@@ -235,18 +211,7 @@ class _Recorded:
             return
         self.symbols += step.message_symbol >= 0
         if step.symbol >= 0:
-            if len(self.agreed) % self._every == 0:
-                self.some.append(step)
             self.agreed.append(step.k)
-            if len(self.some) > MOST_KEPT:
-                self.some, self._every = self.some[::2], 2 * self._every
-
-    @property
-    def example(self) -> TracedTransition | MissedLine | None:
-        """The step that was asked for, else an agreed one from the middle of the run, else any."""
-        if self._chosen is not None:
-            return self.windows.step()
-        return self.some[len(self.some) // 2] if self.some else self.windows.stretches()[-1][-1]
 
 
 def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
@@ -265,7 +230,7 @@ def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
         yield f"<p>Control cost: {recorded.cost / recorded.steps:.4g} a step, x' Q x + u' R u.</p>"
 
 
-def _loop(e: Evidence, recorded: _Recorded, walk: Walk, flags: Sequence[Flag]) -> Iterator[str]:
+def _loop(e: Evidence, recorded: _Recorded, flags: Sequence[Flag]) -> Iterator[str]:
     if not recorded.steps:
         yield "<p>The plant left no trace.</p>"
         return
@@ -289,32 +254,11 @@ def _loop(e: Evidence, recorded: _Recorded, walk: Walk, flags: Sequence[Flag]) -
         ("Inputs over time", inputs, "input"),
     ):
         marks = (Mark(k * T) for k in recorded.agreed)
-        yield chart(
-            title, lines, "plant time (s)", what, marks=marks, flags=flags, doors=walk.doors(T)
-        )
+        yield chart(title, lines, "plant time (s)", what, marks=marks, flags=flags)
     yield (
         '<p class="note">Ticks at the foot: steps on which a key symbol was agreed. Of a long run '
-        "a band shows the range in each stretch. A click shows it step by step, below.</p>"
+        "a band shows the range in each stretch.</p>"
     )
-
-
-def _steps(recorded: _Recorded, walk: Walk) -> Iterator[str]:
-    """Each step by its number, one of them shown at first."""
-    if not recorded.steps:
-        yield "<p>The plant left no trace.</p>"
-        return
-    stretches = recorded.windows.stretches()
-    yield (
-        '<p class="note">Choose a stretch, then a step, by a click in a picture or by its number; '
-        "the page's address with <code>#step-K</code> at its end shows step K.</p>"
-    )
-    if sum(len(steps) for steps in stretches) < recorded.steps:
-        yield (
-            f'<p class="note">{len(stretches)} stretches of {recorded.steps} steps; '
-            "<code>wyner report RUN_DIR --step K</code> shows the one about step K.</p>"
-        )
-    yield shapes_legend()
-    yield from walk.drawn(recorded.example)
 
 
 def _keys(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]:
@@ -334,12 +278,14 @@ def _keys(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]
 
     lines = [Curve("agreed by both ends", grown(True for _ in steps), 6, steps=True)]
     for place, tap in enumerate(said):
-        right = (tap.live.get(at) == key for at, key in truth.keys.items())
+        relabelled = score(truth, tap).known.labels
+        labels = dict(enumerate(relabelled[0] if relabelled else range(truth.size)))
+        right = (labels.get(tap.live.get(at, -1)) == key for at, key in truth.keys.items())
         lines.append(Curve(f"right, {tap.name}", grown(right), place, steps=True))
     yield chart("Key symbols over time", lines, "plant time (s)", "key symbols", floor=0.0)
     yield (
-        f'<p class="note">Her first guess of each step; blind guessing has one in '
-        f"{e.rules.size} right.</p>"
+        f'<p class="note">The first guess of each step, up to one relabelling of the symbols for '
+        f"the run; blind guessing has one in {e.rules.size} right.</p>"
     )
 
 
@@ -350,8 +296,9 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[s
     yield f"<p>{escape(found.verdict())}</p>"
     yield _table(HEADINGS, rows(found))
     yield f'<p class="note">{escape(NOTE)}</p>'
-    for name, why in found.unscored.items():
-        yield f"<p>{escape(name)} is not scored: {escape(why)}.</p>"
+    for tap in found.taps:
+        for remark in remarks(tap):
+            yield f"<p>{escape(tap.name)}: {escape(remark)}.</p>"
     for one in said:
         text = in_short(one.belief.message.decode("utf-8", errors="replace"))
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
@@ -370,7 +317,7 @@ def _checks(results: Sequence[Result]) -> Iterator[str]:
 
 def _about(e: Evidence) -> Iterator[str]:
     try:
-        manifest = json.loads((e.run_dir / MANIFEST).read_text(encoding="utf-8"))
+        manifest = json.loads(read_regular(e.run_dir / MANIFEST))
     except (OSError, ValueError):
         manifest = {}
     told = {name: value for name, value in manifest.items() if name not in (FILES, ITSELF)}

@@ -1,6 +1,7 @@
 """Eavesdroppers on simulated runs: the classes that listen live, fed the same public messages."""
 
 from binascii import b2a_base64
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -8,11 +9,11 @@ from random import Random
 
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.relabelling import known
 from protocol.secret.nonces import NONCE_BYTES
-from runtime.sandbox import SandboxError
+from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Eavesdropper
-from tap_service.sandboxed import guarded
+from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, named
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
@@ -27,17 +28,22 @@ class TapResult:
     agreements : int
         Key symbols that were agreed; none for one who does not guess at them.
     right : int
-        Of these, the ones that she guessed right at once.
+        Of these, the ones that she named right at once.
+    known : int
+        Of these, the ones that she knew at once, up to one relabelling of the symbols for the run
+        (:mod:`protocol.relabelling`).
     delivered : int
-        Whole messages that the plant recovered.
+        Whole messages that the plant recovered; the last ones, where she keeps no more of hers.
     read : int
-        Of these, the ones among her whole messages in the end.
+        Of these, the ones among her whole messages in the end. One that she read once counts once,
+        however often the same text was sent.
     key_blocks, key_bits : int
         Blocks that made keys, and the bits of their rows that one who goes for keys can compute.
     """
 
     agreements: int
     right: int
+    known: int
     delivered: int
     read: int
     key_blocks: int = 0
@@ -85,16 +91,30 @@ def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
     return (message for message in both if draw.random() >= loss)
 
 
+class EavesdropperError(Failure):
+    """An eavesdropper raised, or gave an answer that is none; one line that names it."""
+
+
 @contextmanager
-def _told_of(name: str, where: str, *unsound: type[Exception]) -> Iterator[None]:
-    """A guest's failure, or an answer that is none, as one line that names her."""
+def _told_of(name: str, where: str) -> Iterator[None]:
+    """Turn whatever an eavesdropper raises into one line that names it."""
     try:
         yield
-    except SandboxError as error:
-        raise SandboxError(f"eavesdropper {name}: {where}: {error}", error.kind) from None
-    except unsound as error:
+    except KnowledgeError:
+        raise
+    except Exception as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
-        raise SandboxError(f"eavesdropper {name}: {where}: {what}") from None
+        raise EavesdropperError(f"eavesdropper {name}: {where}: {what}") from error
+
+
+def read_of(messages: Sequence[bytes], belief: Belief) -> tuple[int, int]:
+    """How many of the messages she had whole, and of how many that can be told.
+
+    She keeps the last of hers alone, so they stand beside as many of the last messages.
+    """
+    if belief.whole_count > len(belief.whole):
+        messages = messages[-len(belief.whole) :]
+    return (Counter(messages) & Counter(belief.whole)).total(), len(messages)
 
 
 def listen(
@@ -117,11 +137,11 @@ def listen(
 
     Raises
     ------
-    SandboxError
-        When one does not answer as she should; the text names her.
+    EavesdropperError
+        When one raises, or gives an answer that is none.
     """
     scenario = runs.scenario
-    classes = [guarded(name) if isinstance(name, str) else name for name in names]
+    classes = [named(name) if isinstance(name, str) else name for name in names]
     shown = [name if isinstance(name, str) else name.name for name in names]
     taps = []
     for name, kind in zip(shown, classes, strict=True):
@@ -131,7 +151,7 @@ def listen(
     attackers = [(name, tap) for name, tap in zip(shown, taps, strict=True) if tap.hears_messages]
     draw = Random(f"copies {runs.seed} {runs.runs[place]}")
     keys = link.agreed[:, place].tolist()
-    right = [0] * len(taps)
+    pairs = [Counter[tuple[int, int]]() for _ in taps]
     for transition in transcript(runs, link, place):
         key = keys[transition.k]
         for message in copies(transition, draw, scenario.tap.loss) if attackers else ():
@@ -142,19 +162,22 @@ def listen(
             where = f"step {transition.k}"
             with _told_of(shown[i], where):
                 guess = tap.observe(transition)
-            with _told_of(shown[i], where, TypeError, ValueError):
+            with _told_of(shown[i], where):
                 guess = sound_guess(guess, scenario.secrecy.candidates)
-            right[i] += tap.guesses and key != NO_SYMBOL and guess.best == key
+            if tap.guesses and key != NO_SYMBOL:
+                pairs[i][guess.best, key] += 1
     symbols = link.message_symbol[:, place].tolist()
     messages = whole_messages(symbols, scenario.secrecy.candidates)
     agreements = sum(key != NO_SYMBOL for key in keys)
     out = []
-    for name, tap, hits in zip(shown, taps, right, strict=True):
+    for name, tap, steps in zip(shown, taps, pairs, strict=True):
+        its = known([steps], scenario.secrecy.candidates)
         with _told_of(name, "belief"):
             belief = tap.belief()
-        with _told_of(name, "belief", TypeError, ValueError):
+        with _told_of(name, "belief"):
             belief = sound_belief(belief)
-        read = sum(m in belief.whole for m in messages)
+        read, of = read_of(messages, belief)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
-        out.append(TapResult(agreements if tap.guesses else 0, hits, len(messages), read, *held))
+        agreed = agreements if tap.guesses else 0
+        out.append(TapResult(agreed, its.named, its.right, of, read, *held))
     return out

@@ -1,0 +1,198 @@
+"""Data of the figures that no sweep gives: single transitions, taps, and sets in the plane."""
+
+from collections.abc import Iterator, Sequence
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+
+from controller_service.laws.base import CandidateLaw
+from controller_service.laws.registry import cached_design, make_law
+from protocol.agreement import NO_SYMBOL, Gauge, predict
+from protocol.arrays import Array
+from protocol.convex import Polytope, planar_vertices
+from protocol.scenario import Scenario
+from runtime.scenario_file import load_scenario
+from runtime.shipped import SCENARIOS
+from wyner.simulate.engine import Runs, simulate_runs, transfer
+from wyner.simulate.engine.taps import listen
+from wyner.sweeps import SWEEPS
+from wyner.sweeps.grid import Point, load_sweep, points_of
+
+SEED: Final = 7
+ALPHAS: Final = (1.5, 3.0, 8.0)
+INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
+PLANTS: Final = ("sustained", "double-integrator", "quadruple-tank", "batch-reactor")
+BINS: Final = 40
+MESSAGE: Final = b"We sail at dawn."
+TAP_RUNS, TAP_STEPS = 20, 1500
+SHOWN_SETS: Final = (0, 1, 2, 3, 4, 6, 8)
+
+DISTANCE_COLUMNS: Final = (
+    "alpha", "runs", "steps", "seed", "distance", "transitions", "in_diff", "expected",
+)  # fmt: skip
+TAP_COLUMNS: Final = (
+    "variant", "alpha", "runs", "steps", "seed", "agreements", "nearest_right", "delivered",
+    "read_by_list_decoder",
+)  # fmt: skip
+WIDTH_COLUMNS: Final = ("scenario", "runs", "steps", "seed", "quantile", "distance")
+SET_COLUMNS: Final = ("seed", "kind", "name", "index", "x_1", "x_2")
+
+
+@cache
+def system(name: str) -> tuple[Scenario, CandidateLaw]:
+    """A shipped scenario with its law."""
+    scenario = load_scenario(SCENARIOS / f"{name}.toml")
+    return scenario, make_law(scenario, cached_design(scenario))
+
+
+def starting_at(scenario: Scenario, x: Sequence[float]) -> Scenario:
+    """The scenario from another initial state."""
+    plant = scenario.plant.model_copy(update={"initial_state": tuple(x)})
+    return scenario.model_copy(update={"plant": plant})
+
+
+def closed_form(delta: Array, D: Sequence[float], D_c: Sequence[float], alpha: float) -> Array:
+    """Probability that x(k+1) is in Diff, two candidates, boxes D within D_c, d uniform in D.
+
+    The true candidate's gauge is at most 1, so that x(k+1) is in Diff when the other's, the largest
+    abs(d_i + delta_i) / w_i, is above 1 and at most alpha: two boxes' overlaps with D, subtracted.
+
+    Parameters
+    ----------
+    delta : array, shape (..., n)
+        c_0 - c_1, the distance of the two centres.
+    D, D_c : sequence of float, shape (n,)
+        Half-widths.
+    alpha : float
+
+    Returns
+    -------
+    array, shape (...)
+    """
+
+    def inside(scale: float) -> Array:
+        share = np.ones(delta.shape[:-1])
+        for i, (w, c) in enumerate(zip(D, D_c, strict=True)):
+            low = np.maximum(-w, -scale * c - delta[..., i])
+            high = np.minimum(w, scale * c - delta[..., i])
+            share = share * np.maximum(0.0, high - low) / (2 * w)
+        return share
+
+    out: Array = inside(alpha) - inside(1.0)
+    return out
+
+
+def centre_distances(runs: Runs) -> Array:
+    """c_0 - c_1 of every transition, shape (steps, R, n)."""
+    assert runs.candidates is not None
+    B = np.array(runs.scenario.B)
+    du = (runs.candidates[:, 0] - runs.candidates[:, 1]).transpose(0, 2, 1)
+    out: Array = du @ B.T
+    return out
+
+
+def gauges_of(scenario: Scenario, v: Array) -> Array:
+    """g of each row of v, shape (..., n): in units of D_c."""
+    H, h = (np.array(a) for a in scenario.defender.disturbance.rows())
+    out: Array = np.maximum(0.0, (v @ H.T / h).max(axis=-1))
+    return out
+
+
+def distance_rows() -> Iterator[tuple[Any, ...]]:
+    """Share of transitions in Diff by the candidates' distance, beside the closed form."""
+    scenario, law = system("sustained")
+    runs, steps = 200, 200
+    sample = simulate_runs(scenario, law, seed=SEED, runs=range(runs), steps=steps, record=True)
+    delta = centre_distances(sample)
+    distance = gauges_of(scenario, delta)
+    edges = np.linspace(0, float(distance.max()) * (1 + 1e-12), BINS + 1)
+    place = np.digitize(distance, edges) - 1
+    D = scenario.plant.disturbance.half_widths
+    D_c = scenario.defender.disturbance.half_widths
+    assert D_c is not None
+    for alpha in ALPHAS:
+        expected = closed_form(delta, D, D_c, alpha)
+        in_diff = (sample.symbol != NO_SYMBOL) & (sample.largest <= alpha)
+        for i in range(BINS):
+            here = place == i
+            if here.any():
+                middle = float(distance[here].mean())
+                yield (
+                    alpha,
+                    runs,
+                    steps,
+                    SEED,
+                    middle,
+                    int(here.sum()),
+                    int(in_diff[here].sum()),
+                    float(expected[here].mean()),
+                )
+
+
+def tap_row(point: Point, runs: int, steps: int) -> tuple[Any, ...]:
+    """What two taps get of a framed message under one kind of disturbance."""
+    scenario = point.scenario
+    law = make_law(scenario, cached_design(scenario))
+    sample = simulate_runs(scenario, law, seed=SEED, runs=range(runs), steps=steps, record=True)
+    sent = transfer(sample, payloads=[MESSAGE])
+    heard = [listen(sample, sent, ("nearest-centre", "list-decoder"), r) for r in range(runs)]
+    return (
+        point.variant,
+        scenario.secrecy.alpha,
+        runs,
+        steps,
+        SEED,
+        sum(nearest.agreements for nearest, _ in heard),
+        sum(nearest.right for nearest, _ in heard),
+        sum(decoder.delivered for _, decoder in heard),
+        sum(decoder.read for _, decoder in heard),
+    )
+
+
+def tap_rows(runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> Iterator[tuple[Any, ...]]:
+    """What the taps get under each disturbance of the sweep ``disturbances``, at alpha = 8."""
+    file = SWEEPS / "disturbances.toml"
+    for point in points_of(load_sweep(file), file.parent):
+        if point.scenario.secrecy.alpha == max(ALPHAS):
+            yield tap_row(point, runs, steps)
+
+
+def width_rows() -> Iterator[tuple[Any, ...]]:
+    """Quantiles of the candidates' distance for each plant."""
+    runs, steps = 30, 200
+    for name in PLANTS:
+        scenario, law = system(name)
+        sample = simulate_runs(scenario, law, seed=SEED, runs=range(runs), steps=steps, record=True)
+        distance = gauges_of(scenario, centre_distances(sample)).ravel()
+        for q in np.linspace(0, 1, 101).tolist():
+            yield name, runs, steps, SEED, q, float(np.quantile(distance, q))
+
+
+def set_rows() -> Iterator[tuple[Any, ...]]:
+    """Corners of some T_i, trajectories through them, and one step's picture (Fig. 4)."""
+    scenario, law = system("sustained")
+    for i in SHOWN_SETS:
+        for x in planar_vertices(Polytope(*law.design.set(i))).tolist():
+            yield SEED, "set", f"T_{i}", i, *x
+    for name in ("paper", "sustained"):
+        for start in INITIAL_STATES[:2]:
+            base, one_law = system(name)
+            run = simulate_runs(
+                starting_at(base, start), one_law, seed=SEED, runs=range(1), steps=50, record=True
+            )
+            assert run.x is not None
+            for k, x in enumerate(run.x[:, :, 0].tolist()):
+                yield SEED, "trajectory", f"{name} {start[0]:g}", k, *x
+    run = simulate_runs(scenario, law, seed=SEED, runs=range(1), steps=200, record=True)
+    assert run.x is not None
+    assert run.candidates is not None
+    in_diff = (run.symbol[:, 0] != NO_SYMBOL) & (run.largest[:, 0] <= 3.0)
+    k = int(np.flatnonzero(in_diff & (np.arange(200) >= 20))[0])
+    x = run.x[k, :, 0].tolist()
+    for i, u in enumerate(run.candidates[k, :, :, 0].tolist()):
+        yield SEED, "step", f"c_{i}", k, *predict(scenario.A, scenario.B, x, u)
+    yield SEED, "step", "x(k+1)", k, *run.x[k + 1, :, 0].tolist()
+    widths = Gauge.from_rows(*scenario.defender.disturbance.rows()).half_widths
+    assert widths is not None
+    yield SEED, "step", "D_c", k, *widths

@@ -1,0 +1,159 @@
+"""A pipe in the place of a file: no command waits for somebody to write into it."""
+
+import os
+import shutil
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from runtime.run_folder import (
+    ANALYSIS_GUESSES,
+    BELIEFS,
+    CAPTURE,
+    CONTROLLER_JOURNAL,
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+    GUESSES,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_JOURNAL,
+    PLANT_SAFE,
+    PLANT_STATUS,
+    PLANT_TRACE,
+    SCENARIO,
+    SUMMARY,
+    TAP_STATUS,
+)
+from runtime.shipped import SCENARIOS
+from tests.support.ended_run import ended_run
+from tests.support.patience import PATIENCE_S
+from wyner.cli.main import main
+
+OF_A_RUN = (
+    *(MANIFEST, SCENARIO, SUMMARY, MESSAGE, KNOWLEDGE, CAPTURE, GUESSES, ANALYSIS_GUESSES, BELIEFS),
+    *(CONTROLLER_TRACE, CONTROLLER_JOURNAL, CONTROLLER_STATUS, TAP_STATUS),
+    *(PLANT_TRACE, PLANT_JOURNAL, PLANT_STATUS, PLANT_SAFE),
+    *(Path(side) / name for side in ("plant", "controller", "tap") for name in ("lock",)),
+    *(path.with_name(f"{path.stem}.0001.jsonl") for path in (PLANT_TRACE, CAPTURE, GUESSES)),
+)
+LOOKING = (
+    ("check", "RUN"),
+    ("check", "RUN", "--json"),
+    ("score", "RUN"),
+    ("score", "RUN", "--decode"),
+    ("report", "RUN", "--output", "OUT"),
+    ("export", "RUN", "--to", "csv"),
+    ("export", "RUN", "--to", "csv", "--steps", "--truth"),
+    ("export", "RUN", "--to", "csv", "--leakage"),
+    ("status", "RUN"),
+    ("status", "RUN", "--healthy", "plant"),
+    ("status", "RUN", "--healthy", "controller"),
+    ("status", "RUN", "--healthy", "tap"),
+    ("design", "RUN/scenario.toml"),
+    ("plant", "--run-dir", "RUN", "--scenario", "RUN/scenario.toml", "--check"),
+    ("controller", "--run-dir", "RUN", "--scenario", "RUN/scenario.toml", "--check"),
+)
+NAMED = (
+    ("score", "PIPE"),
+    ("score", "PIPE", "--decode"),
+    ("export", "PIPE", "--to", "csv"),
+    ("design", "PIPE"),
+    ("fit", "PIPE", "--output", "OUT"),
+    ("sweep", "PIPE"),
+    ("sweep", "PIPE", "--plot", "OUT.svg"),
+    ("sweep", "fig7-paper-20", "--output", "PIPE", "--resume"),
+    ("send", "--file", "PIPE"),
+    ("up", "--message-file", "PIPE"),
+    ("up", "--scenario", "PIPE"),
+    ("tap", "--run-dir", "OUT", "--knowledge", "PIPE"),
+    ("plant", "--run-dir", "OUT", "--fleet", "PIPE"),
+    ("certs", "FOLDER", "--name", "plant"),
+    ("up", "--scenario", "DELAYS", "--steps", "1"),
+)
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("kept") / "run"
+    ended_run(folder, (b"hi",))
+    return folder
+
+
+class Waited(BaseException):
+    """No command may take it for an error of its own."""
+
+
+@pytest.fixture
+def in_time() -> Iterator[None]:
+    """What waits for a writer is interrupted, and the test fails."""
+
+    def late(_signal: int, _frame: object) -> None:
+        raise Waited
+
+    before = signal.signal(signal.SIGALRM, late)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+    yield
+    signal.setitimer(signal.ITIMER_REAL, 0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.fixture
+def said(capsys: pytest.CaptureFixture[str], in_time: None) -> Callable[[list[str]], str]:
+    def told(arguments: list[str]) -> str:
+        signal.setitimer(signal.ITIMER_REAL, PATIENCE_S)
+        code = main(arguments)
+        err = capsys.readouterr().err
+        assert code in (0, 1, 2), arguments
+        assert "unexpected" not in err, (arguments, err)
+        return err
+
+    return told
+
+
+@pytest.mark.parametrize("file", OF_A_RUN, ids=str)
+def test_no_command_waits_at_a_pipe_in_a_run(
+    tmp_path: Path,
+    kept: Path,
+    said: Callable[[list[str]], str],
+    monkeypatch: pytest.MonkeyPatch,
+    file: Path,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    run = tmp_path / "run"
+    shutil.copytree(kept, run)
+    (run / file).parent.mkdir(exist_ok=True)
+    (run / file).unlink(missing_ok=True)
+    os.mkfifo(run / file)
+    for command in LOOKING:
+        said([w.replace("RUN", str(run)).replace("OUT", str(tmp_path / "o")) for w in command])
+
+
+@pytest.mark.parametrize("command", NAMED, ids=" ".join)
+def test_no_command_waits_at_a_pipe_that_it_is_given(
+    tmp_path: Path,
+    said: Callable[[list[str]], str],
+    monkeypatch: pytest.MonkeyPatch,
+    command: tuple[str, ...],
+) -> None:
+    """It says in a line what stands there."""
+    monkeypatch.chdir(tmp_path)
+    pipe, certs = tmp_path / "pipe", tmp_path / "certs"
+    certs.mkdir()
+    for path in (pipe, certs / "ca.pem"):
+        os.mkfifo(path)
+    (certs / "ca-key.pem").touch()
+    text = (SCENARIOS / "sustained.toml").read_text()
+    delays = '[network.to_plant]\ndelay = "measured"\nfile = "pipe"\n'
+    (tmp_path / "delays.toml").write_text(f"{text}\n{delays}")
+    words = {
+        "PIPE": str(pipe),
+        "OUT": str(tmp_path / "out"),
+        "FOLDER": str(certs),
+        "DELAYS": str(tmp_path / "delays.toml"),
+    }
+    told = said([words.get(w, w.replace("OUT", words["OUT"])) for w in command])
+    assert len(told.splitlines()) == 1, told
+    assert str(pipe) in told or str(certs) in told

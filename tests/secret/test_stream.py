@@ -1,0 +1,80 @@
+"""The key stream: each digit is named once, held until it has served, and gone afterwards."""
+
+from itertools import pairwise
+
+from hypothesis import given
+from hypothesis import strategies as st
+
+from protocol.secret.key_digits import digits
+from protocol.secret.stream import BLOCKS, NOWHERE, Part, Position, Stream
+
+SIZES = st.sampled_from([2, 3, 4, 16])
+KEYS = st.lists(st.binary(min_size=32, max_size=32), min_size=1, max_size=3)
+
+
+def in_order(keys: list[bytes], size: int) -> list[int]:
+    return [digit for key in keys for digit in digits(key, size)]
+
+
+@given(SIZES, KEYS, st.integers(1, 2))
+def test_both_ends_find_the_same_digits_in_order_and_each_once(
+    size: int, keys: list[bytes], count: int
+) -> None:
+    controller, plant = Stream(size), Stream(size)
+    controller.add(0, keys)
+    plant.add(0, keys)
+    whole = in_order(keys, size)
+    named: list[Position] = []
+    while (position := controller.name(count)) != NOWHERE:
+        assert plant.at(position, count) == tuple(whole[position.at : position.at + count])
+        assert controller.at(position, count) == plant.at(position, count)
+        named.append(position)
+        plant.drop_before(Position(position.block, position.at + count))
+        assert plant.at(position, count) is None
+    assert all(b.at >= a.at + count for a, b in pairwise(named))
+    assert len(whole) - len(named) * count <= (count - 1) * len(keys)
+    assert controller.left == len(whole)
+
+
+@given(SIZES, st.lists(KEYS, min_size=1, max_size=7), st.data())
+def test_the_rows_that_change_make_the_same_stream_after_a_restart(
+    size: int, blocks: list[list[bytes]], data: st.DataObject
+) -> None:
+    journal: dict[tuple[int, int], Part] = {}
+
+    def save(changed: tuple[Part, ...]) -> None:
+        for part in changed:
+            journal[part.block, part.number] = part
+
+    stream, served = Stream(size), NOWHERE
+    for block, keys in enumerate(blocks):
+        save(stream.add(block, keys))
+        for _ in range(data.draw(st.integers(0, 40))):
+            position = stream.name(1)
+            save(stream.drop_before(position))
+            served = max(served, Position(position.block, position.at + 1))
+    kept = [part for part in journal.values() if part.digits]
+    again = Stream(size, kept, after=served)
+    assert again.left == stream.left
+    assert again.name(1) == stream.name(1)
+
+
+def test_the_plant_may_be_a_block_ahead_and_holds_all_that_the_controller_names() -> None:
+    controller, plant = Stream(4), Stream(4)
+    for block in range(3 * BLOCKS):
+        keys = [bytes([block]) * 32]
+        plant.add(block, keys)
+        position = controller.name(1)
+        assert position == NOWHERE or plant.at(position, 1) is not None
+        controller.add(block, keys)
+    assert len({part for part in range(3 * BLOCKS) if plant.at(Position(part, 0), 1)}) == BLOCKS
+
+
+def test_what_is_not_held_has_no_digits() -> None:
+    stream = Stream(4)
+    stream.add(3, [bytes(32)])
+    assert stream.at(NOWHERE, 1) is None
+    assert stream.at(Position(2, 0), 1) is None
+    assert stream.at(Position(4, 0), 1) is None
+    assert stream.at(Position(3, 127), 2) is None
+    assert stream.at(Position(3, 126), 2) == (0, 0)
