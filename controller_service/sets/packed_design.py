@@ -176,7 +176,7 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
             if met > MOST_ROWS or T.facets > MOST_FACETS or wide.spread > LARGEST_SPREAD:
                 break
             own = wide.leave(T)
-            if step and _kept(exact, exact.enter(own)):
+            if step and kept(exact, exact.enter(own)):
                 radius = float(np.abs(corners(own.H, own.h)).max())
                 return own, Terminal("invariant", step, 0.0, radius)
             rows = wide.backward(S, deflation)
@@ -192,7 +192,7 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
     )
 
 
-def _kept(r: Recursion, T: Polytope) -> bool:
+def kept(r: Recursion, T: Polytope) -> bool:
     """Whether every state of T has an input into the target, tightened as the programs are."""
     T, S, deflation = r.erode(T)
     before = r.backward(S.scaled(1 - 2 * deflation), 0.0)

@@ -183,6 +183,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
     """The design's figures as one object for machines."""
     from controller_service.laws.online import OutsideError
     from controller_service.sets.dead_link import dead_link_budget
+    from controller_service.sets.invariance import invariance
     from protocol.convex import Polytope, corners, planar_area
 
     N, found = design.horizon, scenario.defender.calibration
@@ -212,6 +213,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "gain": design.K.tolist(),
         "gain_source": "given" if design.gain_given else "linear quadratic regulator",
         "terminal": vars(design.terminal),
+        "invariance": invariance(scenario, design),
         "sets": sets,
         "largest_deflation": 2 * max(design.margins),
         "start": start,
@@ -316,6 +318,14 @@ def network_lines(found: dict[str, Any] | None) -> list[str]:
     ]
 
 
+INVARIANCE = {
+    "gain": "T_0 is robust invariant under u = K x, and K T_0 is within U (checked to 1e-9)",
+    "control": "T_0 is robust invariant under some input in U at each state, not u = K x (checked)",
+    None: "T_0 was not found to be robust invariant, under u = K x or any input in U",
+}
+"""What was found of T_0, by :func:`controller_service.sets.invariance.invariance`."""
+
+
 def _ended(r: dict[str, Any]) -> str:
     """Why there are fewer sets than were asked."""
     if r["stopped"]:
@@ -349,9 +359,13 @@ def render(r: dict[str, Any]) -> str:
         )
     elif t["method"] == "interval":
         lines.append("T_0: the minimal invariant interval")
-    else:
+    elif t["method"] == "modal":
         lines.append(f"T_0: parallelepiped in the modes of A + B K, radius {t['bound']:.3g}")
-    lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
+    elif t["method"] == "invariant":
+        lines.append(f"T_0: the largest set that any control keeps, radius {t['bound']:.3g}")
+    else:
+        lines.append(f"T_0: {t['method']}")
+    lines.append(INVARIANCE[r["invariance"]])
     extent = next((name for name in ("area", "interval") if name in r["sets"][0]), "")
     lines.append(f"{'index':>7} {'facets':>7}  {extent}".rstrip())
     for s in r["sets"]:
