@@ -1,1 +1,1 @@
-"""``wyner design --alphas``: how many bits the paper's rule allows, at what price."""
+"""How many bits the paper's rule allows, at what price."""
