@@ -143,7 +143,7 @@ def test_a_thin_disturbance_is_looked_up_as_it_is_scanned(width: float) -> None:
         V = corners(*design.set(i))
         V = np.concatenate([V, 0.5 * (V + np.roll(V, 1, axis=0))])
         X = np.concatenate([V * (1 - 1e-9), V * (1 + 1e-6)])
-        holds = [(X @ H.T <= h).all(axis=1) for H, h in design.T]
+        holds = [(h >= X @ H.T).all(axis=1) for H, h in design.T]
         assert law.indices(X).tolist() == np.array(holds).argmax(axis=0).tolist()
 
 
