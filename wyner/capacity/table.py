@@ -22,11 +22,11 @@ from controller_service.sets.alphabet import (
     largest_certain,
     line_offsets,
 )
-from controller_service.sets.polygon_alphabet import plane_bound
+from controller_service.sets.grid_alphabet import polygon_rows
 from controller_service.sets.separation import AlphabetError, Separation
 from controller_service.sets.terminal import SynthesisError, feedback_gain
 from protocol.arrays import Array
-from protocol.convex import SetError
+from protocol.convex import SetError, corners
 from protocol.scenario import Scenario
 from wyner.capacity.betting import Bet, DisturbanceLaw, best_bet
 
@@ -211,6 +211,27 @@ def _row(
         state_price=None if costs is None else costs[0],
         input_price=None if costs is None else costs[1],
     )
+
+
+def plane_bound(sep: Separation, alpha: float) -> int:
+    """No alphabet of two inputs is larger.
+
+    Where both polygons are one parallelogram but for its size, the count along both edges. Else by
+    Brunn's inequality: around points p of an alphabet the sets p + S / 2 are disjoint, within a set
+    X with X - X in W + S, and 4 vol X is at most vol(X - X).
+    """
+    if not sep.room(alpha) > 0:
+        return 1
+    apart, together = polygon_rows(sep.apart), polygon_rows(sep.together_at(alpha))
+    if len(apart) == len(together) == 2:
+        counts = np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1)
+        if np.allclose(apart, together * counts[:, None], rtol=0, atol=1e-12 * np.abs(apart).max()):
+            return int(np.maximum(1, np.ceil(counts)).prod())
+    from scipy.spatial import ConvexHull
+
+    S, W = (corners(np.vstack([r, -r]), np.ones(2 * len(r))) for r in (apart, together))
+    both = (S[:, None] + W[None]).reshape(-1, 2)
+    return math.floor(ConvexHull(both).volume / ConvexHull(S).volume + 1e-9)
 
 
 def _room(sep: Separation, limits: tuple[Ceiling, ...], scenario: Scenario) -> float:
