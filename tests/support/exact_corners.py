@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from fractions import Fraction
 
+from protocol.arrays import Array
+
 Vector = tuple[Fraction, ...]
 Row = tuple[Vector, Fraction]
 
 
-def rational(H: Sequence[Sequence[float]], h: Sequence[float]) -> list[Row]:
+def rational(H: Array, h: Array) -> list[Row]:
     return [
         (tuple(map(Fraction, map(float, a))), Fraction(float(b))) for a, b in zip(H, h, strict=True)
     ]
