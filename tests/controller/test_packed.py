@@ -299,3 +299,19 @@ def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
             [sys.executable, "-c", lines.format(name)], capture_output=True, text=True, check=True
         ).stdout
         assert there.strip() == str(scenario_of(name).identity())
+
+
+@pytest.mark.parametrize(("most", "steps"), [(50_000, 200), (100, 12)])
+def test_a_search_for_an_invariant_set_ends_with_a_remedy(
+    most: int, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After too many steps, and after too much work."""
+    monkeypatch.setattr("controller_service.sets.packed_design.MOST_ROWS", most)
+    scenario = with_control(
+        shipped("packed-double-integrator"),
+        states=ConvexSet(half_widths=(2000.0, 200.0)),
+        inputs=ConvexSet(half_widths=(0.2,)),
+    )
+    with pytest.raises(SynthesisError, match="narrower bounds, wider control.inputs") as caught:
+        invariant_set(scenario)
+    assert int(str(caught.value).split("after ")[1].split()[0]) <= steps
