@@ -25,9 +25,8 @@ from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet import Fleet, FleetLoop
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
-from runtime.journal import ControllerJournal
-from runtime.journal_files import JournalError
-from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
+from runtime.journal import ControllerJournal, JournalError
+from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.logs import logger
 from runtime.model import load_model
 from runtime.network import channel_of
@@ -79,16 +78,15 @@ def open_controller(
     scenario = config.scenario
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
-        record = journal.load()
+        loaded = journal.load()
+        record = loaded.record
         if record is not None and config.clear_alarm:
             record = record._replace(halted=False)
-        contributions = journal.contributions(None if record is None else record.session)
         key_maker = open_key_maker(
             config.run_dir / CONTROLLER_KEYS,
             "controller",
             scenario,
             config.seed,
-            config.secret,
             record,
         )
         for_coin = coin_keys(key_maker, scenario, record)
@@ -113,18 +111,17 @@ def open_controller(
         instance=new_id(),
         period_s=scenario.plant.period_s,
         record=record,
-        measurement=journal.measurement,
-        offer=journal.offer,
-        contributions=contributions,
+        measurement=loaded.measurement,
+        offer=loaded.offer,
+        contributions=loaded.rows,
+        fell_back=loaded.fell_back,
         coin_keys=for_coin,
         predict=predict,
         message=config.message,
         telemetry=telemetry,
         status_s=status_s,
     )
-    end = guarded(core, key_maker, scenario, record, core.halt)
-    telemetry.guard = end
-    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker, end)
+    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
 
 
 def _channel(config: ControllerConfig) -> Channel | None:
@@ -207,6 +204,6 @@ def run_controllers(
             folder=scenario_file_of(loop.scenario).parent,
         )
         core, files = open_controller(config, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), files.guarded or core, Measurement), files
+        return behind(_channel(config), core, Measurement), files
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("controller"))

@@ -1,7 +1,7 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import TYPE_CHECKING, Any, Final, Literal, Protocol
+from typing import Any, Final, Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
 from protocol.agreement import NO_SYMBOL
@@ -13,9 +13,6 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
-
-if TYPE_CHECKING:
-    from protocol.link.guarded import Guarded
 
 Phase = Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
 
@@ -31,10 +28,10 @@ class MessageQueue(Protocol):
     """How many there ever were."""
 
     def payload(self, number: int) -> bytes | None:
-        """Message ``number``, or None while it is not queued."""
+        """Message ``number``; None while it is not queued, and once it was delivered."""
 
-    def queued_as(self, identifier: str) -> bytes | None:
-        """The message that was ever queued under this identifier, or None."""
+    def crc_of(self, identifier: str) -> int | None:
+        """The CRC-32 of the message that was queued under this identifier, or None."""
 
     def identifier(self, number: int) -> str:
         """Identifier of the queued message ``number``."""
@@ -43,19 +40,19 @@ class MessageQueue(Protocol):
 class ControllerTelemetry:
     """What is worth telling beside the record; :meth:`status` puts both together.
 
-    ``phase`` and ``detail`` are the core's to set, ``guard`` is whoever's guards the messages.
+    ``phase`` and ``detail`` are the core's to set.
     """
 
     def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
-        self.guard: Guarded | None = None
         self._unexplained = self._watched = self._unwatched = self._alarms = 0
         self._alarm: Alarm | None = None
         self._keys_refused = keys_refused
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
+        self._delivered: bytes | None = None
         self._seq = 0
 
     def counted(self, t: CountedTransition, alarm: Alarm | None) -> None:
@@ -65,6 +62,8 @@ class ControllerTelemetry:
             watched = t.expected != NO_SYMBOL
             self._watched += watched
             self._unwatched += not watched
+        if t.delivered is not None:
+            self._delivered = t.delivered.payload
         if alarm is not None:
             self._alarms += 1
             self._alarm = alarm
@@ -79,11 +78,10 @@ class ControllerTelemetry:
         malformed: int,
     ) -> ControllerStatus:
         """What the dashboard is told now."""
-        idle = record.message >= messages.queued
-        shown = min(record.message, messages.queued - 1)
-        if shown != self._shown[0]:
+        idle, shown = record.message >= messages.queued, record.message
+        if not idle and shown != self._shown[0]:
             self._shown = shown, messages.payload(shown)
-        payload = self._shown[1]
+        payload = self._delivered if idle else self._shown[1]
         length = 0 if payload is None else frame_length(len(payload), rules.size)
         try:
             set_index = self._law.index(record.x) if record.x else -1
@@ -114,7 +112,6 @@ class ControllerTelemetry:
             coin_keys=coins.left,
             alarms=self._alarms,
             **self._last_alarm(),
-            **({} if self.guard is None else self.guard.status().fields()),
             **keying.status_fields(self._keys_refused),
         )
 

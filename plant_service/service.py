@@ -29,9 +29,8 @@ from runtime.fleet import SLOTS, Fleet, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
-from runtime.journal import PlantJournal
-from runtime.journal_files import JournalError
-from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
+from runtime.journal import JournalError, PlantJournal
+from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.logs import logger
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -110,14 +109,12 @@ def _opened(
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
-    record = journal.load()
-    key_maker = open_key_maker(
-        config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret, record
-    )
+    record = journal.load().record
+    key_maker = open_key_maker(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, record)
     if scenario.keys is not None:
         telemetry.keys_refused = refusal(scenario, config.seed) or ""
-    for payload in journal.inbox(1):
-        telemetry.last_message = payload
+    if (last := journal.last_message()) is not None:
+        telemetry.last_message = last
     step_s = config.pace.step_s(scenario.plant.period_s)
     core = open_core(
         scenario,
@@ -139,8 +136,7 @@ def _opened(
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
-    end = telemetry.guard = guarded(core, key_maker, scenario, record)
-    return core, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker, end)
+    return core, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker)
 
 
 class PlantService(EndService[PlantCore]):
@@ -241,6 +237,6 @@ def run_plants(
         )
         phase = number % SLOTS / SLOTS
         core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), files.guarded or core, Offer), files
+        return behind(_channel(config), core, Offer), files
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("plant"))

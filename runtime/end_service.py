@@ -27,9 +27,8 @@ E = TypeVar("E", bound=Peer)
 class EndConfig:
     """What either end is started with.
 
-    ``seed`` is for experiments only; ``secret`` is a file that both ends share, by which key blocks
-    are signed; ``folder`` is where the files that the scenario names are looked for; ``bounds`` are
-    the trace's.
+    ``seed`` is for experiments only; ``folder`` is where the files that the scenario names are
+    looked for; ``bounds`` are the trace's.
     """
 
     scenario: Scenario
@@ -37,7 +36,6 @@ class EndConfig:
     loop: str
     _: KW_ONLY
     seed: int | None = None
-    secret: Path | None = None
     folder: Path = Path()
     bounds: Bounds = field(default_factory=Bounds)
 
@@ -78,7 +76,7 @@ class EndService(Generic[E]):
         self.endpoint, files = opened
         self.trace = files.trace
         self._host = Host(field, management, stopping, clock)
-        end = behind(channel, files.guarded or self.endpoint, kind)
+        end = behind(channel, self.endpoint, kind)
         self._host.add(config.loop, end, files, log)
         self._beside: AbstractContextManager[object] = nullcontext()
         if files.key_maker is not None:

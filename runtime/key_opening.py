@@ -1,23 +1,14 @@
-"""A service's key store as its scenario, its seed and its secret have it."""
+"""A service's key store as its scenario and its seed have it."""
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
-from protocol.link.peer import Actions, Peer
 from protocol.scenario import Scenario
 from protocol.secret.records import Key, Side, StoreError
-from protocol.secret.tasks import GuardTask
 from runtime.errors import UsageError
-from runtime.keys import coins, guards
+from runtime.keys import coins
 from runtime.keys.key_maker import KeyMakerAt
-from runtime.keys.ledger import take_secret
-from runtime.keys.secret_file import SecretError
 from runtime.keys.store import KeyStore
-
-if TYPE_CHECKING:
-    from protocol.defence.base import Defence
-    from protocol.link.guarded import Guarded
 
 
 class Counting(Protocol):
@@ -28,23 +19,8 @@ class Counting(Protocol):
         """The session."""
 
     @property
-    def k(self) -> int:
-        """The step that it is in."""
-
-    @property
     def transitions(self) -> int:
         """Its transitions so far."""
-
-
-class End(Peer, Protocol):
-    """An end that may be guarded."""
-
-    @property
-    def instance(self) -> str:
-        """Random id of its process."""
-
-    def end_session(self, why: str) -> Actions:
-        """Its session is over, since messages in it cannot be opened."""
 
 
 def refusal(scenario: Scenario, seed: int | None) -> str | None:
@@ -62,7 +38,6 @@ def open_key_maker(
     side: Side,
     scenario: Scenario,
     seed: int | None,
-    secret: Path | None,
     record: Counting | None = None,
 ) -> KeyMakerAt | None:
     """Make a side's key store ready; None where the scenario has no table ``keys``.
@@ -73,13 +48,9 @@ def open_key_maker(
     Raises
     ------
     UsageError
-        When the store or the secret cannot be used, or a secret has nothing to sign.
+        When the store cannot be used.
     """
     if scenario.keys is None:
-        if secret is not None:
-            raise UsageError(
-                f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
-            )
         return None
     try:
         store = KeyStore(path, side, create=True)
@@ -92,9 +63,7 @@ def open_key_maker(
         begun = (None, 0) if record is None else (record.session, record.transitions)
         store.begin(*begun)
         store.set_note("assumption", scenario.keys.assumption().sentence())
-        if secret is not None:
-            take_secret(store, secret)
-    except (StoreError, SecretError) as error:
+    except StoreError as error:
         raise UsageError(str(error)) from None
     finally:
         store.close()
@@ -118,66 +87,3 @@ def coin_keys(
             return coins.held(store, record.session)
     except StoreError as error:
         raise UsageError(str(error)) from None
-
-
-def guarded(
-    end: End,
-    at: KeyMakerAt | None,
-    scenario: Scenario,
-    record: Counting | None,
-    halt: Callable[[], Actions] | None = None,
-) -> "Guarded | None":
-    """The end with its messages guarded, by the keys that its store holds; None where none is.
-
-    Raises
-    ------
-    UsageError
-        When the store cannot be used.
-    """
-    if at is None or not scenario.defence.guards:
-        return None
-    defence = scenario.defence.guard(scenario.readings, scenario.secrecy.candidates)
-    assert defence is not None, "its messages are guarded"
-    try:
-        with KeyStore(at.path, at.side) as store:
-            return guarded_by(end, store, defence, record, halt)
-    except StoreError as error:
-        raise UsageError(str(error)) from None
-
-
-def guarded_by(
-    end: End,
-    store: KeyStore,
-    defence: "Defence",
-    record: Counting | None,
-    halt: Callable[[], Actions] | None = None,
-) -> "Guarded":
-    """The end with its messages guarded, by the keys that its open store holds.
-
-    Parameters
-    ----------
-    end : End
-    store : KeyStore
-        Of its side.
-    defence : Defence
-        That codes or tags.
-    record : Counting, optional
-        The journal's.
-    halt : callable, optional
-        What the end does over a forgery, beside telling it.
-
-    Raises
-    ------
-    StoreError
-        When the store cannot be used.
-    """
-    from protocol.link.guarded import MARGIN, Guarded
-
-    session = None if record is None else record.session
-    keys = None
-    if record is not None and session is not None:
-        sends = store.side == "plant" or defence.tags
-        words = (defence.session_words, defence.step_words) if sends else (0, 0)
-        task = GuardTask(session, end.instance, record.k, record.k + MARGIN, *words)
-        keys = guards.serve(store, task)
-    return Guarded(end, store.side, defence, end.instance, end.end_session, session, keys, halt)

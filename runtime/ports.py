@@ -5,7 +5,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice
@@ -17,15 +17,12 @@ from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
 
-if TYPE_CHECKING:
-    from protocol.link.guarded import Guarded
-
 
 class Journal(Protocol):
     """What :func:`runtime.perform.perform` writes to."""
 
     def save(self, actions: Actions) -> None:
-        """Keep what they save."""
+        """Save their record and what comes along."""
 
     def close(self) -> None:
         """Close it; it can be opened again."""
@@ -33,16 +30,12 @@ class Journal(Protocol):
 
 @dataclass(slots=True)
 class Files:
-    """Where one end of one loop leaves what it has to keep: journal, trace and status.
-
-    ``guarded`` is the end with its messages guarded, where they are.
-    """
+    """Where one end of one loop leaves what it has to keep: journal, trace and status."""
 
     journal: Journal
     trace: TraceWriter
     health: Path
     key_maker: KeyMakerAt | None = None
-    guarded: "Guarded | None" = None
 
     def close(self) -> None:
         """Close journal and trace."""
@@ -118,7 +111,12 @@ class LoopPorts(BusPorts):
         self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
 
     def save(self, actions: Actions) -> None:
-        """Write to the journal."""
+        """Write to the journal.
+
+        The trace is on the disk before a save that is, and before one that counts a message whole.
+        """
+        if actions.durable or actions.received is not None:
+            self.files.trace.sync()
         self.files.journal.save(actions)
 
     def trace(self, event: Event) -> None:

@@ -135,6 +135,14 @@ class LineWriter:
         self._whole = self._whole and written == len(data)
         return written
 
+    def sync(self) -> None:
+        """Return once all lines are on the disk."""
+        assert self._file is not None, "the file is closed"
+        try:
+            os.fdatasync(self._file)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
+
     def close(self, **told: Any) -> None:
         """Write the end mark, with ``told`` in it, and close; nothing happens the second time.
 
@@ -392,7 +400,8 @@ def ended(path: Path) -> bool:
     OSError
         When its newest part cannot be read.
     """
-    with open_regular(parts_of(path)[-1]) as file:
+    newest = (parts_of(path) or [path])[-1]
+    with open_regular(newest) as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - 2 * END_BYTES))
         last = file.read().rpartition(b"\n{")[2]
     return last.startswith(f'"event":"{END}"'.encode()) and last.endswith(b"}\n")
@@ -432,8 +441,6 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #                twice has its report twice
 #   alarm        the transition's test failed (controller): session, j, k, reading (x_next),
 #                coin_key and candidate (whose prediction expected is), gauge
-#   forged       a message of the partner's was refused (either): session, k, message (its topic),
-#                why
 #   block        a key block was stored (either): session, number, keys
 #   judged       the partner's word on it is on disk (either): session, number, what
 #                ("confirmed" | "unequal")
@@ -489,6 +496,10 @@ class TraceWriter:
             self._turn(length)
         self.lines.append(*lines)
 
+    def sync(self) -> None:
+        """Return once all events are on the disk: they survive a power failure."""
+        self.lines.sync()
+
     def _open(self, number: int, gone: Sequence[int] = ()) -> None:
         """Begin a part; the parts that are ``gone`` go once its header says so."""
         told = {**self._told, "oldest": self._parts.oldest(gone, number)}
@@ -499,6 +510,7 @@ class TraceWriter:
     def _turn(self, length: int) -> None:
         """End the part in use, and begin the next with room for a line of ``length`` bytes."""
         number = self._parts.number + 1
+        self.sync()
         self._parts.end(next=number)
         needed = max(self._bounds.of_a_part, len(dumps(self._told)) + length + 2 * END_BYTES)
         self._open(number, self._parts.beyond(self._bounds.total_bytes - needed))

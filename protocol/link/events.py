@@ -12,6 +12,9 @@ from protocol.vectors import Vector
 NEW_JOURNAL: Final = "new journal"
 """Why the first session of a journal begins: the plant counts its steps from 0."""
 
+FELL_BACK: Final = "the machine was started again, and the newest steps may be lost"
+"""Why a session ends after a power failure."""
+
 
 class Event(Protocol):
     """Something that happened at one side."""
@@ -121,27 +124,6 @@ class Alarm(NamedTuple):
             f"ALARM at step {self.k}: read ({read}), expected ({expected}) within D_c, by {whose}; "
             f"it is {self.gauge:.3g} times as far"
         )
-
-
-class Forged(NamedTuple):
-    """A message that its key shows to be no message of the partner's; it was refused.
-
-    ``message`` is its topic, ``why`` what gave it away. A step's is told once, however often it
-    comes.
-    """
-
-    session: str
-    k: int
-    message: str
-    why: str
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "forged", **self._asdict()}
-
-    def sentence(self) -> str:
-        """As a line of the log."""
-        return f"ALARM at step {self.k}: {self.message} refused: {self.why}"
 
 
 class Timing(NamedTuple):

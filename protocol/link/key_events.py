@@ -6,19 +6,15 @@ from protocol.link.events import Event
 from protocol.link.keying import Keying
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.secret.blocks import BlockResult, Stored
-from protocol.secret.tasks import Broken, CoinKeys, Done, GuardKeys
+from protocol.secret.tasks import Broken, CoinKeys, Done
 
 
 class BlockStored(NamedTuple):
-    """A key block was stored; ``keys`` were made of it.
-
-    ``signed`` names the set of pads that its tag was made with; empty where tags are public.
-    """
+    """A key block was stored; ``keys`` were made of it."""
 
     session: str
     number: int
     keys: int
-    signed: str = ""
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace."""
@@ -68,7 +64,7 @@ def waiting_notice(keying: Keying) -> tuple[Notice, ...]:
 def key_events(done: Done) -> tuple[Event, ...]:
     """Trace events of a task that the key maker has done."""
     if isinstance(done, Stored):
-        return (BlockStored(done.session, done.number, done.keys, done.signed),)
+        return (BlockStored(done.session, done.number, done.keys),)
     if isinstance(done, BlockResult):
         return (done,)
     return ()
@@ -83,10 +79,8 @@ def key_notices(done: Done, keying: Keying) -> tuple[Notice, ...]:
         if done.what == "unequal":
             return (Notice(f"{name} differs from the partner's: erased", "error"),)
         return ()
-    if isinstance(done, CoinKeys | GuardKeys):
+    if isinstance(done, CoinKeys):
         return ()
-    if done.exhausted:
-        return (Notice("no pad is left to sign key blocks with: make a new secret", "error"),)
     if done.keys and done.number == 0 and not done.confirmed and keying.schedule is not None:
         claim = keying.schedule.assumption.sentence()
         return (Notice(f"first keys of session {done.session}: {claim}"),)

@@ -6,7 +6,7 @@ carries, and makes no tasks.
 
 from collections.abc import Iterable
 from math import inf
-from typing import Any, Final
+from typing import Any
 
 from protocol.messages import BlockAnnouncement, Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, Blocks, Schedule, Stored
@@ -19,8 +19,6 @@ from protocol.secret.nonces import (
 )
 from protocol.secret.records import Side
 from protocol.secret.tasks import Broken, Done, Task
-
-NO_PAD_LEFT: Final = "no pad is left to sign key blocks with"
 
 
 class Keying:
@@ -49,6 +47,8 @@ class Keying:
         self.appearances = 1
         """Times that a message leaves this end, as its host has counted last."""
         self._fresh = fresh
+        self._rows: tuple[Contribution, ...] = ()
+        """Contributions that were counted, and not saved yet."""
 
     @property
     def on(self) -> bool:
@@ -68,15 +68,16 @@ class Keying:
         contributions: Iterable[Contribution] = (),
     ) -> None:
         """Begin a session, or go on with it from what was read back."""
+        self._rows = ()
         if self.schedule is not None:
             self.blocks = Blocks(self.schedule, session, block, tag, contributions)
             self._newest = -1.0
-            if self.stopped != NO_PAD_LEFT:  # what became of a former session's blocks is past
-                self.stopped = ""
+            self.stopped = ""  # what became of a former session's blocks is past
 
     def end(self) -> None:
         """The session is over: what was not stored is gone."""
         self.blocks = None
+        self._rows = ()
 
     def nonce(self) -> str:
         """A fresh nonce."""
@@ -141,6 +142,7 @@ class Keying:
             heard=offer.heard,
         )
         self.blocks.count(contribution)
+        self._rows = (*self._rows, contribution)
         return contribution
 
     def heard(self, message: Measurement | Offer | BlockAnnouncement) -> tuple[BlockResult, ...]:
@@ -214,6 +216,11 @@ class Keying:
             "appearances": self.appearances,
         }
 
+    def new_rows(self) -> tuple[Contribution, ...]:
+        """Rows that the journal must have with the next record; named once."""
+        rows, self._rows = self._rows, ()
+        return rows
+
     def obsolete_rows(self) -> tuple[range, ...]:
         """Transitions whose rows the journal may drop; named once."""
         return () if self.blocks is None else self.blocks.obsolete_rows()
@@ -221,8 +228,6 @@ class Keying:
 
 def _why_not(block: Stored) -> str:
     """Why a block made no key."""
-    if block.exhausted:
-        return NO_PAD_LEFT
     if block.older:
         return f"block {block.number} began before the key store did"
     return "" if block.keys else f"block {block.number} lost too many copies to make one"

@@ -1,6 +1,7 @@
 """Adversary messages: what the tap tells whoever watches it."""
 
-from typing import Annotated, ClassVar, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -41,6 +42,8 @@ class TapStatus(Message):
     bits_left : float or None
         Entropy of the message given all that she heard, in bits, by her own account. None: this
         kind does not compute it.
+    given : str
+        What she expects of a message, as ``English sentences``: that entropy is given it too.
     failed : str
         Why she does not guess at present; empty: she does. The other fields then keep her last
         words.
@@ -56,6 +59,8 @@ class TapStatus(Message):
     missed_direction, missed_at_most : str, float
         The direction that speaks most against the operator's claim, and the upper bound of the
         share of its copies that she misses.
+    key_steps_unplaced : int
+        Transitions that she could place in no block: nothing is known of their keys.
     claim_refuted, misses_in_bursts : bool
         She misses less than the operator claims; her misses come in bursts.
     tail_k, tail_symbol : tuple of int
@@ -84,6 +89,7 @@ class TapStatus(Message):
     candidates_left: Count
     solved_k: Annotated[int, Field(ge=-1)]
     bits_left: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    given: str = ""
     failed: str = ""
     A: tuple[FiniteVector, ...] = ()
     B: tuple[FiniteVector, ...] = ()
@@ -94,6 +100,7 @@ class TapStatus(Message):
     missed_at_most: float = 1.0
     missed_direction: str = ""
     copies_absent: Count = 0
+    key_steps_unplaced: Count = 0
     claim_refuted: bool = False
     misses_in_bursts: bool = False
     tail_k: tuple[int, ...] = ()
@@ -107,6 +114,25 @@ class TapStatus(Message):
         if any(len(tail) != len(self.tail_agreed) for tail in tails):
             raise ValueError("expected tails of one length")
         return self
+
+
+DEAF: Final = 0.01
+"""Share of the steps that a tap could not use from which on it counts as deaf for that share."""
+
+
+def deaf_share(unused: Mapping[str, int], steps: int) -> float:
+    """Share of the steps that a tap could not use, 0 below :data:`DEAF`.
+
+    Parameters
+    ----------
+    unused : mapping of str to int
+        ``foreign``, ``late``, ``dropped`` and ``jumped`` of a status. A step has two messages.
+    steps : int
+        Steps that were looked at.
+    """
+    lost = (unused["foreign"] + unused["late"] + unused["dropped"]) / 2 + unused["jumped"]
+    share = lost / (lost + steps) if lost else 0.0
+    return share if share >= DEAF else 0.0
 
 
 ADVERSARY: tuple[type[Message], ...] = (TapStatus,)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, StringConstraints
+from pydantic import Field
 
 from protocol.messages.base import (
     BlockNumber,
@@ -16,10 +16,6 @@ from protocol.messages.base import (
     Tag,
 )
 from protocol.vectors import FiniteVector
-
-Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,16}/[0-9]{0,9})?$")]
-Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
-Bits = Annotated[int, Field(ge=0, lt=2**64)]
 
 
 class StepMessage(Message):
@@ -49,12 +45,6 @@ class StepMessage(Message):
             made = self.__pydantic_serializer__.to_json(self, exclude_none=True)
             self.__dict__["_bytes"] = made
         return made
-
-    def travelling_as(self, payload: bytes) -> Self:
-        """This message, with other bytes on the wire: those that a defence makes of it."""
-        copy = self.model_copy()
-        copy.__dict__["_bytes"] = payload
-        return copy
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""
@@ -94,13 +84,6 @@ class Measurement(StepMessage):
     applied_key : str, optional
         Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
         Only where the coin is keyed.
-    guard, mac : str, optional
-        Batch and slot of the key that guards the message, as ``3/17``, and its tag, 8 hexadecimal
-        digits; ``3/`` with the farewell of a batch that has served. Only where messages are
-        guarded.
-    after, rest : str, tuple of int, optional
-        Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
-        rounds. Only where measurements are coded.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -115,10 +98,6 @@ class Measurement(StepMessage):
     block: BlockNumber = -1
     tag: Tag = ""
     applied_key: KeyName | None = None
-    guard: Slot | None = None
-    after: Slot | None = None
-    rest: tuple[Bits, ...] | None = None
-    mac: Mac | None = None
 
 
 class Offer(StepMessage):
@@ -157,8 +136,6 @@ class Offer(StepMessage):
     coin_key: KeyName | None = None
     coin_from: Count | None = None
     coin_last: KeyName | None = None
-    guard: Slot | None = None
-    mac: Mac | None = None
 
 
 FieldMessage = Measurement | Offer

@@ -110,7 +110,7 @@ _Names = Annotated[
 ]
 
 
-_What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
+_What = Literal["keys", "unused", "made", "marked", "blocks", "lacked"]
 
 
 class BlockAnnouncement(Message):
@@ -129,22 +129,22 @@ class BlockAnnouncement(Message):
 
 
 class KeyRequest(Message):
-    """One end asks the other about keys or pads; repeated until it is answered.
+    """One end asks the other about keys; repeated until it is answered.
 
     Attributes
     ----------
     side : {"controller", "plant"}
         Who asks.
     use : str
-        The one use that the keys or pads are for.
+        The one use that the keys are for.
     what : str
-        ``keys``, ``pads``: mark these for the use, before they are given. The others are asked
-        after a start, since the store may have been put back. ``unused``, ``made`` (since the
-        start), ``marked`` (given by the other end) and ``ready`` (pads): which of these were given
-        before? ``blocks``: which blocks beyond these, its newest, did it have? ``lacked``: which
-        of these blocks does the other end lack?
+        ``keys``: mark these for the use, before they are given. The others are asked after a start,
+        since the store may have been put back. ``unused``, ``made`` (since the start) and
+        ``marked`` (given by the other end): which of these were given before? ``blocks``: which
+        blocks beyond these, its newest, did it have? ``lacked``: which of these blocks does the
+        other end lack?
     names : tuple of str
-        Ids of keys, origins of pads or names of blocks; 4096 at most.
+        Ids of keys or names of blocks; 4096 at most.
     """
 
     topic: ClassVar[str] = "management/keys/request"
@@ -158,7 +158,7 @@ class KeyAnswer(Message):
     """The answer to a `KeyRequest` of ``side``.
 
     ``refused`` are the names that it must not give, or the blocks that it asked for. Empty: all
-    keys or pads are marked.
+    keys are marked.
     """
 
     topic: ClassVar[str] = "management/keys/answer"
@@ -327,11 +327,6 @@ class PlantStatus(_Status):
     key_blocks_begun : int
         Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
         whatever became of it.
-    guarded, unguarded, guard_ahead : int
-        Messages of the partner's that were under a key, and plain ones, where messages are
-        guarded; and the steps to come for which this end holds keys to send under.
-    forged, forged_k : int
-        Messages that were refused as forgeries, and the step of the last one (-1: none).
     appearances : int
         How often a message leaves this end on the field bus.
     pictured_k, pictured_x, pictured_candidates, pictured_x_next, pictured_gauges, pictured_symbol
@@ -386,11 +381,6 @@ class PlantStatus(_Status):
     key_blocks_waiting: Count = 0
     key_blocks_begun: Count = 0
     appearances: Count = 1
-    guarded: Count = 0
-    unguarded: Count = 0
-    guard_ahead: Count = 0
-    forged: Count = 0
-    forged_k: Annotated[int, Field(ge=-1)] = -1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -428,10 +418,6 @@ class PlantStatus(_Status):
             raise ValueError("expected vectors that fit together")
         return self
 
-    def alarm_sentence(self) -> str:
-        """The offers that were refused as forgeries, in words; empty where there is none."""
-        return _forgeries(self.forged, self.forged_k, "offers") if self.forged else ""
-
 
 class ControllerStatus(_Status):
     """What the controller knows, for the dashboard.
@@ -452,7 +438,7 @@ class ControllerStatus(_Status):
         against the one candidate that a key chose; and, where the coin is keyed, those that could
         not be.
     defence : str
-        The test, ``residual``, ``keyed-coin`` or the user's, and what guards the messages.
+        The test, ``residual`` or ``keyed-coin``.
     coin_keys : int
         Keys that are held for the coins of steps to come.
     alarms, alarm_k : int
@@ -493,16 +479,9 @@ class ControllerStatus(_Status):
     key_blocks_lost: Count = 0
     key_blocks_waiting: Count = 0
     appearances: Count = 1
-    guarded: Count = 0
-    unguarded: Count = 0
-    guard_ahead: Count = 0
-    forged: Count = 0
-    forged_k: Annotated[int, Field(ge=-1)] = -1
 
     def alarm_sentence(self) -> str:
         """The alarms and the last one, in words; empty where there is none."""
-        if self.forged and self.forged_k > self.alarm_k:
-            return _forgeries(self.forged, self.forged_k, "measurements")
         if not self.alarms:
             return ""
         read, expected = (
@@ -512,10 +491,6 @@ class ControllerStatus(_Status):
             f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
             f"({expected})"
         )
-
-
-def _forgeries(count: int, k: int, what: str) -> str:
-    return f"ALARMS: {count} {what} refused as forgeries, the last at step {k}"
 
 
 Status = PlantStatus | ControllerStatus

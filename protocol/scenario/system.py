@@ -246,9 +246,7 @@ class Scenario(Brief, ScenarioTable):
             )
         if self.defence.keyed:
             problems += self.control.coin_problems()
-        problems += self.defence.problems(
-            self.keys, self.link, self.readings, self.secrecy.candidates
-        )
+        problems += self.defence.problems(self.keys, self.link)
         try:
             _ = self.alarm_rule
         except ValueError as error:

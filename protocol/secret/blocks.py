@@ -18,7 +18,6 @@ from typing import Any, Final, Literal, NamedTuple
 
 from protocol.secret.bound import Assumption, least
 from protocol.secret.nonces import Contribution
-from protocol.secret.records import block_name
 
 LARGEST_BLOCK: Final = 16384
 """Most transitions of a block: their two nonces each, and the rows, fit the field."""
@@ -31,8 +30,7 @@ ROWS_ENOUGH: Final = 64
 
 UNCONFIRMED: Final = 2
 """Most blocks that are stored and not confirmed: the one announced, and the next, whose tag is
-compared with that of a partner that is further on. Each holds a pad; a partner that is away costs
-no more."""
+compared with that of a partner that is further on."""
 
 TAG_DIGITS: Final = 32
 NO_TAG: Final = "0" * TAG_DIGITS
@@ -106,8 +104,6 @@ class ClosedBlock(NamedTuple):
         Transitions N, steps (missed ones included), and copies 0 that count.
     rows : int
         R. Below 2 the block makes no key.
-    pattern : str
-        A digit a transition: 0 no copy counts, 1 the offer's, 2 the measurement's, 3 both.
     nonces : tuple of bytes
         Nonces that count, in the order of transitions, an offer's before its measurement's.
     last : int
@@ -122,7 +118,6 @@ class ClosedBlock(NamedTuple):
     steps: int
     counted: int
     rows: int
-    pattern: str
     nonces: tuple[bytes, ...]
     last: int
     by_words: bool = False
@@ -132,16 +127,6 @@ class ClosedBlock(NamedTuple):
         """Whether there are rows for a tag and a key."""
         return self.rows >= 2
 
-    @property
-    def name(self) -> str:
-        """SESSION/NUMBER, as key ids and ledgers name the block."""
-        return block_name(self.session, self.number)
-
-    def message(self) -> bytes:
-        """What the tag covers: all that the two ends must agree on, in one encoding."""
-        head = f"{self.name}/{self.transitions}/{self.steps}/{self.pattern}/"
-        return head.encode() + b"".join(self.nonces)
-
 
 class OpenBlock:
     """A block under way. It takes rows as they come, so its last step costs no more than others."""
@@ -150,12 +135,12 @@ class OpenBlock:
         self._assumption = assumption
         self._steps = 0
         self._nonces: list[bytes] = []
-        self._pattern: list[str] = []
+        self._transitions = 0
 
     @property
     def empty(self) -> bool:
         """Whether it has no row yet."""
-        return not self._pattern
+        return not self._transitions
 
     def add(self, contribution: Contribution) -> None:
         """Add the row of the next transition."""
@@ -164,12 +149,12 @@ class OpenBlock:
             self._nonces.append(contribution.offer)
         if counts & 2 and contribution.measurement is not None:
             self._nonces.append(contribution.measurement)
-        self._pattern.append(str(counts))
+        self._transitions += 1
         self._steps += contribution.steps
 
     def close(self, session: str, number: int, last: int) -> ClosedBlock:
         """The closed block ``number``; the row of transition ``last`` was its last one."""
-        n, steps, counted = len(self._pattern), self._steps, len(self._nonces)
+        n, steps, counted = self._transitions, self._steps, len(self._nonces)
         return ClosedBlock(
             session,
             number,
@@ -177,7 +162,6 @@ class OpenBlock:
             steps,
             counted,
             self._assumption.rows(n, steps, counted),
-            "".join(self._pattern),
             tuple(self._nonces),
             last,
             self._assumption.by_words,
@@ -192,30 +176,21 @@ class Stored(NamedTuple):
     session, number
         Session and number of the block.
     tag : str
-        This end's tag; empty: the block made no key and is not announced.
-    accepted : str
-        The partner's tag that confirms it.
+        Its tag, the same at both ends; empty: the block made no key and is not announced.
     confirmed : bool
         It was confirmed before this process began.
     keys : int
         Keys that were made of it.
-    exhausted : bool
-        No pad was left to sign it with.
     older : bool
         It began before its store did, so its keys may have been given.
-    signed : str
-        Name of the set of pads of its tag; empty where tags are public.
     """
 
     session: str
     number: int
     tag: str
-    accepted: str = ""
     confirmed: bool = False
     keys: int = 0
-    exhausted: bool = False
     older: bool = False
-    signed: str = ""
 
 
 class BlockResult(NamedTuple):
@@ -345,7 +320,7 @@ class Blocks:
         mine = self._stored.get(block)
         if mine is None or block <= self._confirmed or self._unequal:
             return ()
-        if not compare_digest(tag, mine.accepted):
+        if not compare_digest(tag, mine.tag):
             self._unequal = True
             return (BlockResult(self.session, block, "unequal"),)
         done = sorted(n for n in self._stored if self._confirmed < n <= block)

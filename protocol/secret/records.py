@@ -107,14 +107,6 @@ class Counts(NamedTuple):
     available: int
 
 
-class PadCounts(NamedTuple):
-    """Sets of one-time pads: made, spent, and left."""
-
-    made: int
-    spent: int
-    left: int
-
-
 def block_name(session: str, number: int) -> str:
     """SESSION/NUMBER, as key ids and ledgers name a block."""
     return f"{session}/{number}"

@@ -1,1 +1,1 @@
-"""Where keys live: stores and ledgers on disk, and the process that makes keys."""
+"""Where keys live: stores on disk, and the process that makes keys."""

@@ -2,7 +2,7 @@
 
 Whoever gives keys writes the request into the key store. So this part looks there every `POLL_S`.
 
-An end that starts also asks which of its keys and pads were given before, and erases them: its
+An end that starts also asks which of its keys were given before, and erases them: its
 store may have been put back from a copy.
 """
 
@@ -14,7 +14,6 @@ from pydantic import ValidationError
 
 from protocol.link.peer import Actions, Notice
 from protocol.messages import KeyAnswer, KeyRequest, Message
-from runtime.keys import ledger
 from runtime.keys.giving import Asking, What, new_use, pending
 from runtime.keys.store import KeyStore
 
@@ -54,7 +53,6 @@ class Asker:
         unused, marked = self._store.held(0, self._looked_at)
         self._audit("unused", unused)
         self._audit("marked", marked)
-        self._audit("ready", ledger.ready(self._store))
         self._audit("blocks", self._store.newest_blocks())
         self._audit("lacked", self._store.blocks_held())
 
@@ -100,9 +98,7 @@ class Asker:
         store, what, names = self._store, request.what, request.names
         first: tuple[KeyRequest, ...] = ()
         refused: Sequence[str]
-        if what == "pads":
-            refused = ledger.mark(store, request.use, names)
-        elif what == "keys":
+        if what == "keys":
             refused = store.mark(request.use, names)
         elif what == "blocks":
             refused = store.blocks_beyond(names, AT_ONCE)
@@ -111,10 +107,7 @@ class Asker:
         else:
             # what waits for the other end's mark counts as given: it hears of that one first
             first = self._pending()
-            if what == "ready":
-                refused = ledger.given_before(store, names)
-            else:
-                refused = store.given_before(what, names)
+            refused = store.given_before(what, names)
         answer = KeyAnswer(side=request.side, use=request.use, what=what, refused=tuple(refused))
         return Actions(publish=(*first, answer))
 
@@ -122,21 +115,17 @@ class Asker:
         if answer.side != self._side:
             return Actions()
         store, what, refused = self._store, answer.what, answer.refused
-        if what == "pads":
-            erased = ledger.answered(store, answer.use, refused)
-        elif what == "keys":
+        if what == "keys":
             erased = store.answered(answer.use, refused)
         elif answer.use not in self._audits:
             return Actions()  # of a former process
         else:
             return self._audited(what, answer)
-        return Actions(notices=_erased(what, erased))
+        return Actions(notices=_erased(erased))
 
     def _audited(self, what: What, answer: KeyAnswer) -> Actions:
         """Erase what was given before, as the other end says."""
-        if what == "ready":
-            erased = ledger.were_given(self._store, answer.refused)
-        elif what == "blocks":
+        if what == "blocks":
             self._store.lose(answer.refused)
             erased = 0
         elif what == "lacked":
@@ -146,7 +135,7 @@ class Asker:
         else:
             return Actions()
         del self._audits[answer.use]
-        notices = _erased(what, erased)
+        notices = _erased(erased)
         self._audit_newer()  # a block may have been made before it was known to be lost
         if not self._audits and not self._met:
             self._met = True
@@ -168,9 +157,8 @@ class Asker:
             self._audits[use] = Asking(use, what, tuple(names[at : at + AT_ONCE]))
 
 
-def _erased(what: What, erased: int) -> tuple[Notice, ...]:
+def _erased(erased: int) -> tuple[Notice, ...]:
     if not erased:
         return ()
-    things = "sets of pads" if what in ("pads", "ready") else "keys"
-    text = f"{erased} {things} erased: the other end says that they were given, or has them no "
+    text = f"{erased} keys erased: the other end says that they were given, or has them no "
     return (Notice(f"{text}more; was a key store put back?", "warning", "erased"),)

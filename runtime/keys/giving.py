@@ -5,8 +5,6 @@ is given in three steps. It is set aside here for one *use*, a fresh name. The p
 that use, on its disk. Only then is it taken. A partner refuses a key that it has marked for another
 use, or does not have. If one end is put back the other one knows; if both are put back at once
 nobody does.
-
-The pads that sign a session's first key block are marked alike. Their use is the session.
 """
 
 import json
@@ -27,7 +25,7 @@ POLL_S: Final = 0.005
 SERVED: Final = "served"
 """First word of a use: a caller."""
 
-What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
+What = Literal["keys", "unused", "made", "marked", "blocks", "lacked"]
 
 
 class Unanswered(Exception):

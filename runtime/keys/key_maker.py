@@ -10,14 +10,13 @@ from typing import Final, NamedTuple
 
 from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.records import BlockRow, Side, StoreError
-from protocol.secret.tasks import Broken, CoinTask, Done, GuardTask, Task
-from runtime.keys import coins, guards
-from runtime.keys.ledger import Authentication, Made, spent_rows
+from protocol.secret.tasks import Broken, CoinTask, Done, Task
+from runtime.keys import coins
 from runtime.keys.store import KeyStore
 
 PUBLIC_TAG_BYTES: Final = 16
 """Bytes of row 0 that are shown to the partner. A chance fault passes with probability 2^-128; a
-forger is kept out by secret tags only."""
+forger is not kept out."""
 
 
 class KeyMaker:
@@ -26,19 +25,15 @@ class KeyMaker:
     Parameters
     ----------
     store : KeyStore
-    authentication : Authentication, optional
-        Blocks then carry secret tags. Without it tags are public and stop no forger.
     """
 
-    def __init__(self, store: KeyStore, authentication: Authentication | None = None) -> None:
+    def __init__(self, store: KeyStore) -> None:
         self.store = store
-        self.authentication = authentication
 
     def make_keys(self, closed: ClosedBlock) -> Stored:
         """Store a block's keys: rows 1 to R - 1. Row 0 serves the tag.
 
-        A signed block of 16 rows or more spends two more (:mod:`runtime.keys.ledger`). A block
-        without a pad for its tag, or one that began before the store did, is stored without keys.
+        A block that began before the store did is stored without keys.
         """
         session, number = closed.session, closed.number
         known = self.store.block_tag(session, number)
@@ -46,20 +41,15 @@ class KeyMaker:
             confirmed = known.state == "confirmed"
             return Stored(session, number, known.tag, confirmed=confirmed, keys=known.keys)
         keys: list[bytes] = []
-        tag, accepted, origin = "", "", ""
-        pads: tuple[Made, ...] = ()
+        tag = ""
         first = closed.last - closed.transitions + 1
         older = known is None and self.store.is_younger(session, number, first)
         if closed.makes_keys and not older:
             from protocol.secret.extractor import extract
 
             rows = extract(closed.nonces, closed.rows, closed.by_words)
-            if self.authentication is None:
-                tag = accepted = rows[0][:PUBLIC_TAG_BYTES].hex()
-                keys = rows[1:]
-            elif signed := self.authentication.tags(session, number, closed.message(), rows):
-                tag, accepted, origin, pads = signed
-                keys = rows[1 : len(rows) + 1 - spent_rows(len(rows))]
+            tag = rows[0][:PUBLIC_TAG_BYTES].hex()
+            keys = rows[1:]
         if known is None:
             row = BlockRow(
                 session=session,
@@ -72,12 +62,10 @@ class KeyMaker:
                 state="stored" if tag else "empty",
                 t_ns=time.time_ns(),
             )
-            if not self.store.add(row, keys, tag=tag, pads=pads):  # the partner has just said so
-                older, keys, tag, accepted, origin = True, [], "", "", ""
+            if not self.store.add(row, keys, tag=tag):  # the partner has just said so
+                older, keys, tag = True, [], ""
                 self.store.add(row._replace(keys=0, state="empty"), keys)
-        exhausted = closed.makes_keys and not tag and not older
-        stored = Stored(session, number, tag, accepted, keys=len(keys))
-        return stored._replace(exhausted=exhausted, older=older, signed=origin)
+        return Stored(session, number, tag, keys=len(keys), older=older)
 
     def judge(self, result: BlockResult) -> BlockResult:
         """Confirm a block, or erase it where the tags differ; the result, with the block's keys."""
@@ -86,8 +74,6 @@ class KeyMaker:
             self.store.drop(session, number)
         else:
             self.store.confirm(session, number)
-            if self.authentication is not None:
-                self.authentication.confirm(session, number)
         row = self.store.block_tag(session, number)
         return result._replace(keys=0 if row is None else row.keys)
 
@@ -99,8 +85,6 @@ def work(key_maker: KeyMaker, task: Task) -> Done:
             return key_maker.make_keys(task)
         if isinstance(task, CoinTask):
             return coins.serve(key_maker.store, task)
-        if isinstance(task, GuardTask):
-            return guards.serve(key_maker.store, task)
         return key_maker.judge(task)
     except StoreError as error:
         return Broken(str(error))
@@ -120,5 +104,4 @@ class KeyMakerAt(NamedTuple):
         StoreError
             When it cannot be opened.
         """
-        store = KeyStore(self.path, self.side)
-        return KeyMaker(store, Authentication(store) if store.note("secret") is not None else None)
+        return KeyMaker(KeyStore(self.path, self.side))

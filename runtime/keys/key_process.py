@@ -17,8 +17,8 @@ from runtime.child import Line, die_with, ignore_signals, leave_no_image, take_l
 from runtime.keys.key_maker import KeyMaker, KeyMakerAt, work
 
 NICENESS: Final = 10
-"""On a full machine it then gets a tenth of what a loop gets. With the least that there is, keys,
-and what guards messages, came a minute late there."""
+"""On a full machine it then gets a tenth of what a loop gets. With the least that there is, keys
+came a minute late there."""
 
 
 def step_back() -> None:

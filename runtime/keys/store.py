@@ -62,12 +62,6 @@ _DOUBTFUL: Final = "EXISTS (SELECT 1 FROM doubtful WHERE doubtful.block = key.bl
 _DROPPED: Final = "state = 'dropped', body = NULL, check_ = NULL"
 
 
-def _pads_of(session: str, number: int) -> tuple[str, str]:
-    """Names of the sets of pads that a block makes."""
-    name = block_name(session, number)
-    return name, f"{name}/reserve"
-
-
 def _asked(share: Share) -> tuple[int, int]:
     return share.of, share.place
 
@@ -210,7 +204,6 @@ class KeyStore(StoreFile):
         keys: Sequence[bytes],
         *,
         tag: str = "",
-        pads: Sequence[tuple[str, str, bytes]] = (),
     ) -> bool:
         """Store a block with its keys, rows 1, 2, ...; on return it survives a power failure.
 
@@ -224,8 +217,6 @@ class KeyStore(StoreFile):
             32 bytes each.
         tag : str
             This side's tag of the block.
-        pads : sequence of (origin, kind, bytes)
-            Sets of one-time pads that the block makes, for tags of later blocks.
 
         Returns
         -------
@@ -253,19 +244,6 @@ class KeyStore(StoreFile):
                 "INSERT INTO key (id, block, row, own, state, body, check_) "
                 "VALUES (?, ?, ?, ?, 'stored', ?, ?)",
                 ((row[0], place, *row[1:], check_of(*row)) for row in rows),
-            )
-            db.executemany(
-                "INSERT OR IGNORE INTO pad VALUES (NULL, ?, ?, 'held', ?, ?, ?)",
-                (
-                    (
-                        origin,
-                        kind,
-                        block.session if kind == "chain" else None,
-                        body,
-                        check_of(origin, body),
-                    )
-                    for origin, kind, body in pads
-                ),
             )
             self._make_room(db)
         return True
@@ -295,7 +273,7 @@ class KeyStore(StoreFile):
         db.execute("DELETE FROM key WHERE place <= ?", ((newest or 0) - TOMBSTONES,))
 
     def confirm(self, session: str, number: int) -> None:
-        """Note that the partner holds the same block: its keys and pads may be used."""
+        """Note that the partner holds the same block: its keys may be used."""
         with self.transaction() as db:
             self._change(db, session, number, "confirmed")
             db.execute(
@@ -303,20 +281,11 @@ class KeyStore(StoreFile):
                 "(SELECT place FROM block WHERE session = ? AND number = ?)",
                 (session, number),
             )
-            db.execute(
-                "UPDATE pad SET state = 'ready' WHERE origin IN (?, ?) AND state = 'held'",
-                _pads_of(session, number),
-            )
 
     def drop(self, session: str, number: int) -> None:
         """Erase a block: the partner holds another one."""
         with self.transaction() as db:
             self._change(db, session, number, "dropped", ", body = NULL, check_ = NULL")
-            db.execute(
-                "UPDATE pad SET state = 'spent', body = NULL, check_ = NULL "
-                "WHERE origin IN (?, ?) AND state = 'held'",
-                _pads_of(session, number),
-            )
 
     @staticmethod
     def _change(
@@ -497,7 +466,7 @@ class KeyStore(StoreFile):
         if there is not None:
             return bool(there == use)
         if own:
-            return here is not None and not here.startswith(("coin ", "guard "))
+            return here is not None and not here.startswith("coin ")
         return here is None and state in ("stored", "confirmed")
 
     def newest(self) -> int:

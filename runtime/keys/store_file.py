@@ -41,10 +41,6 @@ CREATE TABLE IF NOT EXISTS lost (name TEXT PRIMARY KEY);
 CREATE TABLE IF NOT EXISTS doubtful (block INTEGER PRIMARY KEY);
 CREATE INDEX IF NOT EXISTS key_ready ON key (own, state, place);
 CREATE INDEX IF NOT EXISTS key_block ON key (block);
-CREATE TABLE IF NOT EXISTS pad (
-    place INTEGER PRIMARY KEY, origin TEXT UNIQUE NOT NULL, kind TEXT NOT NULL, state TEXT NOT NULL,
-    session TEXT, body BLOB, check_ INTEGER);
-CREATE INDEX IF NOT EXISTS pad_session ON pad (session);
 """
 
 

@@ -40,6 +40,13 @@ from tap_service.inference.miss_rate import Audit, worst
 KEPT_BLOCKS: Final = 64
 """Blocks that she has something of and keeps, and blocks that she tells of."""
 
+KEPT_SESSIONS: Final = 8
+"""Sessions of which steps are kept that are not settled: the one before may have some, and a
+message may be a stray."""
+
+KEPT_STEPS: Final = 8192
+"""Steps of a session that are kept until they are settled: more than a transcript bridges."""
+
 SHOWN: Final = PUBLIC_TAG_BYTES // 2
 """Words of row 0 that a public tag shows."""
 
@@ -111,9 +118,10 @@ class KeySolver(Eavesdropper):
         self._tags: dict[tuple[str, int], _Tags] = {}
         self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
         self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
-        self._blocks = self._broken = self._bits = 0
+        self._blocks = self._broken = self._bits = self._unplaced = 0
         self._j = -1  # number of the last transition; -1 where she did not hear a session's first
         self._last_k = -1
+        self._session = ""  # of the last transition
         self._open: list[tuple[int, bytes | None, bytes | None]] = []
         self._open_steps = 0
 
@@ -139,12 +147,13 @@ class KeySolver(Eavesdropper):
                 del self._tags[next(iter(self._tags))]
 
     def _step(self, session: str, k: int) -> _Step:
-        steps = self._steps.get(session)
-        if steps is None:
-            steps = self._steps[session] = {}
-            while len(self._steps) > 2:  # the one before, whose last transitions may not be settled
-                del self._steps[next(iter(self._steps))]
-        return steps.setdefault(k, _Step())
+        steps = self._steps[session] = self._steps.pop(session, {})  # in the order of last use
+        if len(self._steps) > KEPT_SESSIONS:
+            del self._steps[next(name for name in self._steps if name != self._session)]
+        step = steps.setdefault(k, _Step())
+        if len(steps) > KEPT_STEPS:
+            del steps[next(iter(steps))]
+        return step
 
     def observe(self, transition: Transition) -> Guess:
         """Count a transition towards its block, and solve the block that it closes."""
@@ -161,9 +170,10 @@ class KeySolver(Eavesdropper):
             self._open_steps += 1
         step = steps.get(t.k, _Step())
         self._count(step)
+        self._unplaced += self._j < 0
         if self._j > 0:
             self._append(t.session, step)
-        self._last_k = t.k
+        self._last_k, self._session = t.k, t.session
         for k in [k for k in steps if k <= t.k]:
             del steps[k]
         return Guess(t.k, self._even, 0.5)
@@ -221,6 +231,7 @@ class KeySolver(Eavesdropper):
                 copies=sum(one.copies for one in rates.values()),
                 missed=sum(one.missed for one in rates.values()),
                 absent=sum(one.absent for one in rates.values()),
+                unplaced=self._unplaced,
                 at_most=rate.high,
                 direction=direction,
                 refuted=rate.refuted,

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Final
 
 from runtime.addresses import free_endpoints
-from runtime.keys.secret_file import make_secret
 from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
@@ -200,14 +199,10 @@ class LiveLoop:
     relay : tuple of float, optional
         The field bus between the two ends goes through a relay with these odds: loss, repeat, and
         the longest delay in seconds.
-    secret : bool
-        Blocks of keys are signed.
     boots : random.Random, optional
         Every process has a wall clock and a monotonic clock of its own.
     scenario : str
         A shipped one that makes keys.
-    guard : str, optional
-        What guards the messages.
     """
 
     def __init__(
@@ -219,10 +214,8 @@ class LiveLoop:
         router: bool = False,
         tls: bool = False,
         relay: tuple[float, float, float] | None = None,
-        secret: bool = False,
         boots: random.Random | None = None,
         scenario: str = "keys",
-        guard: str | None = None,
     ) -> None:
         for module in PRELOADED:
             __import__(module)
@@ -233,8 +226,6 @@ class LiveLoop:
         file = self.run_dir / SCENARIO
         tables = tomllib.loads(scenario_file_of(scenario).read_text())
         tables["keys"]["eps_E"] = 0.5  # short blocks, so that some close between two deaths
-        if guard is not None:
-            tables["defence"] = {**tables.get("defence", {}), "messages": guard}
         file.write_text(as_toml(tables))
         knowledge = folder / "knowledge.json"
         knowledge.write_text(scenario_of(str(file)).knowledge().model_dump_json())
@@ -242,11 +233,6 @@ class LiveLoop:
         run = ["--run-dir", str(self.run_dir)]
         self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
         common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
-        if secret:
-            make_secret(folder / "secret-plant")
-            shutil.copy(folder / "secret-plant", folder / "secret-controller")
-            for side, arguments in common.items():
-                arguments += ["--secret", str(folder / f"secret-{side}")]
         self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
         told = ["--message-file", str(folder / "message")]
         self._add("controller", [*common["controller"], *told, *ends["controller"]])

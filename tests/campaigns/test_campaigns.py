@@ -1,6 +1,7 @@
 """Short forms of the campaigns: enough to know that they work, and to see what breaks at once."""
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,8 +12,7 @@ import pytest
 from protocol.secret.records import Side
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
-from tests.campaigns import exhaustive, fuzz, live, schedules
-from tests.secret.test_guarded_link import WRONG_GUARDS
+from tests.campaigns import exhaustive, fuzz, live, power, schedules
 from tests.secret.test_keyed_coin import WRONG
 
 
@@ -23,6 +23,12 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
         done = json.loads(results.read_text())
         assert done["schedules"] == count
     assert done["keys"] > 0
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace records writes and syncs")
+def test_a_power_failure_loses_no_message_that_was_acknowledged() -> None:
+    assert power.main(["--images", "12", "--of-a-run", "12"]) == 0
 
 
 @pytest.mark.long
@@ -41,23 +47,6 @@ def test_schedules_watch_steps_with_a_keyed_coin() -> None:
     found = [schedules.outcome_of(seed) for seed in seeds]
     assert not [outcome.wrong for outcome in found if outcome.wrong]
     assert sum(outcome.watched for outcome in found) > 100
-
-
-@pytest.mark.long
-def test_guarded_schedules_break_nothing() -> None:
-    late = 8610  # a repeat that needs keys which have served
-    found = [schedules.outcome_of(seed, guards=True) for seed in (*range(16), late)]
-    assert not [outcome.wrong for outcome in found if outcome.wrong]
-    assert sum(outcome.guarded for outcome in found) > 400
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("wrong", WRONG_GUARDS)
-def test_guarded_schedules_find_a_wrong_guard(
-    wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wrong(monkeypatch)
-    assert any(schedules.outcome_of(seed, guards=True).wrong for seed in range(40))
 
 
 def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:

@@ -10,7 +10,6 @@ from protocol.link.events import (
     Alarm,
     AttackBegan,
     Event,
-    Forged,
     Interrupted,
     Missed,
     SessionBegan,
@@ -112,7 +111,7 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
         (COMMAND, {"event": "sent", "id": "m1", "payload": "YQ=="}),
         (
             BlockStored(S, 1, 5),
-            {"event": "block", "session": S, "number": 1, "keys": 5, "signed": ""},
+            {"event": "block", "session": S, "number": 1, "keys": 5},
         ),
         (Appearances(S, 4, 2), {"event": "appearances", "session": S, "k": 4, "times": 2}),
         (
@@ -159,12 +158,6 @@ def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(key: s
     assert ("k7" in words, "all candidates" in words) == (bool(key), not key)
 
 
-def test_a_forgery_is_told_with_its_step_its_direction_and_what_gave_it_away() -> None:
-    forged = Forged(S, 31, "offer", "it has no tag")
-    assert forged.as_event() == {"event": "forged", **forged._asdict()}
-    assert all(said in forged.sentence() for said in ("31", "offer", "it has no tag"))
-
-
 # --- key blocks -----------------------------------------------------------------------------------
 
 SCHEDULE = Schedule(Assumption(0.1), 32, 64)
@@ -180,11 +173,6 @@ CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
         (STORED._replace(number=1), (BlockStored(S, 1, 5),), ()),
         (STORED._replace(confirmed=True), (BlockStored(S, 0, 5),), ()),
         (STORED._replace(keys=0), (BlockStored(S, 0, 0),), ()),
-        (
-            STORED._replace(keys=0, exhausted=True),
-            (BlockStored(S, 0, 0),),
-            (Notice("no pad is left to sign key blocks with: make a new secret", "error"),),
-        ),
         (DONE, (DONE,), ()),
         (
             DONE._replace(what="unequal", keys=0),

@@ -10,17 +10,18 @@ from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
 from plant_service.core import (
-    CHUNK_SYMBOLS,
     FAREWELL_S,
     HELLO_S,
     LAST_KEYS_REPEAT_S,
     LAST_KEYS_S,
     MEETING_S,
+    SYMBOLS_AT_ONCE,
     PlantCore,
     hex_digits,
 )
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
 from protocol.link.events import (
+    FELL_BACK,
     NEW_JOURNAL,
     AttackBegan,
     Interrupted,
@@ -258,11 +259,28 @@ def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() ->
     assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
     assert after.record is not None
     assert after.record == end.core.record
-    assert not after.later
     assert end.core.record.k == 5
     end.machine.x_next = (2.0,)
     end.core.receive(ControllerHello, hello().wire(), 1.0)
     assert [type(e) for e in end.events] == [SessionBegan, CountedTransition, Interrupted]
+
+
+def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew() -> None:
+    end = Told(offer=OFFER, tossed=0, report=REPORT, fell_back=True)
+    end.does(end.core.start(0.0))
+    last = end.all[-1]
+    assert kept(last) == Actions(record=end.core.record)
+    assert [type(m) for m in last.publish] == [PlantHello]
+    assert (end.core.record.session, end.core.record.k) == (NEW, 4)
+    resumed, counted, began = end.events
+    assert isinstance(counted, CountedTransition)
+    assert (resumed.session, counted.session) == (S, S)
+    assert began == SessionBegan(NEW, FELL_BACK)
+    acting = Machine(acts=True, device=True)
+    dead = Told(machine=acting, offer=OFFER, tossed=0, back=(9.0,), fell_back=True)
+    dead.does(dead.core.start(0.0))
+    assert [type(e) for e in dead.events] == [SessionBegan, Interrupted, SessionBegan]
+    assert dead.core.record.session == NEW
 
 
 # --- when a status is due, and what it says -------------------------------------------------------
@@ -362,11 +380,6 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
         "key_blocks_waiting": 0,
         "key_blocks_begun": 6,
         "appearances": 1,
-        "guarded": 0,
-        "unguarded": 0,
-        "guard_ahead": 0,
-        "forged": 0,
-        "forged_k": -1,
         "pictured_k": -1,
         "pictured_x": (),
         "pictured_candidates": (),
@@ -541,7 +554,6 @@ def test_two_controllers_are_both_named() -> None:
 
 NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
     (lambda end: end.hears(hello(verdict="unknown-session", answers=P), 0.0), "warning"),
-    (lambda end: end.does(end.core.end_session("keys are gone")), "error"),
 ]
 
 
@@ -556,7 +568,7 @@ def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     (began,) = actions.events
     assert isinstance(began, SessionBegan)
     assert (began.session, bool(began.reason)) == (NEW, True)
-    assert kept(actions) == Actions(record=end.core.record, drop_chunks=True)
+    assert kept(actions) == Actions(record=end.core.record)
     assert end.core.record == ReceiverRecord(
         session=NEW,
         k=3,
@@ -623,6 +635,7 @@ def test_an_offer_that_names_a_key_where_no_coin_is_keyed_is_malformed(
 
 def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
     end = Told().met()
+    before = end.core.record
     assert end.hears(OFFER, 0.25).publish == ()
     assert end.machine.asked == [
         ("toss", 2),
@@ -636,7 +649,9 @@ def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
     assert (first.coin, first.finish_step) == (0, True)
     assert first.measurement is not None
     assert (first.measurement.k, first.measurement.applied_k) == (4, 3)
-    assert kept(second) == Actions(record=end.core.record, later=True)
+    assert first.record == before, "the record before it"
+    assert not first.durable
+    assert kept(second) == NOTHING_TO_DO, "the next step saves what was counted"
 
 
 def test_a_plant_that_acts_saves_its_coin_before() -> None:
@@ -644,7 +659,7 @@ def test_a_plant_that_acts_saves_its_coin_before() -> None:
     machine.coin = 1
     end = Told(machine=machine).met()
     begun = end.core.receive(Offer, OFFER.wire(), 0.25)
-    assert begun == Actions(offer=OFFER, coin=1, finish_step=True)
+    assert begun == Actions(record=end.core.record, offer=OFFER, coin=1, finish_step=True)
     assert machine.asked == [("toss", 2)]
     assert end.core.under_way == OFFER
     assert end.core.finish_step() == NOTHING_TO_DO
@@ -696,7 +711,7 @@ def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
     end = Told(machine=machine).met()
     end.hears(OFFER, 0.25)
     end.hears(hello(verdict="unknown-session", answers=P), 0.5)
-    saved = Actions(record=end.core.record, offer=OFFER, coin=1, drop_chunks=True)
+    saved = Actions(record=end.core.record, offer=OFFER, coin=1)
     assert kept(end.all[-1]) == saved
     end.all.clear()
     machine.asked.clear()
@@ -731,7 +746,8 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)), p=len(symbols))
     end = Told(record=record, telemetry=news).met()
     end.hears(offer(cipher=last ^ flipped), 0.25)
-    counted = end.all[-1]
+    step, counted = end.all[-2:]
+    assert step.durable, "by its report the controller takes the message for delivered"
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     (notice,) = counted.notices
@@ -745,7 +761,7 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
         assert notice.level == "info"
         assert "3" in notice.text
         assert "1 bytes" in notice.text
-    assert kept(counted) == Actions(record=end.core.record, drop_chunks=True, received=received)
+    assert kept(counted) == Actions(record=end.core.record, received=received)
     status = end.core.status(0.0)
     assert (status.messages, status.frames_refused) == (1 - flipped, flipped)
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
@@ -981,13 +997,13 @@ def keys_at_work(steps: int | None = None, **more: Any) -> Told:
     if steps is None:
         end.hears(hello(), 0.0)
         end.hears(hello(verdict="accepted", answers=P), 0.0)
-    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
     assert [event.as_event()["event"] for event in stored.events] == ["block"]
     end.all.clear()
     return end
 
 
-def word(tag: str = "b" * 32, waiting: int = 1, **fields: Any) -> BlockAnnouncement:
+def word(tag: str = "a" * 32, waiting: int = 1, **fields: Any) -> BlockAnnouncement:
     made = BlockAnnouncement(side="controller", session=S, block=0, tag=tag, waiting=waiting)
     return made.model_copy(update=fields)
 
@@ -1001,35 +1017,34 @@ def test_a_life_with_keys_gives_its_keeper_what_the_journal_has() -> None:
 @pytest.mark.parametrize("right", [True, False])
 def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> None:
     end = keys_at_work()
-    tag = "b" * 32 if right else "c" * 32
+    tag = "a" * 32 if right else "c" * 32
     end.hears(offer(k=5, nonce=NONCE, block=0, tag=tag), 0.25)
     counted = end.all[-1]
     judged = BlockResult(S, 0, "confirmed" if right else "unequal")
     assert counted.keys == (judged,)
-    assert counted.record is not None
     if right:
         assert counted.notices == ()
-        assert (counted.later, counted.obsolete_rows) == (True, ())
-        assert counted.contribution is not None
-        assert counted.contribution.j == 4
+        assert kept(counted) == NOTHING_TO_DO
         assert (end.core.record.session, end.core.record.block) == (S, 0)
         done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5)
-        assert kept(done) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
+        (row,) = done.contributions
+        assert row.j == 4
+        saved = Actions(record=end.core.record, contributions=(row,), obsolete_rows=(range(1, 3),))
+        assert kept(done) == saved
         return
     assert [type(e) for e in counted.events] == [CountedTransition, SessionBegan]
     assert [(n.level, n.subject) for n in counted.notices] == [("error", "")]
     assert NEW in counted.notices[0].text
     assert end.core.record.session == NEW
-    assert kept(counted) == Actions(record=end.core.record, drop_chunks=True)
+    assert kept(counted) == Actions(record=end.core.record)
     assert [type(m) for m in counted.publish] == [PlantHello]
 
 
 def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
     end = keys_at_work()
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.1))
-    end.hears(offer(k=5, nonce=NONCE), 0.25)
-    counted = end.all[-1]
-    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+    step = end.hears(offer(k=5, nonce=NONCE), 0.25)
+    assert step.obsolete_rows == (range(1, 3),), "its report announces the block"
 
 
 def test_blocks_are_counted_as_they_begin() -> None:
@@ -1047,25 +1062,24 @@ def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
     frame = list(encode_frame(b"a message", size))[:5]
     partial = "".join(f"{symbol:0{hex_digits(size)}x}" for symbol in frame)
     rules = line_rules(alpha=4.0, largest_input=5.0, scheme=Switched(size))
-    end = Told(rules, RECORD._replace(partial=partial[-2:]), chunks=partial[:-2])
+    end = Told(rules, RECORD._replace(partial=partial[-2:]), symbols=partial[:-2])
     assert list(end.core.deframer.symbols) == frame
     assert hex_digits(size) == len(f"{size - 1:x}")
 
 
 def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
-    *begun, last = encode_frame(b"x" * 99, 2)[:CHUNK_SYMBOLS]
+    *begun, last = encode_frame(b"x" * 99, 2)[:SYMBOLS_AT_ONCE]
     record = RECORD._replace(
         transitions=4, k=5, state=(2, 0), partial="".join(map(str, begun)), p=len(begun)
     )
-    for tag in ("b" * 32, "c" * 32):
+    for tag in ("a" * 32, "c" * 32):
         end = Told(KEYS, record, contributions=rows(4)).met()
-        end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+        end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
         end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
         counted = end.all[-1]
         differs = tag[0] == "c"
-        assert len(counted.chunk) == (0 if differs else CHUNK_SYMBOLS)
-        assert counted.drop_chunks == differs
-        assert not counted.later
+        assert len(counted.symbols) == end.core.record.stored == (0 if differs else SYMBOLS_AT_ONCE)
+        assert counted.record == end.core.record
         assert end.core.record.partial == ""
 
 
@@ -1085,7 +1099,7 @@ def test_a_missed_step_takes_rows_along_that_may_go() -> None:
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5))
     end.wakes(1.0)  # missed: its measurement announces the block
     assert end.core.record.block == 0
-    (saving,) = [actions for actions in end.all if actions.saves]
+    (saving,) = [actions for actions in end.all if actions.record is not None]
     assert saving.obsolete_rows == (range(1, 3),)
 
 
@@ -1147,7 +1161,6 @@ def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> N
     end.wakes(10.0)
     for said in (offer(k=2), hello(verdict="unknown-session", answers=P), offer(k=4)):
         assert end.hears(said, 10.1) == NOTHING_TO_DO
-    assert end.does(end.core.end_session("why")) == NOTHING_TO_DO
     assert end.core.code is None
     assert end.hears(OFFER, 10.2) == NOTHING_TO_DO
     assert end.core.code == DONE
@@ -1223,7 +1236,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     assert isinstance(status, PlantStatus)
     assert (status.phase, status.k) == ("stopped", 4)
     assert stopped.health == status, "the last status is kept"
-    assert not stopped.saves
+    assert stopped.record is None
 
 
 def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:

@@ -1,20 +1,17 @@
 """What both ends share: each rule by itself, and a transition with all its fields."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 
 from protocol.agreement import AgreementResult, Gauge
 from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE
-from protocol.defence.base import Defence
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
-from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, Truth, rules_of
-from protocol.messages import Offer, SendCommand
+from protocol.messages import Offer
 from protocol.schemes.base import Carry
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
@@ -30,13 +27,6 @@ OFFER = Offer(session=S, k=7, candidates=CANDIDATES, cipher=1)
 
 
 # --- the test of a transition ---------------------------------------------------------------------
-
-
-class Strict(Defence):
-    """Fails whatever is as far as half of D_c from its prediction."""
-
-    def alarm(self, session: Any, step: Any, gauges: Any) -> Any:
-        return gauges.min(axis=-1) > 0.5
 
 
 @pytest.mark.parametrize(
@@ -55,9 +45,6 @@ def test_a_transition_fails_that_nothing_explains_or_another_candidate_than_the_
 ) -> None:
     verdict = AgreementResult(gauges, 0 if inside else -1, inside)
     assert RULES.fails(verdict, expected) is fails
-    assert replace(RULES, test=Strict(1, 2)).fails(verdict, expected) is True
-    near = AgreementResult((0.25, 2.0), 0, 1)
-    assert replace(RULES, test=Strict(1, 2)).fails(near, 0) is False
 
 
 def test_what_is_expected_is_the_offers_prediction_or_the_models() -> None:
@@ -91,7 +78,7 @@ def test_a_coin_is_said_where_it_is_keyed_and_nowhere_else(
 
 def test_rules_of_a_line_promise_nothing_beside() -> None:
     assert (RULES.size, RULES.keyed, RULES.halts, RULES.predicted) == (2, False, False, False)
-    assert (RULES.schedule, RULES.test, RULES.outputs) == (None, None, None)
+    assert (RULES.schedule, RULES.outputs) == (None, None)
     assert (RULES.alarm_rule, RULES.defence) == (AT_ONCE, "residual")
 
 
@@ -105,7 +92,7 @@ def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
     assert rules.schedule == (None if s.keys is None else s.keys.schedule())
     assert rules.predicted == (s.defender.model is not None)
     assert (rules.keyed, rules.halts) == (s.defence.keyed, s.defence.on_alarm == "safe")
-    assert (rules.defence, rules.alarm_rule) == (s.defence.words(), s.alarm_rule)
+    assert (rules.defence, rules.alarm_rule) == (s.defence.kind, s.alarm_rule)
     assert (rules.agreement.A, rules.agreement.B) == (s.A, s.B)
     assert rules.agreement.alpha == s.secrecy.alpha
     H, h = s.test_set.rows()
@@ -309,23 +296,6 @@ def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
 
 
 # --- what is saved -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("more", "for_tables"),
-    [
-        ({}, False),
-        ({"later": True, "contribution": ROW, "obsolete_rows": (range(2),)}, False),
-        ({"queued": SendCommand(id="m", payload=b"")}, True),
-        ({"received": b""}, True),
-        ({"chunk": "01"}, True),
-        ({"drop_chunks": True}, True),
-    ],
-)
-def test_messages_and_symbols_have_tables_of_their_own(
-    more: dict[str, Any], for_tables: bool
-) -> None:
-    assert Actions(record=SenderRecord(), **more).for_tables is for_tables
 
 
 def test_a_records_state_says_what_the_automaton_is_doing() -> None:

@@ -5,11 +5,11 @@ from typing import Literal
 
 import pytest
 
-from controller_service.core import INITIAL_ID, ControllerCore
+from controller_service.core import ControllerCore
 from plant_service.status import PlantTelemetry
-from protocol.link.events import Missed, SessionBegan, Timing
+from protocol.link.events import Missed, Timing
 from protocol.link.peer import Actions
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -23,8 +23,9 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
-from runtime.memory_journal import MemoryControllerJournal
+from runtime.journal import ControllerJournal
 from tests.support.controller_in_hand import PERIOD_S, Zeros
+from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import STEP_S, PlantInHand, ScriptedLine
 
@@ -39,7 +40,7 @@ OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 
 
 def controller(
-    journal: MemoryControllerJournal,
+    journal: ControllerJournal,
     message: bytes | None = None,
     record: SenderRecord | None = None,
     rules: Rules = RULES,
@@ -69,16 +70,16 @@ def queued(said: list[Actions]) -> list[SendCommand]:
 
 
 def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_greets() -> None:
-    journal = MemoryControllerJournal()
+    journal = controller_journal()
     said = first_words(controller(journal, b"hi"))
     command = SendCommand(id=INITIAL_ID, payload=b"hi")
     assert queued(said) == [command]
     assert said[0].events == (command,)
     assert [type(message) for actions in said for message in actions.publish] == [ControllerHello]
     for actions in said:
-        if actions.saves:
+        if actions.record is not None:
             journal.save(actions)
-    again = first_words(controller(journal, b"hi", journal.load()))
+    again = first_words(controller(journal, b"hi", journal.load().record))
     assert queued(again) == []
     assert [type(message) for message in again[-1].publish] == [ControllerHello]
 
@@ -88,11 +89,11 @@ def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
     halted: bool,
 ) -> None:
     record = SenderRecord(halted=halted)
-    said = first_words(controller(MemoryControllerJournal(), None, record, HALTING))
+    said = first_words(controller(controller_journal(), None, record, HALTING))
     assert [n.subject for actions in said for n in actions.notices] == ["refusals"] * halted
 
 
-def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_next() -> None:
+def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> None:
     record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3, offer=None)
     hello = PlantHello(
         instance=P,
@@ -111,40 +112,9 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
             isinstance(m, Offer) for m in core.receive(Measurement, REPORTED.wire(), 2.0).publish
         )
 
-    assert offers(controller(MemoryControllerJournal(), None, record, HALTING))
-    core = controller(MemoryControllerJournal(), None, record, HALTING)
-    halted = core.halt()
-    assert halted.record is not None
-    kept = halted.record
-    assert isinstance(kept, SenderRecord)
-    assert (
-        kept
-        == core.record
-        == record._replace(incarnation=1, state=RULES.scheme.restore(record.state), halted=True)
-    )
-    assert [n.subject for n in halted.notices] == ["refusals"]
-    assert core.halt() == Actions(), "it is told once"
-    assert not offers(core)
-    assert not offers(controller(MemoryControllerJournal(), None, kept, HALTING))
-    assert controller(MemoryControllerJournal()).halt() == Actions(), "the scenario's rules say so"
-
-
-def test_a_controller_whose_keys_are_gone_leaves_the_session_and_greets() -> None:
-    record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3)
-    core = controller(MemoryControllerJournal(), None, record)
-    first_words(core)
-    ended = core.end_session("the keys are gone")
-    (began,) = ended.events
-    assert isinstance(began, SessionBegan)
-    assert began.session is None
-    assert core.record.session is None
-    assert core.record.ended == (S,)
-    assert ended.record is not None
-    assert ended.record == core.record
-    assert [n.subject for n in ended.notices] == ["refusals"]
-    (greets,) = core.receive(Measurement, REPORTED.wire(), 100.0).publish
-    assert isinstance(greets, ControllerHello)
-    assert (greets.verdict, greets.session) == ("greeting", None)
+    assert offers(controller(controller_journal(), None, record, HALTING))
+    kept = record._replace(halted=True)
+    assert not offers(controller(controller_journal(), None, kept, HALTING))
 
 
 # --- the plant's ----------------------------------------------------------------------------------
@@ -249,14 +219,6 @@ def test_a_missed_step_is_told_with_what_it_really_came_to() -> None:
     receiver.missed((0.0,), (0.0,))
     (missed,) = [event for event in receiver.events if isinstance(event, Missed)]
     assert missed.truth == line.truth
-
-
-def test_a_plant_whose_keys_are_gone_begins_a_new_session_and_says_why() -> None:
-    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT))
-    (line,) = receiver.core.end_session("the keys are gone").notices
-    assert line.level == "error"
-    assert line.text.startswith("the keys are gone; new session ")
-    assert receiver.record.session != S
 
 
 def test_a_plant_that_cannot_be_closed_says_why() -> None:

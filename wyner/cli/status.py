@@ -13,7 +13,6 @@ from wyner.cli.healthy import add_options, check_health
 
 if TYPE_CHECKING:
     from protocol.messages import ControllerStatus, PlantStatus
-    from protocol.secret.records import Side
 
 OLD_S = 5.0
 """A status older than this is of a service that is frozen or gone: it writes one each second."""
@@ -40,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
     plant, controller = _statuses(run_dir)
     claim, distance = _claim(run_dir)
     distance *= plant.key_blocks_begun
-    pads, unread = _pads(run_dir)
     now_ns = time.time_ns()
     warnings = [
         *_warnings_of_plant(plant),
@@ -50,8 +48,9 @@ def run(args: argparse.Namespace) -> int:
             if status.phase != "stopped" and now_ns - status.t_ns > OLD_S * 1e9
         ),
     ]
-    warnings += [*_warnings_of_taps(run_dir), *unread]
-    warnings += filter(None, (controller.alarm_sentence(), plant.alarm_sentence()))
+    warnings += _warnings_of_taps(run_dir)
+    if alarms := controller.alarm_sentence():
+        warnings.append(alarms)
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     if controller.keys_stopped and not plant.keys_stopped:
@@ -61,14 +60,13 @@ def run(args: argparse.Namespace) -> int:
             "plant": plant.model_dump(),
             "controller": controller.model_dump(),
         }
-        told |= {"claim": claim, "distance": distance, "pads": pads}
+        told |= {"claim": claim, "distance": distance}
         bare = {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED}
         print(json.dumps({**told, "no_interval": bare, "warnings": warnings}))
     else:
         lines = (
             *_lines(plant, controller, claim),
             *_lines_of_distance(plant, distance),
-            *_lines_of_pads(pads),
         )
         for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
@@ -91,12 +89,12 @@ def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
     from pydantic import ValidationError
 
     from protocol.messages import ControllerStatus, PlantStatus
-    from runtime.files import read_regular
+    from runtime.health import read_status
     from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
 
     try:
-        plant = PlantStatus.model_validate_json(read_regular(run_dir / PLANT_STATUS))
-        controller = ControllerStatus.model_validate_json(read_regular(run_dir / CONTROLLER_STATUS))
+        plant = read_status(run_dir / PLANT_STATUS, PlantStatus)
+        controller = read_status(run_dir / CONTROLLER_STATUS, ControllerStatus)
     except OSError as error:
         raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
     except ValidationError as error:
@@ -120,30 +118,6 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
-def _pads(run_dir: Path) -> "tuple[dict[Side, dict[str, int]], list[str]]":
-    """What each end's ledger says of the pads for sessions to come, and what cannot be read.
-
-    Without a secret, nothing. The store of an end that was killed while it wrote cannot be read
-    before that end has opened it again.
-    """
-    from protocol.secret.records import StoreError
-    from runtime.keys.ledger import pad_counts
-    from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-
-    stores: dict[Side, Path] = {"controller": CONTROLLER_KEYS, "plant": PLANT_KEYS}
-    found: dict[Side, dict[str, int]] = {}
-    unread = []
-    for end, path in stores.items():
-        try:
-            counts = pad_counts(run_dir / path) if (run_dir / path).exists() else None
-        except StoreError as error:
-            unread.append(str(error))
-            continue
-        if counts:
-            found[end] = counts._asdict()
-    return found, unread
-
-
 def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
     """What all blocks that were begun may cost, and what no end can tell of its key store."""
     if not plant.key_blocks_begun or plant.keys_refused:
@@ -153,13 +127,6 @@ def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
         f"{distance:.2g} from perfect keys at most",
         "stores      what one end gives is marked at the other first; put back together, both may "
         "give keys twice",
-    ]
-
-
-def _lines_of_pads(pads: "dict[Side, dict[str, int]]") -> list[str]:
-    return [
-        f"pads        at the {end}: {n['made']} sets made, {n['spent']} spent, {n['left']} left"
-        for end, n in pads.items()
     ]
 
 
@@ -180,29 +147,16 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         + (f", blocks that wait for the other end: {waiting}" if waiting else "")
         + (f"; {keys}" if keys else ""),
         *_lines_of_coin(controller),
-        *_lines_of_guard(plant, controller),
         *_lines_of_appearances(plant, controller, claim),
     ]
 
 
 def _lines_of_coin(controller: "ControllerStatus") -> list[str]:
     """How many steps a key watched, where the coin is keyed."""
-    if not controller.defence.startswith("keyed-coin"):
+    if controller.defence != "keyed-coin":
         return []
     left = f"{controller.coin_keys} keys left for it"
     return [f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, {left}"]
-
-
-def _lines_of_guard(plant: "PlantStatus", controller: "ControllerStatus") -> list[str]:
-    """How many messages were under a key, where they are guarded."""
-    _, _, guard = controller.defence.partition(" + ")
-    if not guard:
-        return []
-    heard = f"{controller.guarded} measurements under a key, {controller.unguarded} plain"
-    if plant.guarded + plant.unguarded:
-        heard += f"; {plant.guarded} offers, {plant.unguarded} plain"
-    left = f"keys for {plant.guard_ahead} steps to come"
-    return [f"{guard:<11} {heard}; {left}"]
 
 
 def _lines_of_appearances(
@@ -217,8 +171,10 @@ def _lines_of_appearances(
 
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
-    """Who of a tap in the same folder failed, and what was found against the keys' claim."""
+    """Who of a tap in the same folder failed or was deaf, and what speaks against the claim."""
+    from protocol.messages.adversary import deaf_share
     from wyner.runs.run import Run, RunError
+    from wyner.runs.score.report import unused_in_words
 
     try:
         told = Run.load(run_dir).beliefs()
@@ -226,6 +182,11 @@ def _warnings_of_taps(run_dir: Path) -> list[str]:
             f"eavesdropper {name} failed: {one['failed']}"
             for name, one in told.items()
             if one.get("failed")
+        ]
+        found += [
+            f"eavesdropper {name}: not used of what the tap heard: {unused_in_words(one['unused'])}"
+            for name, one in told.items()
+            if "unused" in one and deaf_share(one["unused"], one["steps"])
         ]
         keys = [one["keys"] for one in told.values() if one.get("keys")]
         found += [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]

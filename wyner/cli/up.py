@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
 
+SAID_S: Final = 120.0
+"""Seconds within which plant and controller have to say something: opening one may take a while."""
+
 GRACE_S: Final = 0.5
 """Seconds that the tap has for its last thoughts once the message has arrived."""
 
@@ -77,11 +80,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
     )
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
-    parser.add_argument(
-        "--secret",
-        action="store_true",
-        help="sign key blocks with a secret made for this run",
-    )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
 
 
@@ -99,7 +97,6 @@ def run(args: argparse.Namespace) -> int:
             pace=args.pace,
             steps=args.steps,
             seed=args.seed,
-            secret=args.secret,
             attack=args.attack,
             until_delivered=args.until_delivered,
             headless=args.headless,
@@ -166,10 +163,6 @@ def run_session(
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
-    if options.secret and scenario.keys is None:
-        raise UsageError(
-            f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
-        )
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
@@ -309,14 +302,18 @@ class Progress:
         self.delivered = 0
         self.waiting = True
         self._over_at: float | None = None
+        self._began = time.monotonic()
+        self._silent = {"plant", "controller"}
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """How many messages the plant has (called on the transport's thread)."""
+        self._silent.discard("plant")
         with suppress(ValidationError):  # the dashboard counts malformed
             self.received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """What the controller has delivered, and whether more is waiting (the same thread)."""
+        self._silent.discard("controller")
         with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
             self.delivered = status.delivered
@@ -328,10 +325,14 @@ class Progress:
         Raises
         ------
         Failure
-            When a service ended with an error.
+            When a service ended with an error, or has not said anything yet.
         """
         self._supervisor.poll()
         now = time.monotonic()
+        if self._silent and now >= self._began + SAID_S:
+            name = min(self._silent)
+            log = self._supervisor.child(name).log
+            raise Failure(f"{name}: nothing heard of it in {SAID_S:g} s (log: {log})")
         ended = self._supervisor.child("plant").returned is not None
         arrived = 0 < self.delivered <= self.received and not self.waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived)):

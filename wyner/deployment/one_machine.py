@@ -12,9 +12,15 @@ from protocol.link.events import AttackBegan
 from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
-from runtime.files import make_folder, read_regular, write_atomically
-from runtime.keys.secret_file import make_secret
-from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
+from runtime.files import read_regular, write_atomically
+from runtime.run_folder import (
+    CONTROLLER_TRACE,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_TRACE,
+    SCENARIO,
+)
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 from wyner.deployment.running import RunningLoop
@@ -34,8 +40,6 @@ class RunOptions:
     pace : str
         ``realtime``, ``xN`` or ``fast``.
     steps, seed : int, optional
-    secret : bool
-        Sign key blocks with a secret made for this run.
     until_delivered : bool
         End when the plant has the message.
     headless, json, story : bool
@@ -51,7 +55,6 @@ class RunOptions:
     pace: str = "realtime"
     steps: int | None = None
     seed: int | None = None
-    secret: bool = False
     until_delivered: bool = False
     headless: bool = False
     json: bool = False
@@ -78,6 +81,11 @@ def text_of(options: RunOptions) -> str:
     implied = options.attack is not None and makes_keys and options.seed is None
     stated = "defence" in scenario.model_fields_set
     return f"{text.rstrip()}\n{KEYED_COIN}" if implied and not stated else text
+
+
+def option(name: str, value: object) -> str:
+    """An option of a child in one word: a value may begin with a dash, as a folder's name may."""
+    return f"--{name}={value}"
 
 
 def lay_out(
@@ -131,85 +139,67 @@ def lay_out(
     )
     plant_side, controller_side = ends[6:]
     on_bus = attack is not None and attack.attack["at"] == "bus"
-    common = ["--run-dir", str(run_dir)]
-    seed = [] if options.seed is None else ["--seed", str(options.seed)]
-    steps = [] if options.steps is None else ["--steps", str(options.steps)]
-    attacked = [] if options.attack is None else ["--attack", options.attack]
-    secrets = _secrets(run_dir) if options.secret else {}
-    tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
+    common = [option("run-dir", run_dir)]
+    seed = [] if options.seed is None else [option("seed", options.seed)]
+    steps = [] if options.steps is None else [option("steps", options.steps)]
+    attacked = [] if options.attack is None else [option("attack", options.attack)]
+    tap = [option("eavesdropper", ",".join(eavesdroppers))] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
     for name, value in knobs.items():
-        tap += [f"--{name.replace('_', '-')}", str(value)]
+        tap.append(option(name.replace("_", "-"), value))
+    scenario_folder = scenario_file_of(options.scenario).parent.resolve()
     children = [
         Child(
             "plant",
             [
                 *common,
                 *seed,
-                *secrets.get("plant", ()),
                 *steps,
                 *attacked,
-                "--scenario",
-                str(scenario_file),
-                "--pace",
-                options.pace,
-                "--plant-folder",
-                str(scenario_file_of(options.scenario).parent.resolve()),
-                "--listen",
-                f"field={plant_field}",
-                "--connect",
-                f"field={tap_field}",
-                *(("--connect", f"field={plant_side}") if on_bus else ()),
-                "--listen",
-                f"management={plant_management}",
+                option("scenario", scenario_file),
+                option("pace", options.pace),
+                option("plant-folder", scenario_folder),
+                option("listen", f"field={plant_field}"),
+                option("connect", f"field={tap_field}"),
+                *([option("connect", f"field={plant_side}")] if on_bus else []),
+                option("listen", f"management={plant_management}"),
             ],
             run_dir / "plant" / "log",
+            trace=run_dir / PLANT_TRACE,
         ),
         Child(
             "controller",
             [
                 *common,
                 *seed,
-                *secrets.get("controller", ()),
-                "--scenario",
-                str(scenario_file),
-                "--pace",
-                options.pace,
-                "--message-file",
-                str(message_file),
-                "--model-folder",
-                str(scenario_file_of(options.scenario).parent.resolve()),
-                "--listen",
-                f"field={controller_field}",
-                "--connect",
-                f"field={controller_side if on_bus else plant_field}",
-                "--connect",
-                f"field={tap_field}",
-                "--listen",
-                f"management={controller_management}",
-                "--connect",
-                f"management={plant_management}",
+                option("scenario", scenario_file),
+                option("pace", options.pace),
+                option("message-file", message_file),
+                option("model-folder", scenario_folder),
+                option("listen", f"field={controller_field}"),
+                option("connect", f"field={controller_side if on_bus else plant_field}"),
+                option("connect", f"field={tap_field}"),
+                option("listen", f"management={controller_management}"),
+                option("connect", f"management={plant_management}"),
             ],
             run_dir / "controller" / "log",
+            trace=run_dir / CONTROLLER_TRACE,
         ),
         Child(
             "tap",
             [
                 *common,
                 *tap,
-                "--knowledge",
-                str(knowledge_file),
-                "--listen",
-                f"adversary={adversary}",
-                "--listen",
-                f"field={tap_field}",
+                option("knowledge", knowledge_file),
+                option("listen", f"adversary={adversary}"),
+                option("listen", f"field={tap_field}"),
             ],
             run_dir / "tap" / "log",
         ),
     ]
     if on_bus:
-        relay = [*seed, *attacked, "--scenario", str(scenario_file)]
-        relay += ["--plant-side", plant_side, "--controller-side", controller_side]
+        relay = [*seed, *attacked, option("scenario", scenario_file)]
+        relay += [option("plant-side", plant_side), option("controller-side", controller_side)]
         log = run_dir / "attacker" / "log"
         children.append(Child("attacker", relay, log, package="attacker_service"))
     return (
@@ -223,17 +213,3 @@ def lay_out(
             adversary=adversary,
         ),
     )
-
-
-def _secrets(run_dir: Path) -> dict[str, list[str]]:
-    """A secret in each end's folder, and the option that names it."""
-    options = {}
-    first = run_dir / "controller" / "secret"
-    make_folder(first.parent)
-    make_secret(first)
-    for side in ("controller", "plant"):
-        path = run_dir / side / "secret"
-        if path != first:
-            write_atomically(path, read_regular(first))
-        options[side] = ["--secret", str(path)]
-    return options

@@ -23,7 +23,6 @@ from wyner.runs.check.key_blocks import (
     GivenOnce,
     KeyIds,
     NonceOnce,
-    PadsOnce,
     RefusedAtZero,
     Tags,
 )
@@ -31,7 +30,7 @@ from wyner.runs.check.keys import Agreement, Coin, InStep, Paper, Receiver, Send
 from wyner.runs.check.loop import Admissible, Reachable, Switching
 from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
 from wyner.runs.check.stores import KeyStores
-from wyner.runs.check.watched import Alarms, Guarded, KeyedCoins
+from wyner.runs.check.watched import Alarms, KeyedCoins
 
 CHECKS: Final[tuple[type[Check], ...]] = (
     Traces,
@@ -60,13 +59,11 @@ CHECKS: Final[tuple[type[Check], ...]] = (
     Counted,
     Blocks,
     Tags,
-    PadsOnce,
     GivenOnce,
     KeyIds,
     KeyStores,
     RefusedAtZero,
     KeyedCoins,
-    Guarded,
     Alarms,
 )
 
@@ -78,12 +75,10 @@ OF_KEYS: Final = frozenset(
         Counted,
         Blocks,
         Tags,
-        PadsOnce,
         GivenOnce,
         KeyIds,
         KeyStores,
         KeyedCoins,
-        Guarded,
     )
 )
 """Checks of which a scenario that makes no keys knows nothing."""

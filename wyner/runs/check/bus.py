@@ -10,7 +10,6 @@ from pydantic import ValidationError
 
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FIELD, Measurement
-from protocol.scenario.defence import CLEAR
 from wyner.runs.check.attacked import rewrites
 from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
@@ -34,14 +33,6 @@ OF_COIN: Final = {
 }
 """What besides travels where the coin is keyed."""
 
-OF_GUARD: Final = (
-    frozenset[str](),
-    frozenset({"guard", "mac"}),
-    frozenset({"guard", "after", "rest"}),
-    frozenset({"guard", "after", "rest", "mac"}),
-)
-"""What besides travels with a message that is tagged, or coded."""
-
 WITHOUT_KEYS: Final = {
     "copy_number": 0,
     "nonce": "",
@@ -59,7 +50,6 @@ _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 
 _OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
 _COIN: Final = re.compile(rb',"(?:applied_key|coin_key|coin_from|coin_last)":(?:"[^"]*"|[0-9]+)')
-_GUARD: Final = re.compile(rb',"guard":"[^"]*".*\}$', re.DOTALL)
 _BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
 _AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
 
@@ -75,9 +65,8 @@ class _First:
 
     def same(self, seen: CapturedMessage) -> bool | None:
         """Whether it is the same as the first of its number; None where it is the first."""
-        # a message that left plain may come tagged or coded once its key is there
-        mine = hash(_GUARD.sub(b"}", _ANEW.sub(b"", seen.raw, 1))) or 1
-        at = (f"{seen.topic}, coded" if "rest" in seen.message else seen.topic, seen.session)
+        mine = hash(_ANEW.sub(b"", seen.raw, 1)) or 1
+        at = seen.topic, seen.session
         found = self._dense.setdefault(at, array("q"))
         k = seen.k
         if 0 <= k < len(found) + 4096:
@@ -199,8 +188,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
     before = steps.find(session, seen.k - 1)
     if here is None and before is not None:
         here = before.x_next
-    coded = "rest" in m  # its states open under a key, and other checks look at that
-    if here is not None and not coded and steps.of_state(m["x"]) != here:
+    if here is not None and steps.of_state(m["x"]) != here:
         unlike.append("x")
     last = step.last_applied if step is not None else steps.newest(session)
     if m["applied_k"] != last:
@@ -209,7 +197,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
     applied = steps.find(session, last)
     after = m["x_after"]
     if (applied is None) != (after == []) or (
-        applied is not None and not coded and steps.of_state(after) != applied.x_next
+        applied is not None and steps.of_state(after) != applied.x_next
     ):
         unlike.append("x_after")
     return unlike
@@ -223,10 +211,6 @@ class PublicFields(Check):
     says = "the field bus carries nothing but public fields"
     of = "messages"
     needs = ("wire",)
-
-    def __init__(self, evidence: Evidence, counter: Counter) -> None:
-        super().__init__(evidence, counter)
-        self._guards = evidence.scenario.defence.messages != CLEAR
 
     def feed(self, part: Part) -> None:
         for seen in part.seen:
@@ -242,11 +226,8 @@ class PublicFields(Check):
             return f"on {topic!r}"
         if rules.keyed:
             allowed |= OF_COIN.get(topic, frozenset())
-        guard = frozenset(seen.message) & OF_GUARD[-1]
-        if guard and (guard not in OF_GUARD or not self._guards):
-            return f"{topic} with {', '.join(sorted(guard))}"
-        if seen.message.keys() - guard != allowed:
-            return f"{topic} with {_extra(frozenset(seen.message) - guard, allowed)}"
+        if seen.message.keys() != allowed:
+            return f"{topic} with {_extra(frozenset(seen.message), allowed)}"
         try:
             message = _MODELS[topic].model_validate_json(seen.raw, strict=True)
         except ValidationError as error:
@@ -300,7 +281,6 @@ def _shape(raw: bytes) -> tuple[bytes, int]:
     keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
     keyless = _BLOCK.sub(b"", keyless, 1)
     keyless = _COIN.sub(b"", keyless)
-    keyless = _GUARD.sub(b"}", keyless)
     return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 

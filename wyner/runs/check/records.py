@@ -119,13 +119,12 @@ class Refused:
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class BlockStoredLine:
-    """A key block is on disk; ``keys`` were made of it, ``signed`` names its tag's set of pads."""
+    """A key block is on disk; ``keys`` were made of it."""
 
     event: Literal["block"]
     session: str
     number: int
     keys: int
-    signed: str
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -164,17 +163,6 @@ class AlarmLine:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class ForgedLine:
-    """A message was refused: its key showed that it was not the partner's."""
-
-    event: Literal["forged"]
-    session: str
-    k: int
-    message: Literal["measurement", "offer"]
-    why: str
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
 class TimingLine:
     """How punctual the plant was."""
 
@@ -207,7 +195,6 @@ EventLine = (
     | BlockJudgedLine
     | AppearancesLine
     | AlarmLine
-    | ForgedLine
     | TimingLine
     | AttackLine
 )
@@ -225,7 +212,6 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "block": TypeAdapter(BlockStoredLine),
         "judged": TypeAdapter(BlockJudgedLine),
         "appearances": TypeAdapter(AppearancesLine),
-        "forged": TypeAdapter(ForgedLine),
     },
     "controller": {
         "transition": TypeAdapter(TracedTransition),
@@ -236,7 +222,6 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "block": TypeAdapter(BlockStoredLine),
         "judged": TypeAdapter(BlockJudgedLine),
         "appearances": TypeAdapter(AppearancesLine),
-        "forged": TypeAdapter(ForgedLine),
     },
 }
 """What each side may trace: the event, and the type of its line."""

@@ -1,19 +1,16 @@
-"""The checks of the keyed coin, of alarms and of guarded messages, by code of their own."""
+"""The checks of the keyed coin and of alarms, by code of their own."""
 
-import re
 from collections import deque
 from contextlib import ExitStack
 from typing import Final, NamedTuple
 
 import numpy as np
 
-from protocol.scenario.defence import CLEAR
 from protocol.secret.records import Side
 from wyner.runs.check.base import EDGE, Check, Counter
-from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, open_store
-from wyner.runs.check.records import AlarmLine, ForgedLine, OtherLine, TracedTransition, Walked
+from wyner.runs.check.records import AlarmLine, OtherLine, TracedTransition, Walked
 
 WORDS: Final = 8
 WORD: Final = 2**32
@@ -133,119 +130,6 @@ class KeyedCoins(Check):
         )
 
 
-class Guarded(Check):
-    """Each guarded message has a slot of its own, of keys that both ends gave for this session."""
-
-    name = "guarded"
-    source = "rule 13"
-    says = "a slot of a key serves one message, its tag is right, and no honest one was refused"
-    of = "messages"
-    needs = ("wire",)
-
-    def __init__(self, evidence: Evidence, counter: Counter) -> None:
-        super().__init__(evidence, counter)
-        self._firsts: dict[tuple[str, str, int], int] = {}
-        self._words: dict[tuple[str, str, int], list[int]] = {}
-        self._uses: dict[str, dict[tuple[str, str, int], set[str]]] = {}
-        self._tagged = self._forged = 0
-        with ExitStack() as stack:
-            for side, name in FILES:
-                self._read(side, name, stack)
-
-    @classmethod
-    def skipped(cls, evidence: Evidence) -> str:
-        if evidence.scenario.defence.messages == CLEAR:
-            return "no message is guarded"
-        return super().skipped(evidence)
-
-    def _read(self, side: Side, name: str, stack: ExitStack) -> None:
-        """The uses of a store's keys, and the words of batches whose bytes are left."""
-        store = open_store(self.evidence, side, name, self.counter, stack)
-        if store is None:
-            return
-        uses = self._uses[side] = {}
-        rows = store.rows(
-            "SELECT own, COALESCE(use, there), body FROM key "
-            "WHERE COALESCE(use, there) LIKE 'guard %' ORDER BY place"
-        )
-        for own, use, body in rows:
-            session, number = use.split()[1], int(use.split()[2])
-            topic = "measurement" if (side == "plant") == bool(own) else "offer"
-            at = topic, session, number
-            uses.setdefault(at, set()).add(use)
-            if own:
-                words = self._words.setdefault(at, [])
-                if body is None:
-                    words.append(-1)
-                else:
-                    words += [int(body[4 * i : 4 * i + 4].hex(), 16) for i in range(WORDS)]
-
-    def feed(self, part: Part) -> None:
-        for item in (*part.plant, *part.controller):
-            if isinstance(item, OtherLine) and isinstance(item.line, ForgedLine):
-                self._forged += 1
-                attacked = self.evidence.plant is not None and self.evidence.plant.attack
-                text = f"{item.line.message} {item.line.k} was refused: {item.line.why}"
-                self.counter.count(bool(attacked), item.line.session, -1, item.line.k, text)
-        for seen in part.seen:
-            guard = seen.message.get("guard")
-            if isinstance(guard, str) and "/" in guard:
-                text = self._wrong(seen, *guard.split("/"))
-                self.counter.count(not text, seen.session, -1, seen.k, text)
-
-    def _wrong(self, seen: CapturedMessage, batch: str, slot: str) -> str:
-        number, where = int(batch), f"{seen.where}: {seen.topic} {seen.k}"
-        at = seen.topic, seen.session, number
-        uses = [found.get(at, set()) for found in self._uses.values()]
-        if any(len(use) > 1 for use in uses) or (len(uses) == 2 and uses[0] != uses[1]):
-            return f"{where}: batch {number} was given for {uses}"
-        if slot:
-            first = self._firsts.setdefault(at, seen.k - int(slot))
-            if first != seen.k - int(slot):
-                return f"{where}: slot {slot} of batch {number} is of step {first + int(slot)}"
-        words = self._words.get(at, [])
-        if "mac" not in seen.message or not words or -1 in words:
-            return ""
-        place = 1 + int(slot) if slot else len(words) - 1
-        if not place < len(words) - bool(slot):
-            return f"{where}: batch {number} has no slot {slot}"
-        said = seen.topic.encode()
-        said += _ANEW.sub(b"", seen.raw.partition(b',"mac":')[0], 1) if slot else b""
-        said += b"" if slot else b"farewell %d" % number
-        self._tagged += 1
-        if f"{tag_of(said, words[0], words[place]):08x}" != seen.message["mac"]:
-            return f"{where}: its tag is not that of slot {slot} of batch {number}"
-        return ""
-
-    def finish(self) -> None:
-        self.counter.note = f"{self._tagged} tags recomputed, {self._forged} refused"
-
-
-_ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
-
-_REDUCTION: Final = 0x1_0000_008D
-
-
-def tag_of(said: bytes, point: int, pad: int) -> int:
-    """A tag by long multiplication: words w_1 to w_m, their bytes' number, then how many they are.
-
-    Horner's rule over GF(2^32), modulo x^32 + x^7 + x^3 + x^2 + 1.
-    """
-    padded = said + bytes(-len(said) % 4)
-    words = [int(padded[i : i + 4].hex(), 16) for i in range(0, len(padded), 4)] + [len(said)]
-    total = 0
-    for word in [*words, len(words)]:
-        product, factor = 0, point
-        for bit in range(32):
-            if (total ^ word) >> bit & 1:
-                product ^= factor << bit
-        for bit in range(63, 31, -1):
-            if product >> bit & 1:
-                product ^= _REDUCTION << (bit - 32)
-        total = product
-    return total ^ pad
-
-
 class Alarms(Check):
     """Every alarm is right and none is missing."""
 
@@ -284,9 +168,6 @@ class Alarms(Check):
         self._last = t
         explained = [g <= 1 + EDGE for g in t.gauges]
         holds = any(explained)
-        test = self.evidence.rules.test  # the user's own code: there is no second one
-        if test is not None:
-            holds = holds and not test.fails(t.gauges)
         if t.expected != -1:
             inside = 0 <= t.expected < len(explained)
             text = f"expected: got {t.expected}, expected a candidate of key {t.coin_key!r}"
