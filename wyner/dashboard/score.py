@@ -230,7 +230,7 @@ def _rests_on(tap: TapState, its: Score, left: Left) -> str:
     found = []
     if left.stated is not None:
         expectation = tap.status.given
-        account = f"given {expectation}" if expectation else "by her own account"
+        account = f"given {expectation}" if expectation else "by its own account"
         if left.by_keys is not None:
             account = (
                 f"at most {left.stated.high:.0f} {account}, by keys alone {left.by_keys.high:.0f}"
@@ -239,9 +239,9 @@ def _rests_on(tap: TapState, its: Score, left: Left) -> str:
         if tap.status.solved_k < 0:
             found.append("she has no whole message yet")
     if its.labels:
-        found.append("her symbols relabelled")
+        found.append("its symbols relabelled")
     if left.silent:
-        found.append(f"of {left.silent:.0f} bit more nobody knows, she could not use their steps")
+        found.append(f"of {left.silent:.0f} bit more nobody knows: Eve could not use their steps")
     return "; ".join(found)
 
 
