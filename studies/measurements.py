@@ -88,7 +88,6 @@ FIGURE_SWEEPS: Final = (
     "sustained-long",
     "disturbances",
     "price",
-    "plants",
 )
 
 MEASUREMENTS: Final[dict[str, Measurement]] = {

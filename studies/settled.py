@@ -89,7 +89,9 @@ def recorded() -> list[dict[str, str]]:
 
 def table(rows: Sequence[dict[str, str]]) -> str:
     """The loops of the page: their rate from both starts, and their last key."""
-    lines = [("loop", "law", "stated before", "from x(0)", "from the origin", "last key")]
+    lines: list[tuple[str, ...]] = [
+        ("loop", "law", "stated before", "from x(0)", "from the origin", "last key")
+    ]
     found: dict[tuple[str, str], dict[str, dict[str, str]]] = {}
     for row in rows:
         if row["group"] != "plant":
@@ -98,15 +100,15 @@ def table(rows: Sequence[dict[str, str]]) -> str:
         first = next(iter(starts.values()))
         rates = []
         for start in ("x(0)", "origin"):
-            row = starts.get(start)
-            bits = None if row is None else [float(row[key]) for key in LIMITS]
+            of = starts.get(start)
+            bits = None if of is None else [float(of[key]) for key in LIMITS]
             T = float(first["period_s"])
             rates.append("-" if bits is None else Interval(*bits).scaled(1 / T).text(".3g"))
         last = max((int(row["last_key"]) for row in starts.values() if row["last_key"]), default=-1)
         end = int(first["burn_in"]) + int(first["steps"])
         quiet = not any(float(row["bits"]) for row in starts.values())
         told = f"step {last}" if quiet and last >= 0 else ("none" if quiet else f"goes on to {end}")
-        label = f"`{name}`" if group == "scenario" else f"`sustained`, {name}"
+        label = f"scenario `{name}`" if group == "scenario" else f"disturbance: {name}"
         lines.append((label, f"`{first['law']}`", STATED.get(name, "-"), *rates, told))
     return markdown_table(lines)
 
