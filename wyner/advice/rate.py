@@ -287,4 +287,4 @@ def _differs(differences: Counts) -> bool:
         return False
     error = float(differences.std(ddof=1)) / n**0.5
     most = float(stdtrit(n - 1, 0.5 + DRIFT / 2))
-    return bool(abs(float(differences.mean())) > most * error
+    return bool(abs(float(differences.mean())) > most * error)
