@@ -1,5 +1,6 @@
 """The design: soundness, the paper's figures, refusals and the cache."""
 
+import tracemalloc
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,8 +13,8 @@ from controller_service.laws.registry import cached_design
 from controller_service.sets.alphabet import choose_alphabet, larger_disturbance
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
 from controller_service.sets.design_cache import design_path
-from controller_service.sets.terminal import feedback_gain, terminal_set
-from protocol.convex import corners
+from controller_service.sets.terminal import feedback_gain, rakovic, terminal_set
+from protocol.convex import Polytope, corners, planar_vertices
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 from tests.support.exact_sets import exact_sets, relative_errors
@@ -206,6 +207,22 @@ def test_the_comparison_sees_a_missing_and_a_moved_facet(paper: Scenario, design
     moved = h.copy()
     moved[longest] *= 0.99
     assert relative_errors(H, moved, exact)[1] == pytest.approx(-0.01, rel=1e-3)
+
+
+def test_a_disturbance_of_many_facets_is_designed_in_little_memory() -> None:
+    """Sums of supports were held for all terms at once: 22 GiB here."""
+    turn = 2 * np.pi * (np.arange(400) + 0.25) / 400
+    H = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    Ac = 0.96 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    D = Polytope(H, np.full(400, 0.12))
+    tracemalloc.start()
+    T0, terminal = rakovic(Ac, D, None)
+    assert tracemalloc.get_traced_memory()[1] < 200e6
+    tracemalloc.stop()
+    V = planar_vertices(T0)
+    needed = (V @ Ac.T @ T0.H.T).max(axis=0) + (planar_vertices(D) @ T0.H.T).max(axis=0)
+    assert (needed <= T0.h * (1 + 1e-12)).all()
+    assert terminal.order > 100
 
 
 def test_sets_that_stop_growing_end_the_recursion(tank: Scenario) -> None:
