@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from controller_service.sets.alphabet import (
     ceilings,
@@ -17,11 +18,31 @@ from controller_service.sets.alphabet import (
     line_size,
     smaller_inputs,
 )
-from controller_service.sets.grid_alphabet import plane_offsets, plane_size
+from controller_service.sets.grid_alphabet import plane_offsets, plane_size, polygon_rows
 from controller_service.sets.separation import AlphabetError, Separation
+from protocol.convex import corners
 from protocol.scenario import ConvexSet
 from tests.support.apart import distances
-from wyner.capacity.table import plane_bound
+
+
+def plane_bound(sep: Separation, alpha: float) -> int:
+    """No alphabet of two inputs is larger.
+
+    Where both polygons are one parallelogram but for its size, the count along both edges. Else by
+    Brunn's inequality: around points p of an alphabet the sets p + S / 2 are disjoint, within a set
+    X with X - X in W + S, and 4 vol X is at most vol(X - X).
+    """
+    if not sep.room(alpha) > 0:
+        return 1
+    apart, together = polygon_rows(sep.apart), polygon_rows(sep.together_at(alpha))
+    if len(apart) == len(together) == 2:
+        counts = np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1)
+        if np.allclose(apart, together * counts[:, None], rtol=0, atol=1e-12 * np.abs(apart).max()):
+            return int(np.maximum(1, np.ceil(counts)).prod())
+    S, W = (corners(np.vstack([r, -r]), np.ones(2 * len(r))) for r in (apart, together))
+    both = (S[:, None] + W[None]).reshape(-1, 2)
+    return math.floor(ConvexHull(both).volume / ConvexHull(S).volume + 1e-9)
+
 
 PAPER_B = ((0.0246,), (0.4877,))
 PAPER_D = ConvexSet(half_widths=(0.12, 0.12))
