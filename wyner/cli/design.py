@@ -147,6 +147,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
     """The design's figures as one object for machines."""
     from controller_service.laws.online import OutsideError
     from controller_service.sets.dead_link import dead_link_budget
+    from controller_service.sets.invariance import invariance
     from protocol.convex import Polytope, corners, planar_area
 
     N, found = design.horizon, scenario.defender.calibration
@@ -172,9 +173,11 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "inputs": scenario.m,
         "horizon": N,
         "horizon_asked": scenario.control.horizon,
+        "stopped": design.stopped,
         "gain": design.K.tolist(),
         "gain_source": "given" if design.gain_given else "linear quadratic regulator",
         "terminal": vars(design.terminal),
+        "invariance": invariance(scenario, design),
         "sets": sets,
         "largest_deflation": 2 * max(design.margins),
         "start": start,
@@ -233,6 +236,24 @@ def network_lines(found: dict[str, Any] | None) -> list[str]:
     ]
 
 
+INVARIANCE = {
+    "gain": "T_0 is robust invariant under u = K x, and K T_0 is within U (checked to 1e-9)",
+    "control": "T_0 is robust invariant under some input in U at each state, not u = K x (checked)",
+    None: "T_0 was not found to be robust invariant, under u = K x or any input in U",
+}
+"""What was found of T_0, by :func:`controller_service.sets.invariance.invariance`."""
+
+
+def _ended(r: dict[str, Any]) -> str:
+    """Why there are fewer sets than were asked."""
+    if r["stopped"]:
+        return (
+            "larger ones are so long beside their width that rounding could put states into them "
+            "that no input steers"
+        )
+    return "they stop growing there"
+
+
 def render(r: dict[str, Any]) -> str:
     """The object in lines for people."""
     import numpy as np
@@ -242,7 +263,7 @@ def render(r: dict[str, Any]) -> str:
         f"{r['scenario']}: {r['states']} state(s), {r['inputs']} input(s), law {r['law']}",
         f"sets T_0..T_{r['horizon']} {when} {r['seconds']:.3f} s"
         + (
-            f" (they stop growing there; {r['horizon_asked']} were asked)"
+            f" ({_ended(r)}; {r['horizon_asked']} were asked)"
             if r["horizon"] < r["horizon_asked"]
             else ""
         ),
@@ -256,9 +277,13 @@ def render(r: dict[str, Any]) -> str:
         )
     elif t["method"] == "interval":
         lines.append("T_0: the minimal invariant interval")
-    else:
+    elif t["method"] == "modal":
         lines.append(f"T_0: parallelepiped in the modes of A + B K, radius {t['bound']:.3g}")
-    lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
+    elif t["method"] == "invariant":
+        lines.append(f"T_0: the largest set that any control keeps, radius {t['bound']:.3g}")
+    else:
+        lines.append(f"T_0: {t['method']}")
+    lines.append(INVARIANCE[r["invariance"]])
     extent = next((name for name in ("area", "interval") if name in r["sets"][0]), "")
     lines.append(f"{'index':>7} {'facets':>7}  {extent}".rstrip())
     for s in r["sets"]:

@@ -8,11 +8,11 @@ import pytest
 from scipy.stats import norm
 
 from runtime.scenario_file import scenario_of
+from studies.bound.coins import Coin, largest_gain
+from studies.bound.loop import BoundError, LinearLoop
+from studies.bound.taps import block_left, response, smoother_left
 from studies.signalling import changed
 from tests.support.toeplitz import toeplitz
-from wyner.bound.coins import Coin, largest_gain
-from wyner.bound.loop import BoundError, LinearLoop
-from wyner.bound.taps import block_left, response, smoother_left
 
 HALF_WIDTH = 0.12
 D = np.array([0.1, 0.1])

@@ -1,1 +1,0 @@
-"""How many bits the paper's rule allows, at what price."""
