@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.agreement import INSIDE
+from protocol.agreement import INSIDE, fails
 from protocol.link.coins import AppliedCoins
 from protocol.messages import Offer
-from protocol.secret.key_digits import WORD_BITS, digits, digits_per_word, fails
+from protocol.secret.key_digits import WORD_BITS, digits, digits_per_word
 from protocol.secret.records import Key
 
 SIZES = st.integers(2, 256)
