@@ -14,8 +14,8 @@ may drop a thinner facet, and a solver's answer may miss a constraint by its tol
 
 LARGEST_SPREAD = 1e6
 """Sets of three or four states end where a facet adds up products this much larger than its bound.
-Qhull then drops facets that matter: beside an exact recursion the first set that held a state which
-no input steers had 4e7, of 35 plants of three states."""
+Qhull then drops facets that matter: beside an exact recursion of plants with three states the first
+set that held a state which no input steers had 4e7."""
 
 CONDITION = 1e8
 """With a larger condition number, in the best units of the states, A counts as singular: the state

@@ -1,6 +1,7 @@
 """The design: soundness, the paper's figures, refusals and the cache."""
 
 import tracemalloc
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from scipy.optimize import linprog
 from controller_service.laws.registry import cached_design
 from controller_service.sets.alphabet import choose_alphabet, larger_disturbance
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
-from controller_service.sets.design_cache import design_path
+from controller_service.sets.design_cache import design_path, load, store
 from controller_service.sets.terminal import feedback_gain, rakovic, terminal_set
 from protocol.convex import Polytope, corners, planar_vertices
 from protocol.scenario import Scenario
@@ -303,6 +304,10 @@ def test_cache(paper: Scenario, tmp_path: Path) -> None:
     assert np.array_equal(first.K, second.K)
     assert (first.margins, first.terminal) == (second.margins, second.terminal)
     assert len(list(tmp_path.iterdir())) == 1
+    assert store(replace(first, stopped=True), "of sets cut short", tmp_path)
+    cut = load("of sets cut short", tmp_path)
+    assert cut is not None
+    assert cut.stopped
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "foreign"])
