@@ -18,6 +18,7 @@ has been written over: within some 4,000 saves, or when the journal is closed.
 
 import os
 import sqlite3
+import weakref
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from pathlib import Path
@@ -123,6 +124,7 @@ class Journal(ABC, Generic[R]):
             )
         except (OSError, sqlite3.Error) as error:
             raise JournalError(f"{path}: cannot be opened: {error}") from None
+        weakref.finalize(self, self.db.close)  # of one in memory that nobody closes
         try:
             self._open({"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario})
             self.load()
