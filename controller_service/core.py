@@ -12,6 +12,7 @@ The rules are those of :mod:`protocol.link.session`. Which plant's session is se
 from collections.abc import Callable, Iterable
 from math import inf
 from typing import Final, Literal, NamedTuple
+from zlib import crc32
 
 from pydantic import ValidationError
 
@@ -19,12 +20,12 @@ from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phas
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
-from protocol.link.events import Alarm, Event, SessionBegan
+from protocol.link.events import FELL_BACK, Alarm, Event, SessionBegan
 from protocol.link.key_events import appeared, key_actions, waiting_notice
 from protocol.link.keying import Keying
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
-from protocol.link.records import SenderRecord
+from protocol.link.records import INITIAL_ID, SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
     LARGEST_COUNT,
@@ -53,9 +54,6 @@ GREETING_S: Final = 0.1
 
 SILENT_PERIODS: Final = 3
 """Periods of silence before a plant counts as away; :data:`SILENCE_S` at least."""
-
-INITIAL_ID: Final = "initial"
-"""Identifier of the message that a controller is started with; no command may take it."""
 
 REMEMBERED_SESSIONS: Final = 16
 """Ended sessions that a controller remembers, so that a delayed hello cannot revive one."""
@@ -115,6 +113,8 @@ class ControllerCore:
         answer.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
+    fell_back : bool
+        The journal may lack its newest steps: its session ends.
     coin_keys : iterable of Key
         That the key store holds for the session's coin, in order.
     predict : callable, optional
@@ -158,6 +158,7 @@ class ControllerCore:
         measurement: Measurement | None = None,
         offer: Offer | None = None,
         contributions: Iterable[Contribution] = (),
+        fell_back: bool = False,
         coin_keys: Iterable[Key] = (),
         predict: Predict | None = None,
         message: bytes | None = None,
@@ -204,6 +205,7 @@ class ControllerCore:
         self.plant_at = self.greeting_at = -inf
         # what waits for `finish_step`
         self._starting = False
+        self._fell_back = fell_back and read.session is not None
         self._first_message = message
         self._blocks_differ = False
         # the status
@@ -249,7 +251,7 @@ class ControllerCore:
         self.now = now
         if self._telemetry is not None:
             self._status_at = now
-        if self.messages.queued_as(INITIAL_ID) is not None:
+        if self.messages.crc_of(INITIAL_ID) is not None:
             self._first_message = None
         self._starting = True
         return self.finish_step()
@@ -300,6 +302,10 @@ class ControllerCore:
             actions = self._end_session(
                 "blocks differ", "a key block differs from the plant's; session ended"
             )
+        elif self._fell_back:
+            self._fell_back = False
+            self._drop_session()
+            actions = self._saved(Actions((SessionBegan(None, FELL_BACK),)))
         elif self._first_message is not None:
             actions = self._queue(SendCommand(id=INITIAL_ID, payload=self._first_message))
             self._first_message = None
@@ -307,12 +313,12 @@ class ControllerCore:
             assert self._starting, "nothing waits to be finished"
             self._starting = False
             # Saved first: no other process may greet as this incarnation.
-            actions = Actions(
-                record=self.record,
+            greeting = Actions(
                 publish=(self._greeting(),),
                 keys=self._key_tasks(),
                 notices=(self._refusal(HALTED),) if self.record.halted else (),
             )
+            actions = self._saved(greeting)
         if self._starting or self._blocks_differ:
             return actions._replace(finish_step=True)
         return actions
@@ -334,7 +340,7 @@ class ControllerCore:
         self.record = self.record._replace(halted=True)
         if self._telemetry is not None:
             self._telemetry.phase = "alarmed"
-        return Actions(record=self.record, notices=(self._refusal(HALTED),))
+        return self._saved(Actions(notices=(self._refusal(HALTED),)))
 
     def end_session(self, why: str) -> Actions:
         """Keys that its messages are under are gone: nothing that the plant says can be read."""
@@ -350,7 +356,7 @@ class ControllerCore:
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         self._health_at = now
-        return self._erasing_rows(self._status())._replace(notices=waiting_notice(self.keying))
+        return self._status()._replace(notices=waiting_notice(self.keying))
 
     # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
 
@@ -432,12 +438,13 @@ class ControllerCore:
         return self.rules.malformed_coin("measurement.applied_key", measurement.applied_key)
 
     def _offers(self, offer: Offer, measurement: Measurement | None = None) -> Actions:
-        """Publish an offer; one that was not saved before goes with what it answers."""
+        """Publish an offer; one that was not saved before is saved, with what it answers."""
         if self._telemetry is not None:
             self._telemetry.phase, self._telemetry.detail = "running", ""
         if measurement is None:
             return Actions(publish=(offer,))
-        return Actions(offer=offer, measurement=measurement, publish=(offer,), finish_step=True)
+        step = Actions(offer=offer, measurement=measurement, publish=(offer,), finish_step=True)
+        return self._saved(step)
 
     def _without_offer(
         self,
@@ -450,9 +457,8 @@ class ControllerCore:
         """There is no answer to give: what the measurement reports counts all the same."""
         if self._telemetry is not None:
             self._telemetry.phase = phase
-        actions = self._count(measurement, None, following, judged)
+        actions = self._saved(self._count(measurement, None, following, judged))
         return actions._replace(
-            later=False,
             notices=(self._refusal(why), *actions.notices),
             finish_step=self._blocks_differ,
         )
@@ -634,16 +640,17 @@ class ControllerCore:
             if alarm is not None:
                 events = (transition, alarm)
                 notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
-        obsolete_rows = self.keying.obsolete_rows()
-        return Actions(
-            events,
-            self.record,
-            # Rows that go cost a rare write: now, and not when a step hangs on it.
-            later=delivered is None and not obsolete_rows,
-            contribution=contribution,
-            obsolete_rows=obsolete_rows,
-            notices=notices,
-            keys=self._key_tasks(results),
+        actions = Actions(events, notices=notices, keys=self._key_tasks(results))
+        if delivered is None:  # the next step saves the record
+            return self._erasing_rows(actions)
+        return self._saved(actions)._replace(durable=True)
+
+    def _saved(self, actions: Actions) -> Actions:
+        """``actions``, which save the record as it is now, with all that belongs to it."""
+        return actions._replace(
+            record=self.record,
+            contributions=(*actions.contributions, *self.keying.new_rows()),
+            obsolete_rows=(*actions.obsolete_rows, *self.keying.obsolete_rows()),
         )
 
     def _key_tasks(self, results: tuple[BlockResult, ...] = ()) -> tuple[Task, ...]:
@@ -693,7 +700,7 @@ class ControllerCore:
             return Actions(publish=(self._greeting(),))
         if answer == "catch up and greet":
             self.record = record._replace(incarnation=_after(hello.incarnation))
-            return Actions(record=self.record, publish=(self._greeting(),))
+            return self._saved(Actions(publish=(self._greeting(),)))
         if answer == "remind":
             return self._remind()
         if answer in ("serve", "adopt and serve"):
@@ -722,7 +729,7 @@ class ControllerCore:
         if hello.session != self.record.session:
             self._adopt(hello.session)
             began = SessionBegan(hello.session, "the plant began it")
-            actions = Actions((began,), self.record)
+            actions = self._saved(Actions((began,)))
         self._plant = hello.instance
         if (hello.instance, hello.session) != known:
             if self._telemetry is not None:
@@ -771,9 +778,7 @@ class ControllerCore:
         _, self._state = TABLE[self._state, what]
         self._drop_session()
         events = (SessionBegan(None, why),)
-        return self._remind()._replace(
-            events=events, record=self.record, notices=(self._refusal(why),)
-        )
+        return self._saved(self._remind())._replace(events=events, notices=(self._refusal(why),))
 
     def _diverged(self, measurement: Measurement) -> Actions:
         """The plant reports what this journal rules out."""
@@ -788,7 +793,7 @@ class ControllerCore:
         actions = Actions(notices=(self._refusal(why),))
         if ends:
             self._drop_session()
-            actions = actions._replace(events=(SessionBegan(None, why),), record=self.record)
+            actions = self._saved(actions)._replace(events=(SessionBegan(None, why),))
         self._plant = None
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
@@ -852,7 +857,7 @@ class ControllerCore:
         obsolete_rows = self.keying.obsolete_rows()
         if not obsolete_rows:
             return actions
-        return actions._replace(record=self.record, obsolete_rows=obsolete_rows)
+        return self._saved(actions._replace(obsolete_rows=obsolete_rows))
 
     def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
         """The plant has made its last step, and waits for its last blocks."""
@@ -871,7 +876,7 @@ class ControllerCore:
 
     def _commanded(self, command: SendCommand) -> Actions:
         """The operator hands over a message; the same identifier is queued once."""
-        size, queued = len(command.payload), self.messages.queued_as(command.id)
+        size, queued = len(command.payload), self.messages.crc_of(command.id)
         waiting = self.messages.queued - self.record.message
         accepted, detail, actions = False, "", NOTHING_TO_DO
         if command.id == INITIAL_ID:
@@ -881,7 +886,7 @@ class ControllerCore:
         elif queued is None:
             actions, accepted = self._queue(command), True
             waiting += 1
-        elif queued == command.payload:
+        elif queued == crc32(command.payload):
             accepted, detail = True, "already queued"
         else:
             detail = f"id: {command.id!r} is another message's"
@@ -892,9 +897,9 @@ class ControllerCore:
         """Traced first: what is queued in the journal must not be missing from the trace.
 
         The record goes with it. The step under way was decided without this message: should it be
-        counted again, then so too.
+        counted again, then so too. On the disk before it is accepted.
         """
-        return Actions((command,), self.record, queued=command)
+        return self._saved(Actions((command,), queued=command, durable=True))
 
     # --- the status -------------------------------------------------------------------------------
 

@@ -24,8 +24,7 @@ from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet import Fleet, FleetLoop
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
-from runtime.journal import ControllerJournal
-from runtime.journal_files import JournalError
+from runtime.journal import ControllerJournal, JournalError
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.sealing import SealingEnd
@@ -80,10 +79,10 @@ def open_controller(
     scenario = config.scenario
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
-        record = journal.load()
+        loaded = journal.load()
+        record = loaded.record
         if record is not None and config.clear_alarm:
             record = record._replace(halted=False)
-        contributions = journal.contributions(None if record is None else record.session)
         key_maker = open_key_maker(
             config.run_dir / CONTROLLER_KEYS,
             "controller",
@@ -114,9 +113,10 @@ def open_controller(
         instance=new_id(),
         period_s=scenario.plant.period_s,
         record=record,
-        measurement=journal.measurement,
-        offer=journal.offer,
-        contributions=contributions,
+        measurement=loaded.measurement,
+        offer=loaded.offer,
+        contributions=loaded.rows,
+        fell_back=loaded.fell_back,
         coin_keys=for_coin,
         predict=predict,
         message=config.message,

@@ -31,10 +31,10 @@ class MessageQueue(Protocol):
     """How many there ever were."""
 
     def payload(self, number: int) -> bytes | None:
-        """Message ``number``, or None while it is not queued."""
+        """Message ``number``; None while it is not queued, and once it was delivered."""
 
-    def queued_as(self, identifier: str) -> bytes | None:
-        """The message that was ever queued under this identifier, or None."""
+    def crc_of(self, identifier: str) -> int | None:
+        """The CRC-32 of the message that was queued under this identifier, or None."""
 
     def identifier(self, number: int) -> str:
         """Identifier of the queued message ``number``."""
@@ -56,6 +56,7 @@ class ControllerTelemetry:
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
+        self._delivered: bytes | None = None
         self._seq = 0
 
     def counted(self, t: CountedTransition, alarm: Alarm | None) -> None:
@@ -65,6 +66,8 @@ class ControllerTelemetry:
             watched = t.expected != NO_SYMBOL
             self._watched += watched
             self._unwatched += not watched
+        if t.delivered is not None:
+            self._delivered = t.delivered.payload
         if alarm is not None:
             self._alarms += 1
             self._alarm = alarm
@@ -79,11 +82,10 @@ class ControllerTelemetry:
         malformed: int,
     ) -> ControllerStatus:
         """What the dashboard is told now."""
-        idle = record.message >= messages.queued
-        shown = min(record.message, messages.queued - 1)
-        if shown != self._shown[0]:
+        idle, shown = record.message >= messages.queued, record.message
+        if not idle and shown != self._shown[0]:
             self._shown = shown, messages.payload(shown)
-        payload = self._shown[1]
+        payload = self._delivered if idle else self._shown[1]
         length = 0 if payload is None else frame_length(len(payload), rules.size)
         try:
             set_index = self._law.index(record.x) if record.x else -1

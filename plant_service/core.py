@@ -23,6 +23,7 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.coins import AppliedCoins
 from protocol.link.events import (
+    FELL_BACK,
     NEW_JOURNAL,
     AttackBegan,
     Interrupted,
@@ -70,9 +71,9 @@ LAST_KEYS_S: Final = 20.0
 
 LAST_KEYS_REPEAT_S: Final = 0.05
 
-CHUNK_SYMBOLS: Final = 64
+SYMBOLS_AT_ONCE: Final = 64
 """Symbols of the frame under way that the record holds; then they go to a table of the journal.
-Within a chunk a save takes one statement in every state, so none takes longer."""
+A frame may have half a million symbols, and the record is written in every step."""
 
 
 def hex_digits(size: int) -> int:
@@ -100,8 +101,8 @@ class PlantCore:
         Random id of this process.
     record : ReceiverRecord
         As read back from the journal, or a new session's.
-    chunks : str
-        Symbols of the frame under way that have left the record, as read back.
+    symbols : str
+        Those of the frame under way that have left the record, as read back.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
     coin_keys : iterable of Key
@@ -113,6 +114,8 @@ class PlantCore:
         What a plant that acts has read first, where it is back with a journal; else None.
     fresh : bool
         The record is a new one, and in no journal yet.
+    fell_back : bool
+        The journal may lack its newest steps: a new session begins.
     steps : int, optional
         The last step: when k has come there the plant reports it, and is over.
     telemetry : PlantTelemetry, optional
@@ -158,7 +161,7 @@ class PlantCore:
         *,
         instance: str,
         record: ReceiverRecord,
-        chunks: str = "",
+        symbols: str = "",
         contributions: Iterable[Contribution] = (),
         coin_keys: Iterable[Key] = (),
         offer: Offer | None = None,
@@ -166,6 +169,7 @@ class PlantCore:
         report: Measurement | None = None,
         back: Vector | None = None,
         fresh: bool = False,
+        fell_back: bool = False,
         steps: int | None = None,
         telemetry: PlantTelemetry | None = None,
         watchdog_s: float | None = None,
@@ -182,6 +186,7 @@ class PlantCore:
         self._new_id = new_id
         self.now = now
         self._fresh = fresh
+        self._fell_back = fell_back
         self._attack = () if attack is None else (attack,)
         # the step
         self.coin = coin
@@ -201,7 +206,7 @@ class PlantCore:
         self.deframer = Deframer(rules.size)
         self._covers = Deframer(rules.size)
         self._digits = hex_digits(rules.size)
-        kept = chunks + record.partial
+        kept = symbols + record.partial
         for i in range(0, len(kept), self._digits):
             self.deframer.push(int(kept[i : i + self._digits], 16))
         # keys
@@ -272,10 +277,11 @@ class PlantCore:
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
             events=(SessionBegan(record.session, reason), *self._attack),
-            record=record if self._fresh else None,
             keys=self.keying.tasks(),
             finish_step=self._said is not None,
         )
+        if self._fresh:
+            actions = self._saved(actions)
         return actions if actions.finish_step else self._came_back(actions)
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
@@ -361,8 +367,7 @@ class PlantCore:
     def finish_step(self) -> Actions:
         """Go on with the step that was saved: begin it where it acts, or else count it."""
         if self._said is not None:
-            actions = self._count()
-            return actions if self._back is None else self._came_back(actions)
+            return self._came_back(self._count())
         self._apply()
         return NOTHING_TO_DO if self.pacing.waiting else self._end()
 
@@ -469,7 +474,7 @@ class PlantCore:
         self._offer, self._tossed = offer, tossed
         self._moved = True
         if self.plant.acts:
-            return Actions(offer=offer, coin=tossed, finish_step=True)
+            return self._saved(Actions(offer=offer, coin=tossed, finish_step=True))
         self._apply()
         return self._end()
 
@@ -492,20 +497,37 @@ class PlantCore:
         assert offer is not None
         x_next = self.plant.end(record.k)
         if offer.session != record.session:
-            interrupted = self._interrupted(x_next, sure=True)
-            return Actions((interrupted,), self.record, obsolete_rows=self.keying.obsolete_rows())
+            return self._saved(Actions((self._interrupted(x_next, sure=True),)))
         self._truth = self.plant.truth
         self._said = report = self._report(offer, x_next)
         due = self.accepted and self.pacing.measurement_due(self.now)
         if due:
             self._left = True
             self.measured_k, self.measured_at = record.k + 1, self.now
-        return Actions(
+        step = Actions(
             offer=offer,
             coin=self._tossed,
             measurement=report,
+            durable=self._ends_a_frame(),
             publish=(report,) if due else (),
             finish_step=True,
+        )
+        return self._saved(step)
+
+    def _ends_a_frame(self) -> bool:
+        """Whether the step under way brings the last symbol of a frame.
+
+        By its report the controller takes the message for delivered, so it must be on the disk.
+        """
+        carried = self.rules.scheme.pad(self.record.state) != NO_SYMBOL
+        return carried and len(self.deframer.symbols) + 1 == self.deframer.expected_length
+
+    def _saved(self, actions: Actions) -> Actions:
+        """``actions``, which save the record as it is now, with all that belongs to it."""
+        return actions._replace(
+            record=self.record,
+            contributions=(*actions.contributions, *self.keying.new_rows()),
+            obsolete_rows=(*actions.obsolete_rows, *self.keying.obsolete_rows()),
         )
 
     def _report(self, offer: Offer, x_next: Vector) -> Measurement:
@@ -579,14 +601,15 @@ class PlantCore:
         refused = deframer.refused
         payload = deframer.push(symbol)
         refusal = deframer.refused > refused
-        partial, chunk = f"{record.partial}{symbol:0{self._digits}x}", ""
+        partial, symbols = f"{record.partial}{symbol:0{self._digits}x}", ""
+        if len(partial) >= SYMBOLS_AT_ONCE * self._digits:
+            partial, symbols = "", partial
+        stored = record.stored + len(symbols)
         if not deframer.symbols:
-            partial = ""
-        if len(partial) >= CHUNK_SYMBOLS * self._digits:
-            partial, chunk = "", partial
+            partial, symbols, stored = "", "", 0
         if not carried:
             symbol, payload, refusal = NO_SYMBOL, None, False
-            partial, chunk = record.partial, ""
+            partial, symbols, stored = record.partial, "", record.stored
         contribution = self.keying.count(
             record.transitions,
             record.k - record.applied_k,
@@ -618,6 +641,7 @@ class PlantCore:
             applied_k=record.k,
             x_after=x_next,
             partial=partial,
+            stored=stored,
             state=after,
             transitions=record.transitions + 1,
             p=transition.p,
@@ -646,16 +670,10 @@ class PlantCore:
         notices = self._frame_ended(transition) if ended else ()
         if contradicted is not None:
             notices = (*notices, Notice(contradicted, "warning"))
-        actions = Actions(
-            (transition,),
-            self.record,
-            later=not (chunk or ended),
-            received=payload,
-            chunk="" if ended else chunk,
-            drop_chunks=ended,
-            notices=notices,
-        )
-        return self._with_keys(actions, contribution, judged) if self.keying.on else actions
+        actions = Actions((transition,), received=payload, symbols=symbols, notices=notices)
+        if symbols or ended:  # else the next step saves the record
+            actions = self._saved(actions)
+        return self._with_keys(actions, judged) if self.keying.on else actions
 
     def _frame_ended(self, transition: CountedTransition) -> tuple[Notice, ...]:
         """What is told of a frame that is whole, or failed its check."""
@@ -669,12 +687,7 @@ class PlantCore:
         self._status_soon()
         return (Notice(f"message recovered at step {k}: {len(payload)} bytes"),)
 
-    def _with_keys(
-        self,
-        actions: Actions,
-        contribution: Contribution | None,
-        judged: tuple[BlockResult, ...],
-    ) -> Actions:
+    def _with_keys(self, actions: Actions, judged: tuple[BlockResult, ...]) -> Actions:
         """``actions`` of a transition, and what it means for keys."""
         tasks = (*self.keying.tasks(judged), *self.coins.tasks(self.now))
         if any(result.what == "unequal" for result in judged):
@@ -683,14 +696,7 @@ class PlantCore:
             text = "a key block differs from the controller's"
             notice = Notice(f"{text}; new session {self.record.session}", "error")
             return self._anew(text, notice, actions)._replace(keys=tasks)
-        obsolete_rows = self.keying.obsolete_rows()
-        return actions._replace(
-            # Rows that go cost a rare write: now, and not when a step hangs on it.
-            later=actions.later and not obsolete_rows,
-            contribution=contribution,
-            obsolete_rows=obsolete_rows,
-            keys=tasks,
-        )
+        return self._erasing_rows(actions._replace(keys=tasks))
 
     # --- steps without an offer -------------------------------------------------------------------
 
@@ -712,7 +718,7 @@ class PlantCore:
             self._moved = True
             self._watchdog_at = min(self._watchdog_at, self.now + self._patience_s)
         missed = Missed(record.session, record.k, record.x, u, x_next, self.plant.truth)
-        return Actions((missed,), self.record, obsolete_rows=self.keying.obsolete_rows())
+        return self._saved(Actions((missed,)))
 
     def _instead(self) -> Vector:
         """The fallback's input for this step."""
@@ -772,12 +778,23 @@ class PlantCore:
         return Interrupted(record.session, record.k, record.x, u, x_next, candidates, coin, truth)
 
     def _came_back(self, actions: Actions) -> Actions:
-        """After ``actions``: the step in which the process of a plant that acts died is missed."""
-        if self._back is None:
-            return actions
-        event = self._interrupted(self._back)
-        self._back = None
-        return actions._replace(events=(*actions.events, event), record=self.record, later=False)
+        """After ``actions``: what a process has to do that goes on with a journal, once.
+
+        The step in which the process of a plant that acts died is missed. Where the newest steps
+        may be lost a new session begins: the controller may have lost as many, and neither could
+        tell.
+        """
+        if self._back is not None:
+            event = self._interrupted(self._back)
+            self._back = None
+            actions = self._saved(actions)._replace(events=(*actions.events, event))
+        if self._fell_back:
+            self._fell_back = False
+            self._begin_session()
+            self.state = first_state(self.record)
+            notice = Notice(f"{FELL_BACK}; new session {self.record.session}", "warning")
+            actions = self._anew(FELL_BACK, notice, actions)
+        return actions
 
     # --- sessions ---------------------------------------------------------------------------------
 
@@ -802,9 +819,8 @@ class PlantCore:
         if hello.instance == self.controller:
             self.answered_at = self.now
         if answer == "ask":
-            return Actions(
-                record=self.record, offer=self._offer, coin=self._tossed, publish=(self._hello(),)
-            )
+            asking = Actions(offer=self._offer, coin=self._tossed, publish=(self._hello(),))
+            return self._saved(asking)
         if answer in ("begin anew", "begin and ask"):
             self._begin_session()
             notice = Notice(f"session ended; new session {self.record.session}", "warning")
@@ -865,6 +881,7 @@ class PlantCore:
             applied_k=-1,
             x_after=(),
             partial="",
+            stored=0,
             state=self.rules.scheme.initial,
             transitions=0,
             p=0,
@@ -889,11 +906,11 @@ class PlantCore:
         return before._replace(
             events=(*before.events, SessionBegan(record.session, why)),
             record=record,
-            later=False,
             offer=self._offer,
             coin=self._tossed,
-            chunk="",
-            drop_chunks=True,
+            symbols="",
+            contributions=(),
+            obsolete_rows=(),
             publish=(*before.publish, self._hello()),
             notices=(*before.notices, notice),
         )
@@ -912,7 +929,7 @@ class PlantCore:
         obsolete_rows = () if self._offer is not None else self.keying.obsolete_rows()
         if not obsolete_rows:
             return actions
-        return actions._replace(record=self.record, obsolete_rows=obsolete_rows)
+        return self._saved(actions._replace(obsolete_rows=obsolete_rows))
 
     def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
         """The controller's announcement of blocks, after the last step."""

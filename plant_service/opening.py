@@ -28,7 +28,7 @@ from protocol.secret.records import Key
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
-from runtime.journal import ReceiverJournal
+from runtime.journal import PlantJournal
 from runtime.network import round_trip_s
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def clock_scale(scenario: Scenario, pacing: Pacing) -> float:
 
 def open_core(
     scenario: Scenario,
-    journal: ReceiverJournal,
+    journal: PlantJournal,
     coin: SymbolSource,
     noise: Stream,
     new_id: Callable[[], str],
@@ -69,7 +69,7 @@ def open_core(
     Parameters
     ----------
     scenario : Scenario
-    journal : ReceiverJournal
+    journal : PlantJournal
     coin : SymbolSource
         b_r; draw j belongs to transition j.
     new_id, now, pacing, steps, telemetry
@@ -97,10 +97,10 @@ def open_core(
     UsageError
         When a device is to run at another pace than its own, or the attack cannot be made.
     """
-    record = journal.load()
-    offer, report = journal.offer, journal.measurement
-    u = () if offer is None else offer.candidates[journal.coin]
-    attacker = None if attack is None else _attacker(scenario, attack, seed)
+    loaded = journal.load()
+    record, offer, report = loaded.record, loaded.offer, loaded.measurement
+    u = () if offer is None else offer.candidates[loaded.coin]
+    attacker = None if attack is None else Attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
     if observer is not None and sensors is None:  # a step is made again with the same d
@@ -159,14 +159,15 @@ def open_core(
             now,
             instance=new_id(),
             record=first,
-            chunks=journal.chunks(),
-            contributions=journal.contributions(first.session),
+            symbols=loaded.symbols,
+            contributions=loaded.rows,
             coin_keys=coin_keys,
             offer=offer,
-            tossed=journal.coin,
+            tossed=loaded.coin,
             report=report,
             back=x if plant.acts and record is not None else None,
             fresh=record is None,
+            fell_back=loaded.fell_back,
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,

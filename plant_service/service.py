@@ -28,8 +28,7 @@ from runtime.fleet import SLOTS, Fleet, FleetLoop
 from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
-from runtime.journal import PlantJournal
-from runtime.journal_files import JournalError
+from runtime.journal import JournalError, PlantJournal
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
 from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
@@ -110,14 +109,14 @@ def _opened(
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
-    record = journal.load()
+    record = journal.load().record
     key_maker = open_key_maker(
         config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, config.secret, record
     )
     if scenario.keys is not None:
         telemetry.keys_refused = refusal(scenario, config.seed) or ""
-    for payload in journal.inbox(1):
-        telemetry.last_message = payload
+    if (last := journal.last_message()) is not None:
+        telemetry.last_message = last
     step_s = config.pace.step_s(scenario.plant.period_s)
     core = open_core(
         scenario,

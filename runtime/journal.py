@@ -1,125 +1,342 @@
 """Journals: what each end must not forget, saved before anything is sent.
 
-:class:`SenderJournal` and :class:`ReceiverJournal` say what a journal does, wherever it lies. There
-are two of each: in files, here and in :mod:`runtime.journal_files`, and in memory
-(:mod:`runtime.memory_journal`).
+A journal is one SQLite file. Its one row in the table ``step`` has the record of all that went
+before, and the messages of the step that follows it: the one received and the one about to be sent.
+That is all it takes to count the step again, so an end may send first and count afterwards, while
+its partner works. Other tables hold what would be too much to write again in each step.
+
+Every save is one transaction: all or nothing. On return it survives ``kill -9`` of the process. A
+*durable* save is on the disk, and with it all saves before: it survives a power failure, too. The
+last saves that were not durable may then be missing; SQLite sees to it that what is left is the
+journal as it was at some moment before. A journal that is opened after that, by another boot of the
+machine, says so (:attr:`Loaded.fell_back`), and the plant begins a new session. A journal is held
+by one process at a time.
+
+What is erased is overwritten with zeros in the file, and in the write-ahead log beside it once that
+has been written over: within some 4,000 saves, or when the journal is closed.
 """
 
+import os
+import sqlite3
+from abc import ABC, abstractmethod
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Final, Generic, NamedTuple, Self, TypeVar
+from zlib import crc32
 
-from pydantic import TypeAdapter
+from pydantic import TypeAdapter, ValidationError
 
+from protocol.agreement import NO_SYMBOL
 from protocol.link.peer import Actions
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from runtime.journal_files import JournalError, JournalFiles
-from runtime.keys.store_file import check_of
-from runtime.ports import Journal
+from runtime.errors import Failure
+from runtime.files import make_folder, open_private
+
+JOURNAL_VERSION: Final = 12
+
+REMEMBERED: Final = 1000
+"""Delivered messages whose identifiers are remembered, so that none is queued twice."""
+
+PAGE_BYTES: Final = 2048
+"""A step takes 700 to 1,500 bytes: its row is one page, and a save writes no more than that."""
+
+CHECKPOINT_PAGES: Final = 2000
+"""Pages of the write-ahead log after which SQLite copies it into the file, with two syncs."""
+
+BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
+
+_STEP: Final = (
+    "INSERT INTO step VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET"
+    " record = excluded.record, offer = excluded.offer, coin = excluded.coin,"
+    " measurement = excluded.measurement, check_ = excluded.check_"
+)
+"""Writes over the row, which takes a third of the time of a new one in its place."""
+
+R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
 
 
-class SenderJournal(Journal, Protocol):
-    """The controller's journal, with the queue of messages that it has to deliver.
+class JournalError(Failure):
+    """A journal that cannot be used; the text names the file and what is wrong with it."""
 
-    ``queued`` counts them; they are numbered from 0. ``offer`` and the ``measurement`` that it
-    answers are the step that followed the record, to be counted again; None where none did.
+
+class Loaded(NamedTuple, Generic[R]):
+    """What a journal holds; a new one holds nothing.
+
+    ``offer``, ``coin`` and ``measurement`` are the step that follows the record, to be counted
+    again. At the controller the offer answers the measurement. At the plant the measurement reports
+    the step that the offer led to; with no measurement the step was begun and not read. ``rows``
+    are those of key blocks that are still needed, ``symbols`` those of the frame under way that
+    have left the plant's record. ``fell_back``: the machine was started again since the last save,
+    and the newest saves may be missing.
     """
 
-    queued: int
-    offer: Offer | None
-    measurement: Measurement | None
-
-    def load(self) -> SenderRecord | None:
-        """The record as last written, and what followed it; None in a new journal."""
-
-    def contributions(self, session: str | None) -> list[Contribution]:
-        """Rows of the session's key blocks that are still needed, in order."""
-
-    def payload(self, number: int) -> bytes | None:
-        """Message ``number``, or None while it is not queued."""
-
-    def identifier(self, number: int) -> str:
-        """Identifier of the queued message ``number``."""
-
-    def queued_as(self, identifier: str) -> bytes | None:
-        """The message that was ever queued under this identifier, or None."""
+    record: R | None = None
+    offer: Offer | None = None
+    coin: int = NO_SYMBOL
+    measurement: Measurement | None = None
+    rows: tuple[Contribution, ...] = ()
+    symbols: str = ""
+    fell_back: bool = False
 
 
-class ReceiverJournal(Journal, Protocol):
-    """The plant's journal, with the symbols of the frame under way and the messages received.
+class Journal(ABC, Generic[R]):
+    """A SQLite file, held exclusively.
 
-    ``offer``, ``coin`` and ``measurement`` are the step that followed the record, to be counted
-    again, or, with no measurement, one that was begun and not read; no offer: none.
+    Parameters
+    ----------
+    path : Path, optional
+        None: in memory, for simulations. Such a journal outlives the end that writes it.
+    scenario : str
+        Fingerprint of the scenario that the journal belongs to.
+
+    Raises
+    ------
+    JournalError
+        Here and later, when it cannot be used.
     """
 
-    offer: Offer | None
-    coin: int
-    measurement: Measurement | None
+    kind = ""
+    adapter: ClassVar[TypeAdapter[Any]]
+    tables: ClassVar[tuple[str, ...]] = (
+        "step (id INTEGER PRIMARY KEY, record BLOB, offer BLOB, coin INTEGER, measurement BLOB,"
+        " check_ INTEGER)",
+        "row (j INTEGER PRIMARY KEY, steps INTEGER, offer BLOB, measurement BLOB, check_ INTEGER)",
+    )
+    """The last column of each is the check of the others."""
 
-    def load(self) -> ReceiverRecord | None:
-        """The record as last written, and what followed it; None in a new journal."""
+    of_session: ClassVar[tuple[str, ...]] = ("row",)
+    """Tables whose rows belong to the record's session, and go with it."""
 
-    def contributions(self, session: str | None) -> list[Contribution]:
-        """Rows of the session's key blocks that are still needed, in order."""
+    def __init__(self, path: Path | None, scenario: str) -> None:
+        self.path = path
+        self._fell_back = False
+        self._saved: R | None = None
+        """The record that was saved last."""
+        try:
+            if path is not None:
+                make_folder(path.parent)
+                os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # SQLite takes over its mode
+            self._db = sqlite3.connect(
+                path or ":memory:", isolation_level=None, timeout=2.0, check_same_thread=False
+            )
+        except (OSError, sqlite3.Error) as error:
+            raise JournalError(f"{path}: cannot be opened: {error}") from None
+        try:
+            self._open({"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario})
+            self.load()
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            self._db.close()
+            locked = "locked" in str(error)
+            reason = "another process is using it" if locked else f"not a journal: {error}"
+            raise JournalError(f"{path}: {reason}") from None
+        except JournalError:
+            self._db.close()
+            raise
 
-    def chunks(self) -> str:
-        """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
+    def _open(self, expected: dict[str, str]) -> None:
+        """Open the tables, or make them; the boot of the machine is on the disk on return."""
+        db, boot = self._db, _boot()
+        db.execute(f"PRAGMA page_size={PAGE_BYTES}")
+        db.execute("PRAGMA locking_mode=EXCLUSIVE")
+        db.execute("PRAGMA journal_mode=WAL")
+        db.execute("PRAGMA synchronous=FULL")
+        db.execute("PRAGMA secure_delete=ON")
+        db.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
+        db.execute("BEGIN IMMEDIATE")
+        db.execute("CREATE TABLE IF NOT EXISTS meta (name TEXT PRIMARY KEY, value TEXT)")
+        found = dict(db.execute("SELECT name, value FROM meta"))
+        for name, value in expected.items():
+            if found.setdefault(name, value) != value:
+                db.execute("ROLLBACK")
+                raise JournalError(f"{self.path}: {name}: got {found[name]!r}, expected {value!r}")
+        self._fell_back = found.get("boot", "") not in ("", boot)
+        found["boot"] = boot
+        db.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", found.items())
+        for table in self.tables:
+            db.execute(f"CREATE TABLE IF NOT EXISTS {table}")
+        db.execute("COMMIT")
+        db.execute("PRAGMA synchronous=NORMAL")
+        if (wrong := db.execute("PRAGMA quick_check(1)").fetchone()[0]) != "ok":
+            raise sqlite3.DatabaseError(" ".join(wrong.split()))
 
-    def inbox(self, last: int = 100) -> list[bytes]:
-        """The last messages received, oldest first."""
+    # --- rows -------------------------------------------------------------------------------------
+
+    def _put(self, table: str, *values: Any) -> None:
+        """Write a row, with its check."""
+        marks = ", ".join("?" * (len(values) + 1))
+        statement = f"INSERT OR REPLACE INTO {table} VALUES ({marks})"
+        self._db.execute(statement, (*values, check_of(*values)))
+
+    def _get(self, table: str, where: str = "TRUE", *values: Any) -> list[list[Any]]:
+        """The rows of a table for which ``where`` holds, in order of their first column.
+
+        Raises
+        ------
+        JournalError
+            When one is not as it was written.
+        """
+        try:
+            statement = f"SELECT * FROM {table} WHERE {where} ORDER BY 1"
+            found = self._db.execute(statement, values).fetchall()
+        except (sqlite3.Error, UnicodeDecodeError) as error:
+            raise JournalError(f"{self.path}: {error}") from None
+        for *row, check in found:
+            if check != check_of(*row):
+                raise JournalError(f"{self.path}: {table}: a row is not as it was written")
+        return [row for *row, _ in found]
+
+    # --- the step ---------------------------------------------------------------------------------
+
+    def load(self) -> Loaded[R]:
+        """What was saved last."""
+        rows = tuple(Contribution(*row) for row in self._get("row"))
+        for _, record, offer, coin, measurement in self._get("step"):
+            try:
+                loaded: Loaded[R] = Loaded(
+                    self.adapter.validate_json(record),
+                    Offer.from_wire(offer) if offer else None,
+                    coin,
+                    Measurement.from_wire(measurement) if measurement else None,
+                    rows,
+                    self._symbols(),
+                    self._fell_back,
+                )
+            except ValidationError as error:
+                text = f"step: {error.error_count()} fields are not as expected"
+                raise JournalError(f"{self.path}: {text}") from None
+            self._saved = loaded.record
+            return loaded
+        return Loaded()
+
+    def _symbols(self) -> str:
+        """The symbols of the frame under way that are in a table of their own."""
+        return ""
+
+    def save(self, actions: Actions) -> None:
+        """Save the record, the step that follows it, and what comes along, in one transaction."""
+        assert actions.record is not None
+        execute = self._db.execute
+        try:
+            if actions.durable:
+                execute("PRAGMA synchronous=FULL")
+            execute("BEGIN IMMEDIATE")
+            self._write(actions)
+            execute("COMMIT")
+            if actions.durable:
+                execute("PRAGMA synchronous=NORMAL")
+        except sqlite3.Error as error:
+            with suppress(sqlite3.Error):
+                execute("ROLLBACK")
+            raise JournalError(f"{self.path}: {error}") from None
+        self._saved = actions.record  # type: ignore[assignment]
+
+    def _write(self, actions: Actions) -> None:
+        """Within a transaction."""
+        record, offer, measurement = actions.record, actions.offer, actions.measurement
+        assert record is not None
+        step = (
+            0,
+            self.adapter.dump_json(record),
+            b"" if offer is None else offer.wire(),
+            actions.coin,
+            b"" if measurement is None else measurement.wire(),
+        )
+        self._db.execute(_STEP, (*step, check_of(*step)))
+        if self._saved is None or record.session != self._saved.session:
+            for table in self.of_session:
+                self._db.execute(f"DELETE FROM {table}")
+        for row in actions.contributions:
+            self._put("row", *row)
+        for over in actions.obsolete_rows:
+            self._db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
+        self._write_more(actions)
+
+    @abstractmethod
+    def _write_more(self, actions: Actions) -> None:
+        """Write what comes along in this side's own tables, within a transaction."""
+
+    def forget(self) -> None:
+        """Lose all that was saved; for simulations."""
+        for table in self.tables:
+            self._db.execute(f"DELETE FROM {table.split()[0]}")
+        self._saved = None
+        self.load()
+
+    def close(self) -> None:
+        """Close the file, which is then whole on the disk; it can be opened again."""
+        with suppress(sqlite3.Error):
+            self._db.execute("UPDATE meta SET value = '' WHERE name = 'boot'")
+        self._db.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
-class ControllerJournal(JournalFiles[SenderRecord], SenderJournal):
-    """The controller's, in files."""
+class ControllerJournal(Journal[SenderRecord]):
+    """The controller's, with the queue of messages that it has to deliver.
+
+    A message that was delivered leaves its number, its identifier and a CRC-32.
+
+    Attributes
+    ----------
+    queued : int
+        How many messages were ever queued; they are numbered from 0.
+    """
 
     kind = "controller"
     adapter = TypeAdapter(SenderRecord)
     tables = (
-        "CREATE TABLE IF NOT EXISTS outbox "
-        "(number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL, "
-        "check_ INTEGER)"
+        *Journal.tables,
+        "outbox (number INTEGER PRIMARY KEY, id TEXT UNIQUE, crc INTEGER, payload BLOB,"
+        " check_ INTEGER)",
     )
 
-    def __init__(self, path: Path, scenario: str) -> None:
-        super().__init__(path, scenario)
-        self.queued: int = self._execute("SELECT COUNT(*) FROM outbox")[0][0]
+    queued: int
 
-    def _add_to_tables(self, actions: Actions) -> None:
+    def load(self) -> Loaded[SenderRecord]:
+        """What was saved last."""
+        last = self._get("outbox", "number = (SELECT MAX(number) FROM outbox)")
+        self.queued = last[0][0] + 1 if last else 0
+        return super().load()
+
+    def _write_more(self, actions: Actions) -> None:
+        record = actions.record
+        assert isinstance(record, SenderRecord)
         if actions.queued is not None:
             self.enqueue(actions.queued)
+        delivered = 0 if self._saved is None else self._saved.message
+        for number in range(delivered, record.message):
+            for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
+                self._put("outbox", number, identifier, crc, None)
+            self._db.execute(
+                "DELETE FROM outbox WHERE number = ? AND id <> ?", (number - REMEMBERED, INITIAL_ID)
+            )
 
-    def enqueue(self, command: SendCommand) -> bool:
-        """Queue a message; False when one of this identifier is there already."""
-        row = (self.queued, command.id, command.payload)
-        added = self._execute(
-            "INSERT OR IGNORE INTO outbox VALUES (?, ?, ?, ?) RETURNING number",
-            (*row, check_of(*row)),
-        )
-        self.queued += len(added)
-        return bool(added)
+    def enqueue(self, command: SendCommand) -> None:
+        """Add a message to the queue."""
+        self._put("outbox", self.queued, command.id, crc32(command.payload), command.payload)
+        self.queued += 1
 
-    def _queued(self, name: str, value: object) -> list[Any]:
-        """Number, identifier and payload of the messages whose column ``name`` is so."""
-        return self._rows_kept(f"SELECT * FROM outbox WHERE {name} = ?", (value,))
+    def crc_of(self, identifier: str) -> int | None:
+        """The CRC-32 of the message that was queued under this identifier, or None."""
+        return next((crc for _, _, crc, _ in self._get("outbox", "id = ?", identifier)), None)
 
     def _numbered(self, number: int) -> list[Any]:
-        rows = self._queued("number", number)
+        rows = self._get("outbox", "number = ?", number)
         if not rows:
             raise JournalError(f"{self.path}: message {number} is missing")
-        found: list[Any] = rows[0]
-        return found
-
-    def queued_as(self, identifier: str) -> bytes | None:
-        """The message that was ever queued under this identifier, or None."""
-        rows = self._queued("id", identifier)
-        return rows[0][2] if rows else None
+        return rows[0]
 
     def payload(self, number: int) -> bytes | None:
-        """Message ``number``, or None while it is not queued."""
+        """Message ``number``; None while it is not queued, and once it was delivered."""
         if number >= self.queued:
             return None
-        payload: bytes = self._numbered(number)[2]
+        payload: bytes | None = self._numbered(number)[3]
         return payload
 
     def identifier(self, number: int) -> str:
@@ -127,37 +344,53 @@ class ControllerJournal(JournalFiles[SenderRecord], SenderJournal):
         identifier: str = self._numbered(number)[1]
         return identifier
 
+    def waiting(self) -> list[tuple[int, str, bytes]]:
+        """Number, identifier and text of the messages that were not delivered yet, in order."""
+        rows = self._get("outbox", "payload IS NOT NULL")
+        return [(number, identifier, payload) for number, identifier, _, payload in rows]
 
-class PlantJournal(JournalFiles[ReceiverRecord], ReceiverJournal):
-    """The plant's, in files."""
+
+class PlantJournal(Journal[ReceiverRecord]):
+    """The plant's, with the symbols of the frame under way and the message received last."""
 
     kind = "plant"
     adapter = TypeAdapter(ReceiverRecord)
     tables = (
-        "CREATE TABLE IF NOT EXISTS chunk (place INTEGER PRIMARY KEY, symbols TEXT NOT NULL, "
-        "check_ INTEGER);"
-        "CREATE TABLE IF NOT EXISTS inbox (number INTEGER PRIMARY KEY, payload BLOB NOT NULL, "
-        "check_ INTEGER)"
+        *Journal.tables,
+        "frame (place INTEGER PRIMARY KEY, symbols TEXT, check_ INTEGER)",
+        "inbox (id INTEGER PRIMARY KEY, payload BLOB, check_ INTEGER)",
     )
 
-    def chunks(self) -> str:
-        """Symbols of the frame under way that have left the record, a hexadecimal digit each."""
-        rows = self._rows_kept("SELECT symbols, check_ FROM chunk ORDER BY place")
-        return "".join(symbols for (symbols,) in rows)
+    def _symbols(self) -> str:
+        return "".join(symbols for _, symbols in self._get("frame"))
 
-    def inbox(self, last: int = 100) -> list[bytes]:
-        """The last messages received, oldest first."""
-        rows = self._rows_kept(
-            "SELECT payload, check_ FROM inbox ORDER BY number DESC LIMIT ?", (last,)
-        )
-        return [payload for (payload,) in reversed(rows)]
-
-    def _add_to_tables(self, actions: Actions) -> None:
-        if actions.drop_chunks:
-            self._execute("DELETE FROM chunk")
-        if actions.chunk:
-            row = (actions.chunk, check_of(actions.chunk))
-            self._execute("INSERT INTO chunk (symbols, check_) VALUES (?, ?)", row)
+    def _write_more(self, actions: Actions) -> None:
+        record = actions.record
+        assert isinstance(record, ReceiverRecord)
+        if self._saved is not None and record.stored < self._saved.stored:
+            self._db.execute("DELETE FROM frame")
+        if actions.symbols:
+            self._put("frame", record.stored, actions.symbols)
         if actions.received is not None:
-            message = (actions.received, check_of(actions.received))
-            self._execute("INSERT INTO inbox (payload, check_) VALUES (?, ?)", message)
+            self._put("inbox", 0, actions.received)
+
+    def last_message(self) -> bytes | None:
+        """The message that was received last, or None."""
+        return next((payload for _, payload in self._get("inbox")), None)
+
+
+def check_of(*values: str | bytes | float | None) -> int:
+    """CRC-32 of a row's columns, which shows a flipped bit.
+
+    It depends on the columns, so it is erased together with them.
+    """
+    texts = [value if isinstance(value, bytes) else str(value).encode() for value in values]
+    return crc32(b"\0".join(texts))
+
+
+def _boot() -> str:
+    """Random id of this boot of the machine; empty where the system tells none."""
+    try:
+        return BOOT_ID.read_text(encoding="ascii").strip()
+    except OSError:
+        return ""

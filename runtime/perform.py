@@ -1,6 +1,6 @@
 """The one place that knows the order of a step: save, publish, count, trace, tell.
 
-A step is one write, one message, and then the rest: the shell saves what was heard and is about to
+A step is one save, one message, and then the rest: the shell saves what was heard and is about to
 be said, publishes it, and lets the endpoint count while the partner works. What was counted is
 traced, and then saved with the next step. So a process may die between any two of these lines:
 
@@ -27,7 +27,10 @@ class Ports(Protocol):
     """Where actions go: journal, bus, trace, log and health file of one end of one loop."""
 
     def save(self, actions: Actions) -> None:
-        """Keep what they save; on return it survives the death of the process, unless ``later``."""
+        """Save their record and what comes along.
+
+        On return it survives the death of the process; where it is ``durable``, a power failure.
+        """
 
     def publish(self, message: Message) -> None:
         """Send it, without waiting for anybody."""
@@ -57,7 +60,7 @@ def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
     while True:
         for event in actions.events:
             ports.trace(event)
-        if actions.saves:
+        if actions.record is not None:
             ports.save(actions)
         for message in actions.publish:
             ports.publish(message)

@@ -25,7 +25,7 @@ class Journal(Protocol):
     """What :func:`runtime.perform.perform` writes to."""
 
     def save(self, actions: Actions) -> None:
-        """Keep what they save."""
+        """Save their record and what comes along."""
 
     def close(self) -> None:
         """Close it; it can be opened again."""
@@ -118,7 +118,9 @@ class LoopPorts(BusPorts):
         self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
 
     def save(self, actions: Actions) -> None:
-        """Write to the journal."""
+        """Write to the journal. What it has on the disk, the trace has there before."""
+        if actions.durable:
+            self.files.trace.sync()
         self.files.journal.save(actions)
 
     def trace(self, event: Event) -> None:

@@ -135,6 +135,14 @@ class LineWriter:
         self._whole = self._whole and written == len(data)
         return written
 
+    def sync(self) -> None:
+        """Return once all lines are on the disk."""
+        assert self._file is not None, "the file is closed"
+        try:
+            os.fdatasync(self._file)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from None
+
     def close(self, **told: Any) -> None:
         """Write the end mark, with ``told`` in it, and close; nothing happens the second time.
 
@@ -489,6 +497,10 @@ class TraceWriter:
             self._turn(length)
         self.lines.append(*lines)
 
+    def sync(self) -> None:
+        """Return once all events are on the disk: they survive a power failure."""
+        self.lines.sync()
+
     def _open(self, number: int, gone: Sequence[int] = ()) -> None:
         """Begin a part; the parts that are ``gone`` go once its header says so."""
         told = {**self._told, "oldest": self._parts.oldest(gone, number)}
@@ -499,6 +511,7 @@ class TraceWriter:
     def _turn(self, length: int) -> None:
         """End the part in use, and begin the next with room for a line of ``length`` bytes."""
         number = self._parts.number + 1
+        self.sync()
         self._parts.end(next=number)
         needed = max(self._bounds.of_a_part, len(dumps(self._told)) + length + 2 * END_BYTES)
         self._open(number, self._parts.beyond(self._bounds.total_bytes - needed))

@@ -12,6 +12,9 @@ from protocol.vectors import Vector
 NEW_JOURNAL: Final = "new journal"
 """Why the first session of a journal begins: the plant counts its steps from 0."""
 
+FELL_BACK: Final = "the machine was started again, and the newest steps may be lost"
+"""Why a session ends after a power failure."""
+
 
 class Event(Protocol):
     """Something that happened at one side."""

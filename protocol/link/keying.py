@@ -50,6 +50,8 @@ class Keying:
         self.appearances = 1
         """Times that a message leaves this end, as its host has counted last."""
         self._fresh = fresh
+        self._rows: tuple[Contribution, ...] = ()
+        """Contributions that were counted, and not saved yet."""
 
     @property
     def on(self) -> bool:
@@ -69,6 +71,7 @@ class Keying:
         contributions: Iterable[Contribution] = (),
     ) -> None:
         """Begin a session, or go on with it from what was read back."""
+        self._rows = ()
         if self.schedule is not None:
             self.blocks = Blocks(self.schedule, session, block, tag, contributions)
             self._newest = -1.0
@@ -78,6 +81,7 @@ class Keying:
     def end(self) -> None:
         """The session is over: what was not stored is gone."""
         self.blocks = None
+        self._rows = ()
 
     def nonce(self) -> str:
         """A fresh nonce."""
@@ -142,6 +146,7 @@ class Keying:
             heard=offer.heard,
         )
         self.blocks.count(contribution)
+        self._rows = (*self._rows, contribution)
         return contribution
 
     def heard(self, message: Measurement | Offer | BlockAnnouncement) -> tuple[BlockResult, ...]:
@@ -214,6 +219,11 @@ class Keying:
             "key_blocks_waiting": self.waiting,
             "appearances": self.appearances,
         }
+
+    def new_rows(self) -> tuple[Contribution, ...]:
+        """Rows that the journal must have with the next record; named once."""
+        rows, self._rows = self._rows, ()
+        return rows
 
     def obsolete_rows(self) -> tuple[range, ...]:
         """Transitions whose rows the journal may drop; named once."""

@@ -31,49 +31,37 @@ class Actions(NamedTuple):
     is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
     :meth:`Peer.finish_step`, once everything else is done.
 
-    What is saved is saved all or nothing. ``record`` is all that the end must not forget; ``later``
-    says that it may wait for the next step: until then nothing is lost, for it can be counted
-    again. ``offer``, ``coin`` and ``measurement`` are the step that follows the record: all it
-    takes to count it again. Where there is no ``record`` it follows the one saved last. At the
-    plant ``measurement`` reports the step that ``offer`` led to, and ``coin`` is b_r, the number of
-    the candidate chosen; a plant that cannot make a step twice saves its coin before it acts, with
-    no measurement yet. At the controller ``offer`` answers ``measurement``, and there is no coin.
+    Where there is a ``record``, it is saved: all that the end must not forget, and what comes along
+    with it, all or nothing. A save survives the death of the process; one that is ``durable``
+    survives a power failure, too. ``offer``, ``coin`` and ``measurement`` are the step that follows
+    the record: all it takes to count it again, so what is counted is saved with the next step. At
+    the plant ``measurement`` reports the step that ``offer`` led to, and ``coin`` is b_r, the
+    number of the candidate chosen; a plant that cannot make a step twice saves its coin before it
+    acts, with no measurement yet. At the controller ``offer`` answers ``measurement``, and there is
+    no coin.
 
-    The rest comes along with a record. ``queued`` is a message for the controller's queue,
-    ``received`` the payload of a whole frame. ``chunk`` has symbols of the frame under way that
-    have left the plant's record, ``drop_chunks`` says that this frame is over. ``contribution`` is
-    the row of a transition for its key block, ``obsolete_rows`` names transitions whose rows may
-    go; rows of another session than the record's go anyway.
+    ``queued`` is a message for the controller's queue, ``received`` the payload of a whole frame.
+    ``symbols`` are those of the frame under way that have left the plant's record.
+    ``contributions`` are the rows of transitions for their key block, ``obsolete_rows`` names
+    transitions whose rows may go; rows of another session than the record's go anyway.
     """
 
     events: tuple[Event, ...] = ()
     record: SenderRecord | ReceiverRecord | None = None
-    later: bool = False
     offer: Offer | None = None
     coin: int = NO_SYMBOL
     measurement: Measurement | None = None
     queued: SendCommand | None = None
     received: bytes | None = None
-    chunk: str = ""
-    drop_chunks: bool = False
-    contribution: Contribution | None = None
+    symbols: str = ""
+    contributions: tuple[Contribution, ...] = ()
     obsolete_rows: tuple[range, ...] = ()
+    durable: bool = False
     publish: tuple[Message, ...] = ()
     notices: tuple[Notice, ...] = ()
     health: Status | None = None
     finish_step: bool = False
     keys: tuple[Task, ...] = ()
-
-    @property
-    def saves(self) -> bool:
-        """Whether there is anything to save."""
-        return self.record is not None or self.offer is not None
-
-    @property
-    def for_tables(self) -> bool:
-        """Whether more than rows comes along: messages or symbols, in tables of theirs."""
-        more = self.queued is not None or self.received is not None
-        return more or bool(self.chunk) or self.drop_chunks
 
 
 NOTHING_TO_DO: Final = Actions()

@@ -1,12 +1,15 @@
 """What each end must not forget, as its journal keeps it."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Estimate
 from protocol.messages import Offer
 from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
+
+INITIAL_ID: Final = "initial"
+"""Identifier of the message that a controller is started with; no command may take it."""
 
 
 class SenderRecord(NamedTuple):
@@ -61,7 +64,8 @@ class ReceiverRecord(NamedTuple):
 
     ``applied_k`` and ``x_after`` report the last applied offer and the plant right after it; ``u``
     is the input in force, which the fallback may hold; ``partial`` has the newest symbols of the
-    frame under way in hexadecimal digits. Counters run over all sessions but ``transitions`` and
+    frame under way in hexadecimal digits, and ``stored`` counts the digits before, which stand in a
+    table of the journal. Counters run over all sessions but ``transitions`` and
     ``p``, which begin with the session. ``controller`` is the process that was asked last to take
     the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy
     0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
@@ -79,6 +83,7 @@ class ReceiverRecord(NamedTuple):
     applied_k: int = -1
     x_after: Vector = ()
     partial: str = ""
+    stored: int = 0
     state: tuple[int, ...] = ()
     transitions: int = 0
     p: int = 0

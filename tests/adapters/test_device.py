@@ -36,16 +36,15 @@ from runtime.bus import TransportError
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.memory_bus import MemoryBus, MemoryChannel, MemoryHub
-from runtime.memory_journal import MemoryPlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
+from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
 from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
 from tests.support.told import log_of
-from tests.support.twin_journals import NO_STEP, TwinPlantJournal, step_of
 from wyner.api import load, vary
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
@@ -92,13 +91,13 @@ class Bench:
     def __init__(
         self,
         device: Any,
-        journal: MemoryPlantJournal | None = None,
+        journal: PlantJournal | None = None,
         *,
         met: bool = True,
         **link: Any,
     ) -> None:
         self.device = device
-        self.journal = journal or MemoryPlantJournal()
+        self.journal = journal or plant_journal()
         self.names = 0
         scenario = line(**link)
         self.news = PlantTelemetry(scenario, "realtime", seeded=True)
@@ -159,9 +158,9 @@ class Bench:
         """What `perform` does, step by step."""
         while True:
             self.events += actions.events
-            if actions.saves:
+            if actions.record is not None:
                 self.journal.save(actions)
-                self.device.calls.append("write" if actions.record is not None else "append")
+                self.device.calls.append("save")
             self.published += [mail(m) for m in actions.publish if isinstance(m, Measurement)]
             if not actions.finish_step:
                 return
@@ -177,17 +176,17 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert actions.measurement is None
     assert bench.device.calls == []  # nothing moves before it is saved
     bench.do(actions)
-    assert bench.device.calls == ["append", "apply"]
+    assert bench.device.calls == ["save", "apply"]
     assert step_of(bench.journal) == (actions.offer, actions.coin, None)
     bench.do(bench.endpoint.wake(0.9))
     assert "sample" not in bench.device.calls
     bench.published.clear()
     bench.do(bench.endpoint.wake(1.05))
-    assert bench.device.calls == ["append", "apply", "sample", "append", "write"]
-    assert bench.journal.measurement is not None
+    assert bench.device.calls == ["save", "apply", "sample", "save"]
     (report,) = bench.published
     measurement = Measurement.model_validate_json(report.payload)
     assert (measurement.k, measurement.applied_k) == (1, 0)
+    assert step_of(bench.journal) == (actions.offer, actions.coin, measurement)
     assert measurement.x == tuple(v / 2 for v in bench.device.y)
     assert bench.record.transitions == 1
     assert bench.news.punctuality.sampled_late_s[2] == pytest.approx(0.05)
@@ -209,13 +208,13 @@ def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallba
     in_force = bench.record.u
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(2.0))
-    assert bench.device.calls == ["sample", "apply", "write"]
+    assert bench.device.calls == ["sample", "apply", "save"]
     (missed,) = [e for e in bench.events if isinstance(e, Missed)]
     assert missed.u == in_force != (0.0,)
     assert bench.record.u == (0.0,) == (bench.device.u,)
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(3.0))
-    assert bench.device.calls == ["sample", "write"]
+    assert bench.device.calls == ["sample", "save"]
     assert [e.u for e in bench.events if isinstance(e, Missed)][1] == (0.0,)
 
 
@@ -376,7 +375,7 @@ def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None
     bench.do(bench.endpoint.wake(1.9))
     assert bench.published == []  # the plant still acts: there is no state to report
     bench.do(bench.endpoint.wake(2.0))
-    assert bench.device.calls == ["sample", "write"]
+    assert bench.device.calls == ["sample", "save"]
     (event,) = [e for e in bench.events if isinstance(e, Interrupted)]
     assert (event.session, event.k, event.u) == (bench.record.session, 1, (in_force,))
     assert event.u == event.candidates[event.coin]
@@ -399,7 +398,7 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     ends: bool, fallback: str
 ) -> None:
     """What is saved while a device acts names the step: after a death its input is not made up."""
-    bench = Bench(Device(), TwinPlantJournal(), fallback=fallback)
+    bench = Bench(Device(), CopiedPlantJournal(), fallback=fallback)
     bench.do(bench.offer(0.2))
     chosen = offer, coin, _ = step_of(bench.journal)
     assert offer is not None
@@ -501,7 +500,7 @@ def test_a_device_runs_at_its_own_pace_only() -> None:
         with pytest.raises(UsageError, match="--pace: expected realtime, as the plant is a device"):
             open_core(
                 line(),
-                MemoryPlantJournal(),
+                plant_journal(),
                 SeededSymbols(1, COIN),
                 Stream(1, 0, width=0),
                 lambda: "1" * 16,

@@ -26,10 +26,11 @@ from protocol.secret.nonces import NONCE_BYTES
 from protocol.secret.records import Key
 from protocol.secret.tasks import Task
 from runtime import perform as shell
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
 from tests.campaigns.stores import Stores
+from tests.support.journals import controller_journal, handed_over, plant_journal
 from tests.support.line_ends import (
     ActingLine,
     LineDevice,
@@ -129,11 +130,11 @@ class End:
         self._first: dict[str, tuple[str, int]] = {}
         self._ciphers: tuple[tuple[str, int, int], ...] = ()
         self._digits: dict[str, tuple[str, int]] = {}  # the step that each digit served
-        self.journal: MemoryControllerJournal | MemoryPlantJournal
+        self.journal: ControllerJournal | PlantJournal
         if side == "controller":
-            self.journal = MemoryControllerJournal(*PAYLOADS)
+            self.journal = controller_journal(*PAYLOADS)
         else:
-            self.journal = MemoryPlantJournal()
+            self.journal = plant_journal()
         self.endpoint: ControllerCore | PlantCore
         self.line: LinePlant | ActingLine | None = None
         self.mortal()
@@ -170,12 +171,12 @@ class End:
         self._starting = True
         keys: tuple[Key, ...] = ()
         if self.rules.keyed:
-            record = self.journal.load()
+            record = self.journal.load().record
             session = None if record is None else record.session
             store, keys = self.stores.coin_keys(self.side, self.view.store, session)
             self.view = self.view._replace(store=store)
         instance = f"{self.lives:08x}{'c' if self.side == 'controller' else 'f'}{0:07x}"
-        if isinstance(self.journal, MemoryControllerJournal):
+        if isinstance(self.journal, ControllerJournal):
             self.endpoint = line_controller(
                 self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3, keys
             )
@@ -389,6 +390,8 @@ class End:
         else:
             if doing.what == "forgets":
                 self.journal.forget()
+                if isinstance(self.journal, ControllerJournal):
+                    handed_over(self.journal, PAYLOADS)
                 if self.device is not None:
                     self.device.u = None  # what it was told is known to nobody any more
                 self.view = self.view._replace(forgot=True)

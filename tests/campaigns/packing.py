@@ -11,10 +11,11 @@ from plant_service.core import PlantCore
 from protocol.link.session import Rules
 from protocol.messages import FIELD, MANAGEMENT, Message
 from protocol.secret.blocks import Schedule
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.journal import ControllerJournal, PlantJournal
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
 from tests.campaigns.stores import Stores
+from tests.support.journals import contents, controller_journal, fill, plant_journal
 from tests.support.line_ends import ActingLine, LineDevice, LinePlant
 
 PASSING: Final = frozenset(
@@ -36,6 +37,12 @@ PASSING: Final = frozenset(
 
 _whole: Final[dict[str, Any]] = {}
 """The end that is being unpacked and its journal, to which its parts refer."""
+
+
+_JOURNALS: Final[dict[str, PlantJournal | ControllerJournal]] = {
+    "plant": plant_journal(),
+    "controller": controller_journal(),
+}
 
 
 def _part(name: str) -> Any:
@@ -67,8 +74,8 @@ _SHARED: Final[dict[type, Callable[[Any], Any]]] = {
     **copyreg.dispatch_table,
     End: lambda _: (_part, ("End",)),
     LineDevice: lambda _: (_part, ("device",)),
-    MemoryControllerJournal: lambda _: (_part, ("journal",)),
-    MemoryPlantJournal: lambda _: (_part, ("journal",)),
+    ControllerJournal: lambda _: (_part, ("journal",)),
+    PlantJournal: lambda _: (_part, ("journal",)),
     Rules: _rules_of,
     Schedule: lambda _: (_schedule, ()),
     **dict.fromkeys((*FIELD, *MANAGEMENT), _message_of),
@@ -96,22 +103,22 @@ def pack(end: End) -> bytes:
     """The end as bytes."""
     own = {name: value for name, value in vars(end).items() if name not in PASSING}
     file = io.BytesIO()
-    for part in (vars(end.journal), _acted(end.device), own):
+    for part in (end.side, contents(end.journal), _acted(end.device), own):
         _Packer(file, pickle.HIGHEST_PROTOCOL).dump(part)
     return file.getvalue()
 
 
 def unpack(packed: bytes, stores: Stores) -> End:
-    """An end as it was packed."""
+    """An end as it was packed; it takes over the journal of the one unpacked before."""
     file = io.BytesIO(packed)
-    journal, acted, end = pickle.load(file), pickle.load(file), End.__new__(End)
+    side, rows, acted = pickle.load(file), pickle.load(file), pickle.load(file)
+    end = End.__new__(End)
     end.device = None
     if acted is not None:
         end.device = LineDevice()
         vars(end.device).update(acted)
     _whole.clear()
-    end.journal = MemoryPlantJournal() if "_chunks" in journal else MemoryControllerJournal()
-    vars(end.journal).update(journal)
+    end.journal = fill(_JOURNALS[side], rows)
     _whole.update(End=end, journal=end.journal, device=end.device)
     vars(end).update(pickle.load(file))
     end.stores = stores

@@ -326,7 +326,6 @@ SECRETS = {
     "controller_service.core",
     "plant_service.core",
     "runtime.journal",  # both, and the message
-    "runtime.journal_files",
     "protocol.streams",  # the coins
 }
 """What holds alpha, D_c, coins, keys, journals or the truth. Schemes are algorithms, and public."""

@@ -38,9 +38,9 @@ from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
 from runtime.errors import USAGE
-from runtime.memory_journal import MemoryControllerJournal
 from tests.support.controller_in_hand import PERIOD_S, Zeros
 from tests.support.end_in_hand import EndInHand, fields, kept
+from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -94,7 +94,7 @@ class Told(EndInHand[ControllerCore]):
         payloads: tuple[bytes, ...] = (),
         **more: Any,
     ) -> None:
-        self.journal = MemoryControllerJournal()
+        self.journal = controller_journal()
         for number, payload in enumerate(payloads):
             queued = Actions(
                 record=SenderRecord(), queued=SendCommand(id=f"m{number}", payload=payload)
@@ -276,12 +276,17 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
 
 
 def test_when_all_is_sent_the_last_message_is_told_as_whole() -> None:
-    end = Told(record=AT_WORK._replace(message=1, x=(7.0,), offer=None), payloads=(b"one",))
-    end.does(end.core.start(0.0))
-    said = told(end.core.wake(0.0))
+    symbols = encode_frame(b"one", 2)
+    record = AT_WORK._replace(
+        state=(2, 1), cipher=1, message_symbol=symbols[-1], framed=True, offset=len(symbols)
+    )
+    end = Told(record=record, payloads=(b"one",)).at_work()
+    end.hears(measurement(), 0.001)
+    said = told(end.core.wake(0.001))
     length = frame_length(3, 2)
     assert (said["sending"], said["frame_symbols"], said["frame_length"]) == ("one", length, length)
-    assert (said["queue"], said["delivered"], said["set_index"]) == (0, 1, -1)
+    assert (said["queue"], said["delivered"]) == (0, 1)
+    assert end.journal.payload(0) is None, "it is gone from the journal"
 
 
 def test_statuses_are_numbered() -> None:
@@ -329,7 +334,7 @@ def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> N
     assert isinstance(transition, CountedTransition)
     assert transition.delivered == SendCommand(id="m0", payload=b"a")
     assert counted.record is not None
-    assert not counted.later
+    assert counted.durable
     ((level, text),) = [(n.level, n.text) for n in counted.notices]
     assert level == "info"
     assert "m0" in text
@@ -356,7 +361,6 @@ def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> No
     assert phase(end) == ("outside", True)
     assert answer.notices[0] == Notice("no answer at 101", "warning", "refusals")
     assert answer.record is not None
-    assert not answer.later
     assert answer.publish == ()
     assert not answer.finish_step
     end.hears(measurement(k=5, applied_k=3, x=(0.0,), x_after=(101.0,)), 2.0)
@@ -411,7 +415,7 @@ def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
     stopped = end.core.stop(0.01)
     assert told(stopped)["phase"] == "stopped"
     assert stopped.health == stopped.publish[0]
-    assert not stopped.saves
+    assert stopped.record is None
     assert (stopped.notices, stopped.events) == ((), ())
 
 
@@ -673,7 +677,7 @@ def test_a_session_that_is_taken_up_is_told_once() -> None:
     assert again == Actions(publish=taken.publish)
     other = end.hears(hello(session=NEW, instance=Q), 3000.0)
     assert other.events == ()
-    assert not other.saves
+    assert other.record is None
     assert len(other.notices) == 1
 
 
@@ -723,7 +727,7 @@ def test_a_command_is_answered_with_how_many_wait() -> None:
         assert accepted or reply.detail.split(":")[0] in ("id", "message")
         command = SendCommand(id=name, payload=payload)
         assert answer.events == ((command,) if new else ())
-        written = Actions(record=end.core.record, queued=command)
+        written = Actions(record=end.core.record, queued=command, durable=True)
         assert kept(answer) == (written if new else NOTHING_TO_DO)
         assert answer.notices == ()
     assert end.core.status().queue == 1
@@ -785,7 +789,7 @@ def test_a_word_that_is_not_the_plants_of_the_session_is_not_answered(
 
 def test_an_answer_that_announces_a_confirmed_block_lets_its_rows_go() -> None:
     end = keys_at_work()
-    assert not end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).saves
+    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).record is None
     answer = end.hears(word(), 2.0)
     assert kept(answer) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
 
@@ -801,10 +805,10 @@ def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
     assert (record.block, record.tag, record.offer) == (0, "a" * 32, offer)
     assert record.nonce == ""
     counted = end.all[1]
-    assert counted.record == record
-    assert counted.contribution is not None
-    assert counted.contribution.j == 4
-    assert counted.later
+    assert kept(counted) == NOTHING_TO_DO, "the next step saves what was counted"
+    saved = end.hears(measurement(k=end.core.record.k + 1, applied_k=record.k), 2.0)
+    assert saved.record == record
+    assert [row.j for row in saved.contributions] == [4]
 
 
 def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
@@ -822,15 +826,16 @@ def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
         if not ended:
             assert end.core.record.nonce == NONCE
             done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0)
-            assert kept(done) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
+            (row,) = done.contributions
+            assert row.j == 4
+            assert (done.record, done.obsolete_rows) == (end.core.record, (range(1, 3),))
 
 
 def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
     end = keys_at_work()
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0))
-    end.hears(measurement(), 2.0)
-    counted = end.all[-1]
-    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+    step = end.hears(measurement(), 2.0)
+    assert step.obsolete_rows == (range(1, 3),), "its answer announces the block"
 
 
 def test_a_block_that_differs_ends_the_session_once_the_keeper_knows() -> None:
@@ -851,16 +856,6 @@ def test_a_controller_that_stops_says_how_many_blocks_wait() -> None:
     (notice,) = end.core.stop(1.0).notices
     assert (notice.level, notice.subject) == ("warning", "")
     assert "1" in notice.text.split(":")[1]
-
-
-def test_rows_of_confirmed_blocks_go_at_the_end_at_the_latest() -> None:
-    end = keys_at_work()
-    assert not end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).saves
-    end.core.receive(Measurement, measurement().wire(), 2.0)  # its answer announces the block
-    stopped = end.core.stop(3.0)
-    assert stopped.record is not None
-    assert stopped.obsolete_rows
-    assert stopped.record == end.core.record
 
 
 def test_a_broken_key_store_is_an_error_and_told_in_every_status() -> None:

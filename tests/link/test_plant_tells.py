@@ -10,12 +10,12 @@ from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
 from plant_service.core import (
-    CHUNK_SYMBOLS,
     FAREWELL_S,
     HELLO_S,
     LAST_KEYS_REPEAT_S,
     LAST_KEYS_S,
     MEETING_S,
+    SYMBOLS_AT_ONCE,
     PlantCore,
     hex_digits,
 )
@@ -257,7 +257,6 @@ def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() ->
     assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
     assert after.record is not None
     assert after.record == end.core.record
-    assert not after.later
     assert end.core.record.k == 5
     end.machine.x_next = (2.0,)
     end.core.receive(ControllerHello, hello().wire(), 1.0)
@@ -555,7 +554,7 @@ def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     (began,) = actions.events
     assert isinstance(began, SessionBegan)
     assert (began.session, bool(began.reason)) == (NEW, True)
-    assert kept(actions) == Actions(record=end.core.record, drop_chunks=True)
+    assert kept(actions) == Actions(record=end.core.record)
     assert end.core.record == ReceiverRecord(
         session=NEW,
         k=3,
@@ -622,6 +621,7 @@ def test_an_offer_that_names_a_key_where_no_coin_is_keyed_is_malformed(
 
 def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
     end = Told().met()
+    before = end.core.record
     assert end.hears(OFFER, 0.25).publish == ()
     assert end.machine.asked == [
         ("toss", 2),
@@ -635,7 +635,9 @@ def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
     assert (first.coin, first.finish_step) == (0, True)
     assert first.measurement is not None
     assert (first.measurement.k, first.measurement.applied_k) == (4, 3)
-    assert kept(second) == Actions(record=end.core.record, later=True)
+    assert first.record == before, "the record before it"
+    assert not first.durable
+    assert kept(second) == NOTHING_TO_DO, "the next step saves what was counted"
 
 
 def test_a_plant_that_acts_saves_its_coin_before() -> None:
@@ -643,7 +645,7 @@ def test_a_plant_that_acts_saves_its_coin_before() -> None:
     machine.coin = 1
     end = Told(machine=machine).met()
     begun = end.core.receive(Offer, OFFER.wire(), 0.25)
-    assert begun == Actions(offer=OFFER, coin=1, finish_step=True)
+    assert begun == Actions(record=end.core.record, offer=OFFER, coin=1, finish_step=True)
     assert machine.asked == [("toss", 2)]
     assert end.core.under_way == OFFER
     assert end.core.finish_step() == NOTHING_TO_DO
@@ -695,7 +697,7 @@ def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
     end = Told(machine=machine).met()
     end.hears(OFFER, 0.25)
     end.hears(hello(verdict="unknown-session", answers=P), 0.5)
-    saved = Actions(record=end.core.record, offer=OFFER, coin=1, drop_chunks=True)
+    saved = Actions(record=end.core.record, offer=OFFER, coin=1)
     assert kept(end.all[-1]) == saved
     end.all.clear()
     machine.asked.clear()
@@ -730,7 +732,8 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)), p=len(symbols))
     end = Told(record=record, telemetry=news).met()
     end.hears(offer(cipher=last ^ flipped), 0.25)
-    counted = end.all[-1]
+    step, counted = end.all[-2:]
+    assert step.durable, "by its report the controller takes the message for delivered"
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     (notice,) = counted.notices
@@ -744,7 +747,7 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
         assert notice.level == "info"
         assert "3" in notice.text
         assert "1 bytes" in notice.text
-    assert kept(counted) == Actions(record=end.core.record, drop_chunks=True, received=received)
+    assert kept(counted) == Actions(record=end.core.record, received=received)
     status = end.core.status(0.0)
     assert (status.messages, status.frames_refused) == (1 - flipped, flipped)
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
@@ -1005,30 +1008,29 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     counted = end.all[-1]
     judged = BlockResult(S, 0, "confirmed" if right else "unequal")
     assert counted.keys == (judged,)
-    assert counted.record is not None
     if right:
         assert counted.notices == ()
-        assert (counted.later, counted.obsolete_rows) == (True, ())
-        assert counted.contribution is not None
-        assert counted.contribution.j == 4
+        assert kept(counted) == NOTHING_TO_DO
         assert (end.core.record.session, end.core.record.block) == (S, 0)
         done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5)
-        assert kept(done) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
+        (row,) = done.contributions
+        assert row.j == 4
+        saved = Actions(record=end.core.record, contributions=(row,), obsolete_rows=(range(1, 3),))
+        assert kept(done) == saved
         return
     assert [type(e) for e in counted.events] == [CountedTransition, SessionBegan]
     assert [(n.level, n.subject) for n in counted.notices] == [("error", "")]
     assert NEW in counted.notices[0].text
     assert end.core.record.session == NEW
-    assert kept(counted) == Actions(record=end.core.record, drop_chunks=True)
+    assert kept(counted) == Actions(record=end.core.record)
     assert [type(m) for m in counted.publish] == [PlantHello]
 
 
 def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
     end = keys_at_work()
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.1))
-    end.hears(offer(k=5, nonce=NONCE), 0.25)
-    counted = end.all[-1]
-    assert (counted.obsolete_rows, counted.later) == ((range(1, 3),), False)
+    step = end.hears(offer(k=5, nonce=NONCE), 0.25)
+    assert step.obsolete_rows == (range(1, 3),), "its report announces the block"
 
 
 def test_blocks_are_counted_as_they_begin() -> None:
@@ -1046,13 +1048,13 @@ def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
     frame = list(encode_frame(b"a message", size))[:5]
     partial = "".join(f"{symbol:0{hex_digits(size)}x}" for symbol in frame)
     rules = line_rules(alpha=4.0, largest_input=5.0, scheme=Switched(size))
-    end = Told(rules, RECORD._replace(partial=partial[-2:]), chunks=partial[:-2])
+    end = Told(rules, RECORD._replace(partial=partial[-2:]), symbols=partial[:-2])
     assert list(end.core.deframer.symbols) == frame
     assert hex_digits(size) == len(f"{size - 1:x}")
 
 
 def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
-    *begun, last = encode_frame(b"x" * 99, 2)[:CHUNK_SYMBOLS]
+    *begun, last = encode_frame(b"x" * 99, 2)[:SYMBOLS_AT_ONCE]
     record = RECORD._replace(
         transitions=4, k=5, state=(2, 0), partial="".join(map(str, begun)), p=len(begun)
     )
@@ -1062,9 +1064,8 @@ def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
         end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
         counted = end.all[-1]
         differs = tag[0] == "c"
-        assert len(counted.chunk) == (0 if differs else CHUNK_SYMBOLS)
-        assert counted.drop_chunks == differs
-        assert not counted.later
+        assert len(counted.symbols) == end.core.record.stored == (0 if differs else SYMBOLS_AT_ONCE)
+        assert counted.record == end.core.record
         assert end.core.record.partial == ""
 
 
@@ -1084,7 +1085,7 @@ def test_a_missed_step_takes_rows_along_that_may_go() -> None:
     end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5))
     end.wakes(1.0)  # missed: its measurement announces the block
     assert end.core.record.block == 0
-    (saving,) = [actions for actions in end.all if actions.saves]
+    (saving,) = [actions for actions in end.all if actions.record is not None]
     assert saving.obsolete_rows == (range(1, 3),)
 
 
@@ -1222,7 +1223,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     assert isinstance(status, PlantStatus)
     assert (status.phase, status.k) == ("stopped", 4)
     assert stopped.health == status, "the last status is kept"
-    assert not stopped.saves
+    assert stopped.record is None
 
 
 def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:

@@ -11,10 +11,9 @@ from protocol.defence.alarm_rule import AT_ONCE
 from protocol.defence.base import Defence
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
-from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, Truth, rules_of
-from protocol.messages import Offer, SendCommand
+from protocol.messages import Offer
 from protocol.schemes.base import Carry
 from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.switched import Switched
@@ -309,23 +308,6 @@ def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
 
 
 # --- what is saved -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize(
-    ("more", "for_tables"),
-    [
-        ({}, False),
-        ({"later": True, "contribution": ROW, "obsolete_rows": (range(2),)}, False),
-        ({"queued": SendCommand(id="m", payload=b"")}, True),
-        ({"received": b""}, True),
-        ({"chunk": "01"}, True),
-        ({"drop_chunks": True}, True),
-    ],
-)
-def test_messages_and_symbols_have_tables_of_their_own(
-    more: dict[str, Any], for_tables: bool
-) -> None:
-    assert Actions(record=SenderRecord(), **more).for_tables is for_tables
 
 
 def test_a_records_state_says_what_the_automaton_is_doing() -> None:

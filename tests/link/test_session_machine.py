@@ -230,7 +230,7 @@ class Link(RuleBasedStateMachine):
     def a_journal_is_lost(self, data: st.DataObject, plants: bool) -> None:
         self.ends.forgot = True
         side = "plant" if plants else data.draw(st.sampled_from(self.controllers))
-        self.ends.journals[side].forget()
+        self.ends.forget(side)
         if plants and self.ends.device is not None:
             self.ends.device.u = None  # what it was told is known to nobody any more
         self.ends.die(side)

@@ -5,11 +5,11 @@ from typing import Literal
 
 import pytest
 
-from controller_service.core import INITIAL_ID, ControllerCore
+from controller_service.core import ControllerCore
 from plant_service.status import PlantTelemetry
 from protocol.link.events import Missed, SessionBegan, Timing
 from protocol.link.peer import Actions
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
 from protocol.messages import (
     BlockAnnouncement,
@@ -23,8 +23,9 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
-from runtime.memory_journal import MemoryControllerJournal
+from runtime.journal import ControllerJournal
 from tests.support.controller_in_hand import PERIOD_S, Zeros
+from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import STEP_S, PlantInHand, ScriptedLine
 
@@ -39,7 +40,7 @@ OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 
 
 def controller(
-    journal: MemoryControllerJournal,
+    journal: ControllerJournal,
     message: bytes | None = None,
     record: SenderRecord | None = None,
     rules: Rules = RULES,
@@ -69,16 +70,16 @@ def queued(said: list[Actions]) -> list[SendCommand]:
 
 
 def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_greets() -> None:
-    journal = MemoryControllerJournal()
+    journal = controller_journal()
     said = first_words(controller(journal, b"hi"))
     command = SendCommand(id=INITIAL_ID, payload=b"hi")
     assert queued(said) == [command]
     assert said[0].events == (command,)
     assert [type(message) for actions in said for message in actions.publish] == [ControllerHello]
     for actions in said:
-        if actions.saves:
+        if actions.record is not None:
             journal.save(actions)
-    again = first_words(controller(journal, b"hi", journal.load()))
+    again = first_words(controller(journal, b"hi", journal.load().record))
     assert queued(again) == []
     assert [type(message) for message in again[-1].publish] == [ControllerHello]
 
@@ -88,7 +89,7 @@ def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
     halted: bool,
 ) -> None:
     record = SenderRecord(halted=halted)
-    said = first_words(controller(MemoryControllerJournal(), None, record, HALTING))
+    said = first_words(controller(controller_journal(), None, record, HALTING))
     assert [n.subject for actions in said for n in actions.notices] == ["refusals"] * halted
 
 
@@ -111,8 +112,8 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
             isinstance(m, Offer) for m in core.receive(Measurement, REPORTED.wire(), 2.0).publish
         )
 
-    assert offers(controller(MemoryControllerJournal(), None, record, HALTING))
-    core = controller(MemoryControllerJournal(), None, record, HALTING)
+    assert offers(controller(controller_journal(), None, record, HALTING))
+    core = controller(controller_journal(), None, record, HALTING)
     halted = core.halt()
     assert halted.record is not None
     kept = halted.record
@@ -125,13 +126,13 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_n
     assert [n.subject for n in halted.notices] == ["refusals"]
     assert core.halt() == Actions(), "it is told once"
     assert not offers(core)
-    assert not offers(controller(MemoryControllerJournal(), None, kept, HALTING))
-    assert controller(MemoryControllerJournal()).halt() == Actions(), "the scenario's rules say so"
+    assert not offers(controller(controller_journal(), None, kept, HALTING))
+    assert controller(controller_journal()).halt() == Actions(), "the scenario's rules say so"
 
 
 def test_a_controller_whose_keys_are_gone_leaves_the_session_and_greets() -> None:
     record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3)
-    core = controller(MemoryControllerJournal(), None, record)
+    core = controller(controller_journal(), None, record)
     first_words(core)
     ended = core.end_session("the keys are gone")
     (began,) = ended.events

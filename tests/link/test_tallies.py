@@ -9,10 +9,11 @@ import random
 from dataclasses import replace
 from itertools import accumulate
 from typing import Any
+from zlib import crc32
 
 import pytest
 
-from plant_service.core import CHUNK_SYMBOLS
+from plant_service.core import SYMBOLS_AT_ONCE
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
@@ -42,8 +43,9 @@ class Outbox:
     def payload(self, number: int) -> bytes | None:
         return PAYLOADS[number] if number < len(PAYLOADS) else None
 
-    def queued_as(self, identifier: str) -> bytes | None:
-        return self.payload(int(identifier)) if identifier.isdigit() else None
+    def crc_of(self, identifier: str) -> int | None:
+        payload = self.payload(int(identifier)) if identifier.isdigit() else None
+        return None if payload is None else crc32(payload)
 
     def identifier(self, number: int) -> str:
         return str(number)
@@ -71,7 +73,7 @@ class Ends:
         self.rules = replace(rules, schedule=schedule)
         self.draws = Draws()
         self.rows: list[Contribution] = []
-        self.chunks = ""
+        self.symbols = ""
         first = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.25,))
         self.sender = self.controller(None)
         self.receiver = PlantInHand(self.rules, PLANT, first)
@@ -83,6 +85,7 @@ class Ends:
         self.kept = first._replace(state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
         self.uncounted: CountedTransition | None = None
         self.contribution: Contribution | None = None
+        self.unsaved: tuple[Contribution, ...] = ()
         self.woke = keys
         """Whether the plant's process woke up in this step: then it does not know what has left."""
         self.delivered: list[int] = []
@@ -105,7 +108,8 @@ class Ends:
         )
 
     def meet(self) -> None:
-        """A life greets, or the same once more; the plant remembers which it was."""
+        """A life greets, or the same once more; the plant saves which it was."""
+        self.unsaved = ()
         self.kept = self.kept._replace(incarnation=self.said.incarnation)
         self.receiver.heard_controller(self.sender.greeting(), "9" * 16)
         accepted = self.sender.heard_plant(self.receiver.hello()).reply
@@ -133,8 +137,8 @@ class Ends:
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         else:
             record = self.receiver.record
-            self.receiver = PlantInHand(self.rules, PLANT, record, self.chunks, self.rows)
-            self.woke = self.keys
+            self.receiver = PlantInHand(self.rules, PLANT, record, self.symbols, self.rows)
+            self.woke, self.unsaved = self.keys, ()
         self.meet()
         self.compare()
 
@@ -143,7 +147,7 @@ class Ends:
         self.receiver.missed(u, x_next)
         k, missed = self.kept.k + 1, self.kept.missed + 1
         self.kept = self.kept._replace(k=k, x=x_next, u=u, missed=missed)
-        self.woke = False
+        self.woke, self.unsaved = False, ()
         self.compare()
 
     def measure(self) -> Measurement:
@@ -244,7 +248,7 @@ class Ends:
             save=delivered is not None,
             transition=counted,
             delivered=None if delivered is None else str(delivered),
-            contribution=contribution,
+            rows=() if delivered is None or contribution is None else (contribution,),
         )
         assert not self.sender.unfinished
         self.compare()
@@ -307,6 +311,7 @@ class Ends:
             applied_k=before.k,
             x_after=x_next,
             partial=partial,
+            stored=0 if frame is not None else before.stored + len(chunk),
             state=(self.uncounted.s, agreed),
             transitions=before.transitions + 1,
             p=p,
@@ -316,32 +321,37 @@ class Ends:
             applied_copy=offer.copy_number,
         )
         assert self.receiver.check(offer) == "current"
-        rows = list(self.rows)
+        rows, unsaved = list(self.rows), self.unsaved
         self.rows += [] if self.contribution is None else [self.contribution]
         self.woke = False
         if self.random.random() < 0.2:  # it dies before it has counted
             record, step = self.receiver.record, self.receiver.dies_over(offer, coin, x_next)
+            assert step.contributions == unsaved
             self.receiver = PlantInHand(
                 self.rules,
                 PLANT,
                 record,
-                self.chunks,
+                self.symbols,
                 rows,
                 offer=step.offer,
                 tossed=step.coin,
                 report=step.measurement,
             )
-            self.woke = self.keys
+            self.woke, unsaved = self.keys, ()
             counted = [e for e in self.receiver.events if isinstance(e, CountedTransition)]
         else:
             counted = [self.receiver.applied(offer, coin, x_next)]
+            assert self.receiver.step is not None
+            assert self.receiver.step.contributions == unsaved
         assert counted == [self.uncounted]
-        (saved,) = self.receiver.saved
-        assert (saved.chunk, saved.received) == (chunk, frame)
-        assert saved.drop_chunks == (frame is not None)
-        assert saved.contribution == self.contribution
+        row = () if self.contribution is None else (self.contribution,)
+        saved = self.receiver.saved
+        assert [(s.symbols, s.received, s.contributions) for s in saved] == (
+            [(chunk, frame, row)] if chunk or frame is not None else []
+        )
+        self.unsaved = () if saved else row
         assert self.receiver.step is None or self.receiver.step.coin == coin
-        self.chunks = "" if frame is not None else self.chunks + chunk
+        self.symbols = "" if frame is not None else self.symbols + chunk
         if not self.receiver.accepted:
             self.meet()
         self.compare()
@@ -358,7 +368,7 @@ class Ends:
         digits = 1 if self.size <= 16 else 2
         partial += f"{symbol:0{digits}x}"
         return (
-            (None, "", partial) if len(partial) == CHUNK_SYMBOLS * digits else (None, partial, "")
+            (None, "", partial) if len(partial) == SYMBOLS_AT_ONCE * digits else (None, partial, "")
         )
 
 

@@ -3,7 +3,7 @@
 import random
 
 from protocol.messages import ControllerHello
-from runtime.memory_journal import MemoryPlantJournal
+from tests.support.journals import plant_journal
 from tests.support.line_ends import line_plant, line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
@@ -14,7 +14,7 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
     draw = random.Random(1)
     for _ in range(300):  # the sum answered + silence rounds, now and then below their difference
         now = draw.random() * 3
-        plant, _ = line_plant(RULES, MemoryPlantJournal(), lambda: "5" * 16, "b" * 16, now, None)
+        plant, _ = line_plant(RULES, plant_journal(), lambda: "5" * 16, "b" * 16, now, None)
         plant.start(now)
         hello = ControllerHello(
             instance=PARTNER,

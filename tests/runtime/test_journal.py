@@ -1,7 +1,7 @@
-"""Journals: what was saved survives kill -9, one process at a time, and only its own scenario."""
+"""Journals: what was saved survives kill -9 and more, one process at a time, one scenario only."""
 
-import os
 import resource
+import shutil
 import signal
 import sqlite3
 import subprocess
@@ -9,17 +9,27 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
+from zlib import crc32
 
 import pytest
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.peer import Actions
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer, SendCommand
-from runtime.journal import ControllerJournal, PlantJournal
-from runtime.journal_files import JournalError
+from protocol.secret.nonces import Contribution
+from runtime import journal as journals
+from runtime.journal import (
+    JOURNAL_VERSION,
+    REMEMBERED,
+    ControllerJournal,
+    JournalError,
+    Loaded,
+    PlantJournal,
+)
+from tests.support.journals import copied, step_of
 from tests.support.patience import PATIENCE_S
-from tests.support.twin_journals import NO_STEP, step_of
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"
@@ -43,127 +53,165 @@ SENDER = SenderRecord(
 )
 
 
-# --- records --------------------------------------------------------------------------------------
-
-
-def test_records_come_back_to_the_last_bit(tmp_path: Path) -> None:
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.load() is None
-        journal.save(Actions(record=SENDER))
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.load() == SENDER
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        assert journal2.load() is None
-        journal2.save(Actions(record=RECEIVER))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        assert journal2.load() == RECEIVER
-
-
-def test_the_last_save_counts(tmp_path: Path) -> None:
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        for k in range(100):
-            journal.save(Actions(record=RECEIVER._replace(k=k)))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        record = journal.load()
-        assert record is not None
-        assert record.k == 99
-
-
-def test_the_symbols_of_a_frame_are_kept_in_order_and_dropped_with_it(tmp_path: Path) -> None:
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        for chunk in ("100", "11", ""):
-            journal.save(Actions(record=RECEIVER, chunk=chunk))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.chunks() == "10011"
-        journal.save(Actions(record=RECEIVER, drop_chunks=True, received=b"whole"))
-        assert journal.chunks() == ""
-        journal.save(Actions(record=RECEIVER, chunk="1", drop_chunks=True))
-        assert journal.chunks() == "1"
-        assert journal.inbox() == [b"whole"]
-
-
-def test_the_inbox_gives_the_newest_oldest_first(tmp_path: Path) -> None:
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        for i in range(10):
-            journal.save(Actions(record=RECEIVER, received=b"%d" % i, drop_chunks=True))
-        assert journal.inbox(3) == [b"7", b"8", b"9"]
-
-
-def test_a_message_is_queued_once_and_in_order(tmp_path: Path) -> None:
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.enqueue(SendCommand(id="a", payload=b"first"))
-        assert journal.enqueue(SendCommand(id="b", payload=bytes(range(256))))
-        assert not journal.enqueue(
-            SendCommand(id="a", payload=b"another text, the same identifier")
-        )
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.queued == 2
-        assert [journal.payload(i) for i in range(3)] == [b"first", bytes(range(256)), None]
-        assert journal.identifier(1) == "b"
-        assert journal.enqueue(SendCommand(id="c", payload=b"third"))
-        assert journal.payload(2) == b"third"
-        assert journal.queued_as("a") == b"first"
-        assert journal.queued_as("d") is None
-
-
-# --- steps ----------------------------------------------------------------------------------------
+# --- what it holds --------------------------------------------------------------------------------
 
 MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4, x_after=(1.0, 2.0))
 OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
 
 
-def test_a_step_comes_back_with_the_record_before_it(tmp_path: Path) -> None:
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert step_of(journal) == NO_STEP
-        journal.save(Actions(record=SENDER))
-        journal.save(Actions(offer=OFFER, measurement=MEASUREMENT))
-    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
-        assert journal.load() == SENDER
-        assert step_of(journal) == (OFFER, NO_SYMBOL, MEASUREMENT)
-        # what was loaded can be built on
-        journal.save(Actions(offer=OFFER, measurement=MEASUREMENT))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        journal2.save(Actions(record=RECEIVER, chunk="10"))
-        journal2.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal2:
-        assert journal2.load() == RECEIVER
-        assert step_of(journal2) == (OFFER, 1, MEASUREMENT)
-        assert journal2.chunks() == "10"
+def row(j: int) -> Contribution:
+    return Contribution(j, 1, bytes([j]) * 32, None if j % 2 else bytes([j + 100]) * 32)
 
 
-def test_a_staged_record_is_written_with_the_next_step_and_a_saved_one_ends_it(
-    tmp_path: Path,
+@pytest.mark.parametrize("in_memory", [False, True])
+def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None:
+    controller = ControllerJournal(None if in_memory else tmp_path / "c", SCENARIO)
+    plant = PlantJournal(None if in_memory else tmp_path / "p", SCENARIO)
+    assert controller.load() == Loaded()
+    assert plant.load() == Loaded()
+    controller.save(Actions(record=SENDER, contributions=(row(5), row(4))))
+    plant.save(Actions(record=RECEIVER._replace(stored=3), symbols="100"))
+    plant.save(Actions(record=RECEIVER._replace(stored=5), symbols="11", offer=OFFER, coin=1))
+    assert plant.load() == Loaded(RECEIVER._replace(stored=5), OFFER, 1, None, (), "10011")
+    controller.save(Actions(record=SENDER, offer=OFFER, measurement=MEASUREMENT))
+    step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT)
+    plant.save(step)
+    if not in_memory:
+        controller.close()
+        plant.close()
+        controller = ControllerJournal(controller.path, SCENARIO)
+        plant = PlantJournal(plant.path, SCENARIO)
+    rows = (row(4), row(5))
+    assert controller.load() == Loaded(SENDER, OFFER, NO_SYMBOL, MEASUREMENT, rows)
+    assert plant.load() == Loaded(RECEIVER, OFFER, 1, MEASUREMENT), "the frame is over"
+    plant.save(Actions(record=RECEIVER._replace(k=5)))
+    assert plant.load() == Loaded(RECEIVER._replace(k=5)), "a record takes the step's place"
+    controller.close()
+    plant.close()
+
+
+def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        journal.save(Actions(record=RECEIVER, contributions=tuple(map(row, range(5)))))
+        journal.save(Actions(record=RECEIVER, obsolete_rows=(range(2), range(3, 4))))
+        assert journal.load().rows == (row(2), row(4))
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        following = RECEIVER._replace(session="fedcba9876543210")
+        journal.save(Actions(record=following, contributions=(row(0),)))
+        assert journal.load().rows == (row(0),)
+
+
+def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        assert journal.last_message() is None
+        for payload in (b"the first of them", b"", b"the last"):
+            journal.save(Actions(record=RECEIVER, received=payload))
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        assert journal.last_message() == b"the last"
+    assert b"the first of them" not in (tmp_path / "p").read_bytes()
+
+
+def send(journal: ControllerJournal, name: str, payload: bytes, delivered: int = 0) -> None:
+    record = SENDER._replace(message=delivered)
+    journal.save(Actions(record=record, queued=SendCommand(id=name, payload=payload), durable=True))
+
+
+def test_messages_are_numbered_in_order(tmp_path: Path) -> None:
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        send(journal, "a", b"first")
+        send(journal, "b", bytes(range(256)))
+    with ControllerJournal(tmp_path / "c", SCENARIO) as journal:
+        assert journal.queued == 2
+        assert [journal.payload(i) for i in range(3)] == [b"first", bytes(range(256)), None]
+        assert journal.identifier(1) == "b"
+        send(journal, "c", b"third")
+        assert journal.waiting()[2] == (2, "c", b"third")
+        assert journal.crc_of("a") == crc32(b"first")
+        assert journal.crc_of("d") is None
+
+
+def test_a_message_that_was_delivered_is_gone_and_its_identifier_is_known(tmp_path: Path) -> None:
+    secret = b"nobody else may know"
+    path = tmp_path / "c"
+    with ControllerJournal(path, SCENARIO) as journal:
+        send(journal, INITIAL_ID, secret)
+        send(journal, "next", b"waits")
+        journal.save(Actions(record=SENDER._replace(message=1)))
+        assert journal.payload(0) is None
+        assert journal.waiting() == [(1, "next", b"waits")]
+        assert journal.crc_of(INITIAL_ID) == crc32(secret)
+    assert secret not in path.read_bytes()
+    with ControllerJournal(path, SCENARIO) as journal:
+        assert (journal.queued, journal.crc_of(INITIAL_ID)) == (2, crc32(secret))
+
+
+def test_a_long_run_of_messages_and_steps_takes_no_more_room(tmp_path: Path) -> None:
+    """All that was there is zeros, in the write-ahead log too, once that has gone round."""
+    path, sizes = tmp_path / "c", set()
+    with ControllerJournal(path, SCENARIO) as journal:
+        for number in range(3 * REMEMBERED):
+            payload = b"message number %d " % number * 10
+            send(journal, f"m{number}", payload, delivered=number)
+            journal.save(Actions(record=SENDER._replace(message=number + 1, k=number)))
+            if number > 2 * REMEMBERED:
+                sizes.add(path.stat().st_size)
+        log = path.with_name("c-wal").read_bytes()
+        assert len(log) < 5_000_000
+        assert journal.crc_of("m0") is None
+        assert journal.crc_of(f"m{2 * REMEMBERED}") is not None
+    assert max(sizes) < 300_000
+    assert max(sizes) - min(sizes) < 20_000
+    assert b"message number" not in path.read_bytes()
+    assert b"message number 1500 " not in log
+
+
+# --- durable saves --------------------------------------------------------------------------------
+
+TRACED = r"""
+import os, sys
+from pathlib import Path
+from protocol.link.peer import Actions
+from protocol.link.records import SenderRecord
+from runtime.journal import ControllerJournal
+with ControllerJournal(Path(sys.argv[1]), "f" * 64) as journal:
+    for k in range(50):
+        journal.save(Actions(record=SenderRecord(k=k), durable=k in (20, 30)))
+        os.write(2, b"%d\n" % k)
+    os.write(2, b"over\n")
+"""
+
+
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace shows the syncs")
+def test_a_durable_save_is_one_sync_and_any_other_none(tmp_path: Path) -> None:
+    log = tmp_path / "calls"
+    calls = ["strace", "-o", str(log), "-e", "trace=fsync,fdatasync,write"]
+    program = [sys.executable, "-c", TRACED, str(tmp_path / "c")]
+    subprocess.run([*calls, *program], check=True, timeout=PATIENCE_S, stderr=subprocess.DEVNULL)
+    steps = log.read_text().split('write(2, "')
+    syncs = {int(part.split("\\n")[0]): part.count("sync(") for part in steps[1:-1]}
+    assert {k + 1 for k, count in syncs.items() if count} == {20, 30}
+    assert set(syncs.values()) == {0, 1}
+
+
+def test_another_boot_of_the_machine_is_told_unless_the_journal_was_closed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+    boot = tmp_path / "boot"
+    monkeypatch.setattr(journals, "BOOT_ID", boot)
+    boot.write_text("one\n")
+    with PlantJournal(tmp_path / "live" / "p", SCENARIO) as journal:
         journal.save(Actions(record=RECEIVER))
-        journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
-        with pytest.raises(AssertionError, match="not been counted"):
-            journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
-        journal.save(Actions(record=RECEIVER._replace(k=5), later=True))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.load() == RECEIVER
-        assert step_of(journal) == (OFFER, 1, MEASUREMENT)
-        journal.save(Actions(record=RECEIVER._replace(k=5), later=True))
-        journal.save(Actions(offer=OFFER, coin=0, measurement=MEASUREMENT))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.load() == RECEIVER._replace(k=5)
-        assert step_of(journal) == (OFFER, 0, MEASUREMENT)
-        journal.save(Actions(record=RECEIVER._replace(k=6)))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.load() == RECEIVER._replace(k=6)
-        assert step_of(journal) == NO_STEP
-
-
-@pytest.mark.parametrize("wrong", [b"{}", b"not json", MEASUREMENT.wire()])
-def test_a_step_that_is_none_is_refused(tmp_path: Path, wrong: bytes) -> None:
-    offer = OFFER.model_copy()
-    offer.__dict__["_bytes"] = wrong
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER))
-        journal.save(Actions(offer=offer, coin=0, measurement=MEASUREMENT))
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal, pytest.raises(JournalError) as error:
-        journal.load()
-    assert "record" in one_line(error, tmp_path / "p")
+        killed = copied(tmp_path / "live" / "p", tmp_path / "killed")
+        again = copied(tmp_path / "live" / "p", tmp_path / "again")
+    with PlantJournal(killed, SCENARIO) as journal:
+        assert journal.load() == Loaded(RECEIVER)
+    boot.write_text("another\n")
+    for path, fell_back in ((killed, False), (tmp_path / "live" / "p", False), (again, True)):
+        with PlantJournal(path, SCENARIO) as journal:
+            assert journal.load() == Loaded(RECEIVER, fell_back=fell_back)
+    boot.unlink()
+    with PlantJournal(again, SCENARIO) as journal:
+        assert not journal.load().fell_back
 
 
 # --- what it refuses ------------------------------------------------------------------------------
@@ -204,7 +252,7 @@ def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None
         PlantJournal(tmp_path / "p", "0" * 64)
     assert "scenario: got" in one_line(error, tmp_path / "p")
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        assert journal.load() == RECEIVER
+        assert journal.load() == Loaded(RECEIVER)
 
 
 def test_the_other_sides_journal_is_refused(tmp_path: Path) -> None:
@@ -227,15 +275,40 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
     assert "cannot be opened" in one_line(error, tmp_path / "file" / "c")
 
 
+@pytest.mark.parametrize("wrong", [b"{}", b"not json", MEASUREMENT.wire()])
+def test_a_step_that_is_none_is_refused(tmp_path: Path, wrong: bytes) -> None:
+    offer = OFFER.model_copy()
+    offer.__dict__["_bytes"] = wrong
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        journal.save(Actions(record=RECEIVER, offer=offer, coin=0, measurement=MEASUREMENT))
+    with pytest.raises(JournalError) as error:
+        PlantJournal(tmp_path / "p", SCENARIO)
+    assert "step" in one_line(error, tmp_path / "p")
+
+
+def test_an_older_journal_is_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "j"
+    database = sqlite3.connect(path)
+    database.execute("CREATE TABLE meta (name TEXT PRIMARY KEY, value TEXT)")
+    told = {"kind": "controller", "version": "6", "scenario": SCENARIO}
+    database.executemany("INSERT INTO meta VALUES (?, ?)", told.items())
+    database.commit()
+    database.close()
+    for _ in range(2):
+        with pytest.raises(JournalError) as error:
+            ControllerJournal(path, SCENARIO)
+        assert str(error.value) == f"{path}: version: got '6', expected '{JOURNAL_VERSION}'"
+
+
 @pytest.mark.parametrize(
-    "change", ["body = x'7b7d'", "number = 7", "body = NULL", "offer = x'7b7d'", "coin = 1"]
+    "change", ["record = x'7b7d'", "id = 7", "record = NULL", "offer = x'7b7d'", "coin = 1"]
 )
 def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
         journal.save(Actions(record=RECEIVER))
     database = sqlite3.connect(path)
-    database.execute(f"UPDATE record SET {change}")
+    database.execute(f"UPDATE step SET {change}")
     database.commit()
     database.close()
     with pytest.raises(JournalError) as error:
@@ -250,21 +323,20 @@ def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> No
 def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> None:
     path = tmp_path / "c"
     with ControllerJournal(path, SCENARIO) as journal:
-        journal.enqueue(SendCommand(id="m", payload=b"a"))
+        send(journal, "m", b"a")
     database = sqlite3.connect(path)
     database.execute(f"UPDATE outbox SET {change}")
     database.commit()
     database.close()
-    with ControllerJournal(path, SCENARIO) as journal, pytest.raises(JournalError):
-        journal.payload(0)
+    with pytest.raises(JournalError) as error:
+        ControllerJournal(path, SCENARIO)
+    assert "not as it was written" in one_line(error, path)
 
 
 # --- kill -9 --------------------------------------------------------------------------------------
 
 WRITER = """
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from protocol.link.peer import Actions
 from runtime.journal import PlantJournal
@@ -274,26 +346,26 @@ from protocol.link.records import ReceiverRecord
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)
     if record.p % 50 == 0:
-        journal.save(Actions(record=record, drop_chunks=True, received=b"%d" % record.p))
+        record = record._replace(stored=0, messages=record.messages + 1)
+        journal.save(Actions(record=record, received=b"%d" % record.p))
     elif record.p % 7 == 0:
-        journal.save(Actions(record=record, chunk="1"))
-    else:
-        journal.save(Actions(record=record, later=True))
+        record = record._replace(stored=record.stored + 1)
+        journal.save(Actions(record=record, symbols="1"))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
-record = journal.load()
+record, offer, *_ = journal.load()
 if record is None:
     record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
     journal.save(Actions(record=record))
-if journal.offer is not None:
+if offer is not None:
     record = count(record)
 while True:
     offer = Offer(session=record.session, k=record.k, candidates=((1.0,), (2.0,)), cipher=0)
     measurement = Measurement(
         session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
     )
-    journal.save(Actions(offer=offer, coin=record.k % 2, measurement=measurement))
+    journal.save(Actions(record=record, offer=offer, coin=record.k % 2, measurement=measurement))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -320,7 +392,7 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
         if rest:
             acknowledged = int(rest[-1])
         with PlantJournal(path, SCENARIO) as journal:
-            record, (offer, coin, measurement) = journal.load(), step_of(journal)
+            record, offer, coin, measurement, _, symbols, _ = journal.load()
             assert record is not None
             assert record.k + (offer is not None) in (acknowledged, acknowledged + 1)
             if offer is not None:
@@ -331,10 +403,13 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             # all or nothing: the symbols and messages are those of this very record
             whole, since = divmod(record.k, 50)
             assert record.p == record.k
-            assert len(journal.inbox(10**6)) == whole
+            assert record.messages == whole
+            assert journal.last_message() == (b"%d" % (50 * whole) if whole else None)
             first = 50 * whole + 1
-            chunks = sum(p % 7 == 0 for p in range(first, first + since))
-            assert len(journal.chunks()) == chunks
+            assert len(symbols) == sum(p % 7 == 0 for p in range(first, first + since))
+
+
+# --- disks ----------------------------------------------------------------------------------------
 
 
 @contextmanager
@@ -348,22 +423,61 @@ def no_file_grows() -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
+@pytest.mark.parametrize("durable", [False, True])
 def test_a_journal_that_cannot_be_written_any_more_names_its_file(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, durable: bool
 ) -> None:
     path = tmp_path / "j"
+    step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT, durable=durable)
     with PlantJournal(path, SCENARIO) as journal:
         journal.save(Actions(record=RECEIVER))
-        pwrite = os.pwrite
-        with monkeypatch.context() as full:
-            full.setattr(os, "pwrite", lambda file, data, at: pwrite(file, data[:40], at))
-            with pytest.raises(JournalError, match="No space left") as error:
-                journal.save(Actions(offer=OFFER, coin=1, measurement=MEASUREMENT))
-        one_line(error, tmp_path / "j-steps")
-        journal.save(Actions(offer=OFFER, coin=0, measurement=MEASUREMENT))  # over what was torn
         with no_file_grows(), pytest.raises(JournalError) as error:
-            journal.save(Actions(record=RECEIVER, chunk="01"))
+            journal.save(step)
         one_line(error, path)
+        assert journal.load() == Loaded(RECEIVER)
+        journal.save(step)
     with PlantJournal(path, SCENARIO) as journal:
-        journal.load()
-        assert step_of(journal) == (OFFER, 0, MEASUREMENT)
+        assert step_of(journal) == (OFFER, 1, MEASUREMENT)
+
+
+def state(path: Path) -> Any:
+    """All that a journal says when it is opened; None for one clear line."""
+    try:
+        with PlantJournal(path, SCENARIO) as journal:
+            return journal.load(), journal.last_message()
+    except JournalError as error:
+        assert str(error).startswith(f"{path}: ")
+        assert "\n" not in str(error)
+        return None
+
+
+def changed(before: bytes, after: bytes) -> range:
+    """Where a write was: from the first byte that differs to the last."""
+    differs = [i for i in range(len(after)) if before[i : i + 1] != after[i : i + 1]]
+    return range(differs[0], differs[-1] + 1)
+
+
+def test_a_torn_or_flipped_save_is_not_there_or_told(tmp_path: Path) -> None:
+    """Cut at many places, and many bytes of it flipped: the state before it, or one line."""
+    live = tmp_path / "live" / "journal"
+    with PlantJournal(live, SCENARIO) as journal:
+        journal.save(Actions(record=RECEIVER, contributions=(row(1),), symbols="0101"))
+        before = copied(live, tmp_path / "before")
+        step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT)
+        journal.save(step._replace(contributions=(row(2),), received=b"whole"))
+        after = copied(live, tmp_path / "after")
+    log = "journal-wal"
+    old, new = (path.with_name(log).read_bytes() for path in (before, after))
+    assert before.read_bytes() == after.read_bytes()
+    place = changed(old, new)
+    versions = [new[:end] + old[end:] for end in place[::41]]
+    versions += [new[:i] + bytes([new[i] ^ 0x41]) + new[i + 1 :] for i in place[::37]]
+    assert len(versions) > 200
+    states = [
+        state(copied(path, tmp_path / f"{path.parent.name} read")) for path in (before, after)
+    ]
+    assert [len(s[0].rows) for s in states] == [1, 2]
+    for i, version in enumerate(versions):
+        path = copied(after, tmp_path / f"{i}")
+        path.with_name(log).write_bytes(version)
+        assert state(path) in (states[0], None), i

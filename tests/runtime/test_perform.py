@@ -20,8 +20,8 @@ from tests.support.two_ends import LineEnds, Name
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
 OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)
-STEP = Actions(offer=OFFER, coin=0, measurement=SAID)
-RECORD = Actions(record=SenderRecord(), later=True)
+STEP = Actions(record=SenderRecord(), offer=OFFER, coin=0, measurement=SAID)
+RECORD = Actions(record=SenderRecord(k=7))
 VERDICT = BlockResult("1" * 16, 0, "confirmed")
 WELL = next(
     arrival.message

@@ -6,6 +6,7 @@ Time moves on by a second with each thing that is heard, so that no greeting com
 from collections.abc import Callable, Iterable
 from copy import copy
 from typing import Any, NamedTuple
+from zlib import crc32
 
 from controller_service.core import ControllerCore, Predict
 from protocol.link.keying import Keying
@@ -32,8 +33,9 @@ class OneMessage:
     def payload(self, number: int) -> bytes | None:
         return self._payload if number == 0 else None
 
-    def queued_as(self, identifier: str) -> bytes | None:
-        return self._payload if identifier == "only" else None
+    def crc_of(self, identifier: str) -> int | None:
+        known = identifier == "only" and self._payload is not None
+        return crc32(self._payload or b"") if known else None
 
     def identifier(self, number: int) -> str:
         return "only"
@@ -59,7 +61,7 @@ class Done(NamedTuple):
     offer: Offer | None = None
     reply: ControllerHello | None = None
     refusal: str = ""
-    contribution: Contribution | None = None
+    rows: tuple[Contribution, ...] = ()
     judged: tuple[BlockResult, ...] = ()
 
 
@@ -77,15 +79,16 @@ def done(actions: Actions) -> Done:
     refusals = [notice.text for notice in actions.notices if notice.subject == "refusals"]
     assert len(transitions) <= 1
     assert len(refusals) <= 1
+    save = actions.record is not None and actions.offer is None
     return Done(
-        save=actions.record is not None and not actions.later,
+        save=save,
         append=actions.offer is not None,
         transition=transitions[0] if transitions else None,
         delivered=delivered[0] if delivered else None,
         offer=said.get(Offer),
         reply=said.get(ControllerHello),
         refusal=refusals[0] if refusals else "",
-        contribution=actions.contribution,
+        rows=actions.contributions if save else (),
         judged=tuple(t for t in actions.keys if isinstance(t, BlockResult)),
     )
 

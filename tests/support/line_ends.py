@@ -24,7 +24,7 @@ from protocol.secret.nonces import NonceSource, fresh_nonce
 from protocol.secret.records import Key
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import CrashPoint
 
 PERIOD_S = 1.0
@@ -104,10 +104,10 @@ class Reports:
     def look(self, actions: Actions) -> None:
         """A step's record says what its report said, before the report may be said again."""
         record = actions.record
-        if record is None:
-            self._said = actions.measurement if actions.coin != NO_SYMBOL else None
-            return
+        assert record is not None
         report, self._said = self._said, None
+        if actions.coin != NO_SYMBOL:
+            self._said = actions.measurement
         if report is None or not isinstance(record, ReceiverRecord) or record.k != report.k:
             return
         if record.session == report.session:
@@ -124,7 +124,7 @@ class Reports:
 def line_controller(
     rules: Rules,
     propose: Callable[[Vector], tuple[Vector, ...]],
-    journal: MemoryControllerJournal,
+    journal: ControllerJournal,
     fresh: SymbolSource,
     instance: str,
     nonces: NonceSource = fresh_nonce,
@@ -132,8 +132,7 @@ def line_controller(
     coin_keys: Iterable[Key] = (),
 ) -> ControllerCore:
     """A controller's endpoint as its journal has it."""
-    record = journal.load()
-    contributions = journal.contributions(None if record is None else record.session)
+    loaded = journal.load()
     return ControllerCore(
         rules,
         propose,
@@ -141,10 +140,10 @@ def line_controller(
         fresh,
         instance=instance,
         period_s=period_s,
-        record=record,
-        measurement=journal.measurement,
-        offer=journal.offer,
-        contributions=contributions,
+        record=loaded.record,
+        measurement=loaded.measurement,
+        offer=loaded.offer,
+        contributions=loaded.rows,
         coin_keys=coin_keys,
         nonces=nonces,
     )
@@ -234,7 +233,7 @@ class ActingLine(OperatedPlant, Coin):
 
 def line_plant(
     rules: Rules,
-    journal: MemoryPlantJournal,
+    journal: PlantJournal,
     new_id: Callable[[], str],
     instance: str,
     now: float,
@@ -248,7 +247,8 @@ def line_plant(
     """A plant's endpoint as its journal has it, and what it steps, or acts on; it begins at 0."""
     x = None if device is None else device.start()
     plant = LinePlant() if device is None else ActingLine(device)
-    record = journal.load()
+    loaded = journal.load()
+    record = loaded.record
     first = record or ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
     core = PlantCore(
         rules,
@@ -260,12 +260,12 @@ def line_plant(
         now,
         instance=instance,
         record=first,
-        chunks=journal.chunks(),
-        contributions=journal.contributions(first.session),
+        symbols=loaded.symbols,
+        contributions=loaded.rows,
         coin_keys=coin_keys,
-        offer=journal.offer,
-        tossed=journal.coin,
-        report=journal.measurement,
+        offer=loaded.offer,
+        tossed=loaded.coin,
+        report=loaded.measurement,
         back=None if record is None else x,
         fresh=record is None,
         steps=steps,

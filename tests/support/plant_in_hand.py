@@ -68,7 +68,7 @@ class PlantInHand:
 
     Parameters
     ----------
-    rules, instance, record, chunks, contributions, offer, tossed, report
+    rules, instance, record, symbols, contributions, offer, tossed, report
         As of :class:`plant_service.core.PlantCore`.
     fresh : NonceSource
     plant, coin, fallback : optional
@@ -82,7 +82,7 @@ class PlantInHand:
         rules: Rules,
         instance: str,
         record: ReceiverRecord,
-        chunks: str = "",
+        symbols: str = "",
         contributions: Iterable[Contribution] = (),
         fresh: NonceSource = fresh_nonce,
         *,
@@ -115,7 +115,7 @@ class PlantInHand:
             0.0,
             instance=instance,
             record=record,
-            chunks=chunks,
+            symbols=symbols,
             contributions=contributions,
             offer=offer,
             tossed=tossed,
@@ -156,10 +156,10 @@ class PlantInHand:
             self.notices += actions.notices
             self.published += actions.publish
             self.tasks += actions.keys
-            if actions.record is not None:
-                self.saved.append(actions)
-            elif actions.offer is not None:
+            if actions.record is not None and actions.finish_step and actions.offer is not None:
                 self.step = actions
+            elif actions.record is not None:
+                self.saved.append(actions)
             if not actions.finish_step:
                 return
             actions = self.core.finish_step()

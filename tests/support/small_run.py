@@ -11,6 +11,7 @@ import tomllib
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Literal
+from zlib import crc32
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
@@ -66,8 +67,9 @@ class Queue:
     def payload(self, number: int) -> bytes | None:
         return self.payloads[number] if number < len(self.payloads) else None
 
-    def queued_as(self, identifier: str) -> bytes | None:
-        return self.payload(int(identifier)) if identifier.isdigit() else None
+    def crc_of(self, identifier: str) -> int | None:
+        payload = self.payload(int(identifier)) if identifier.isdigit() else None
+        return None if payload is None else crc32(payload)
 
     def identifier(self, number: int) -> str:
         return str(number)
@@ -110,7 +112,7 @@ class SmallRun:
         self._tell_queue()
         self.sender = self._new_sender(None)
         record = first_record(self.scenario, "0" * 15 + "1")
-        self._chunks = ""
+        self._symbols = ""
         self.receiver = self._new_plant(record, "new journal")
         self._meet()
 
@@ -151,10 +153,10 @@ class SmallRun:
             self._capture_back()
         if fault == "plant forgets":
             session = f"{int(self.receiver.record.session, 16) + 1:016x}"
-            self._chunks = ""
+            self._symbols = ""
             self.receiver = self._new_plant(first_record(self.scenario, session), "new journal")
         if fault == "journal put back":  # the plant's, as it was copied; it holds a step
-            record, self._chunks, offer = self._copied
+            record, self._symbols, offer = self._copied
             self.receiver = self._new_plant(record, "resumed from the journal")
             self.receiver.takes(offer)
             self._counted(saved=True)
@@ -162,7 +164,7 @@ class SmallRun:
             self._meet()
         offer = self._measure()
         if fault == "journal copied":
-            self._copied = (self.receiver.record, self._chunks, offer)
+            self._copied = (self.receiver.record, self._symbols, offer)
         if fault == "repeated":
             assert self._measure() == offer
         if fault == "offer lost":
@@ -207,7 +209,8 @@ class SmallRun:
             elif saved:
                 assert isinstance(event, SessionBegan), event
         for save in self.receiver.saved if saved else ():
-            self._chunks = save.chunk if save.drop_chunks else self._chunks + save.chunk
+            assert isinstance(save.record, ReceiverRecord)
+            self._symbols = (self._symbols + save.symbols)[: save.record.stored]
 
     def _miss(self) -> None:
         self._plant_trace.write(self.receiver.miss().as_event())
@@ -223,7 +226,7 @@ class SmallRun:
             if outcome == "accepted":
                 return
             if outcome == "ended":
-                self._chunks = ""
+                self._symbols = ""
                 self._plant_trace.write({"event": "session", "session": new, "reason": "ended"})
             effects = self.sender.heard_plant(self.receiver.hello())
             if effects.save:
@@ -257,7 +260,7 @@ class SmallRun:
             rules_of(self.scenario),
             f"{self._lives:016x}",
             record,
-            self._chunks,
+            self._symbols,
             offer=step.offer,
             tossed=step.coin,
             report=step.measurement,

@@ -8,7 +8,7 @@ nothing: a subclass looks at what an end writes, says and traces.
 class                  the ends are                    who needs it
 =====================  ==============================  ========================================
 :class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
-                       in memory, with twins on disk
+                       in memory, or on disk
 `KeyedEnds`            these with key stores, coin     what must happen once, at each event
                        and guard
 `RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
@@ -35,15 +35,22 @@ from protocol.secret.records import Key, Side
 from protocol.secret.tasks import Done, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.key_opening import guarded_by
 from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
 from tests.support.giving import ask
+from tests.support.journals import (
+    CopiedControllerJournal,
+    CopiedPlantJournal,
+    controller_journal,
+    handed_over,
+    plant_journal,
+)
 from tests.support.line_ends import (
     ActingLine,
     LineDevice,
@@ -53,7 +60,6 @@ from tests.support.line_ends import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
-from tests.support.twin_journals import TwinControllerJournal, TwinPlantJournal
 
 Name = Literal["plant", "controller", "rival"]
 """An end; the rival is a second controller on the same loop."""
@@ -350,7 +356,7 @@ class LineEnds(TwoEnds):
     payloads, rivals : sequence of bytes
         The controller's messages; those of a second one, which is there if they are given.
     on_disk : bool
-        Journals have twins on disk.
+        The journals are files, and each process finds a copy of them.
     acts : bool
         The plant is a device: its step is begun, and read when it ends.
     guard : Defence, optional
@@ -392,13 +398,15 @@ class LineEnds(TwoEnds):
             self.stores = {side: KeyStore(None, side) for side in SIDES}
         if rules.keyed or guard is not None:
             self.asks = "always"
-        queue = TwinControllerJournal if on_disk else MemoryControllerJournal
-        self.journals: dict[Name, MemoryControllerJournal | MemoryPlantJournal] = {
-            "plant": TwinPlantJournal() if on_disk else MemoryPlantJournal(),
-            "controller": queue(*payloads),
+        self._payloads: dict[Name, Sequence[bytes]] = {"controller": payloads}
+        self.journals: dict[Name, ControllerJournal | PlantJournal] = {
+            "plant": CopiedPlantJournal() if on_disk else plant_journal()
         }
         if rivals is not None:
-            self.journals["rival"] = queue(*rivals)
+            self._payloads["rival"] = rivals
+        for side, some in self._payloads.items():
+            queue = CopiedControllerJournal() if on_disk else controller_journal()
+            self.journals[side] = handed_over(queue, some)
         for side in self.journals:
             self.start(side)
 
@@ -406,6 +414,13 @@ class LineEnds(TwoEnds):
         """Let go of stores and journals."""
         for kept in (*self.stores.values(), *self.journals.values()):
             kept.close()
+
+    def forget(self, side: Name) -> None:
+        """An end loses its journal; a controller is handed its messages again."""
+        journal = self.journals[side]
+        journal.forget()
+        if isinstance(journal, ControllerJournal):
+            handed_over(journal, self._payloads[side])
 
     def propose(self, side: Name, x: Vector) -> tuple[Vector, ...]:
         """The candidates of a controller: around the origin, 3 apart."""
@@ -433,13 +448,13 @@ class LineEnds(TwoEnds):
         store = self.stores[side]
         peer: Peer = end
         if self.guard is not None:
-            peer = guarded_by(end, store, self.guard, self.journals[side].load())
+            peer = guarded_by(end, store, self.guard, self.journals[side].load().record)
         return Alive(end, peer, ports, KeyMaker(store), tasks=tasks)
 
     def _controller(self, side: Name) -> ControllerCore:
         journal = self.journals[side]
-        assert isinstance(journal, MemoryControllerJournal)
-        keys = self._coin_keys("controller", journal.load())
+        assert isinstance(journal, ControllerJournal)
+        keys = self._coin_keys("controller", journal.load().record)
         return line_controller(
             self.rules,
             partial(self.propose, side),
@@ -451,8 +466,8 @@ class LineEnds(TwoEnds):
 
     def _plant(self, ports: CrashingPorts) -> PlantCore:
         journal = self.journals["plant"]
-        assert isinstance(journal, MemoryPlantJournal)
-        keys = self._coin_keys("plant", journal.load())
+        assert isinstance(journal, PlantJournal)
+        keys = self._coin_keys("plant", journal.load().record)
         common = self.name, self.name(), self.now, self.period_s
         if self.device is not None:
             self.device.passes = ports.passes

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from math import inf
 from pathlib import Path
-from typing import Final, Literal, Protocol
+from typing import Final, Literal
 
 from controller_service.core import ControllerCore
 from plant_service.adapters.base import PlantAdapter, Stepped
@@ -25,23 +25,29 @@ from protocol.link.pacing import Pacing
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
-from protocol.messages import KeyAnswer, KeyRequest, Measurement, Message, Offer, Status
+from protocol.messages import (
+    KeyAnswer,
+    KeyRequest,
+    Measurement,
+    Message,
+    Offer,
+    SendCommand,
+    Status,
+)
 from protocol.scenario import Scenario
 from protocol.secret.records import Key
 from protocol.secret.tasks import Done, Task
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
-from runtime.journal import ReceiverJournal
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.key_opening import End, guarded_by
 from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
 from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
-from runtime.memory_journal import MemoryControllerJournal, MemoryPlantJournal
 from runtime.model import load_model
 from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
-from runtime.ports import Journal
 from wyner.simulate.faults import Faults
 from wyner.simulate.single import Law
 
@@ -74,21 +80,16 @@ LONGEST: Final = 5
 four of a step (save it, publish it, trace what it counted, keep the record), or after all."""
 
 
-class Disk(Journal, Protocol):
-    """A journal that may be lost."""
-
-    def forget(self) -> None:
-        """Lose everything."""
-
-
-class PlantStorage(Disk, ReceiverJournal, Protocol):
-    """The plant's."""
-
-
 class _Ports:
     """What one end does to the world: its disk, the network, the history."""
 
-    def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
+    def __init__(
+        self,
+        world: "Simulation",
+        side: Side,
+        partner: Side,
+        journal: ControllerJournal | PlantJournal,
+    ) -> None:
         self._world = world
         self._side: Side = side
         self._partner: Side = partner
@@ -120,7 +121,13 @@ class SimulatedEnd:
     ``asker`` asks the other end which keys may be given, where a defence takes some.
     """
 
-    def __init__(self, world: "Simulation", side: Side, partner: Side, journal: Disk) -> None:
+    def __init__(
+        self,
+        world: "Simulation",
+        side: Side,
+        partner: Side,
+        journal: ControllerJournal | PlantJournal,
+    ) -> None:
         self.side: Side = side
         self.partner: Side = partner
         self.journal = journal
@@ -148,7 +155,7 @@ class Simulation:
         None: nothing goes wrong.
     step_s : float, optional
         A deadline each step, in virtual seconds; None for lock-step.
-    plant_journal : PlantStorage, optional
+    plant_journal : PlantJournal, optional
         None: one in memory.
     own : callable, optional
         Gives what stands in the place of the scenario's plant, for each process.
@@ -174,7 +181,7 @@ class Simulation:
         faults: Faults | None = None,
         step_s: float | None = None,
         run: int = 0,
-        plant_journal: PlantStorage | None = None,
+        plant_journal: PlantJournal | None = None,
         own: Callable[[], Stepped | PlantAdapter] | None = None,
         folder: Path = Path(),
     ) -> None:
@@ -192,8 +199,10 @@ class Simulation:
         self.random = random.Random(seed)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._number = 0
-        self._queue = MemoryControllerJournal(*payloads)
-        self._plant_journal = plant_journal or MemoryPlantJournal()
+        self._payloads = payloads
+        self._queue = ControllerJournal(None, scenario.fingerprint())
+        self._hand_over()
+        self._plant_journal = plant_journal or PlantJournal(None, scenario.fingerprint())
         self._controller: ControllerCore
         self.plant: PlantCore
         self._offered: list[Offer] = []
@@ -355,10 +364,10 @@ class Simulation:
         way: Direction
         halt = None
         if side == "plant":
-            record = self._plant_journal.load()
+            record = self._plant_journal.load().record
             core, kind, way = self._new_plant(incarnations), Offer, "to_plant"
         else:
-            record = self._queue.load()
+            record = self._queue.load().record
             core, kind, way = self._new_controller(), Measurement, "to_controller"
             halt = self._controller.halt
         defence = self.scenario.defence.guard(
@@ -374,7 +383,8 @@ class Simulation:
         return behind(channel, end, kind)
 
     def _new_controller(self) -> ControllerCore:
-        record = self._queue.load()
+        loaded = self._queue.load()
+        record = loaded.record
         self._controller = ControllerCore(
             rules_of(self.scenario),
             self._law.candidates,
@@ -383,9 +393,9 @@ class Simulation:
             instance=self._identifier(),
             period_s=self.scenario.plant.period_s,
             record=record,
-            measurement=self._queue.measurement,
-            offer=self._queue.offer,
-            contributions=self._queue.contributions(None if record is None else record.session),
+            measurement=loaded.measurement,
+            offer=loaded.offer,
+            contributions=loaded.rows,
             coin_keys=self._coin_keys("controller", None if record is None else record.session),
             predict=self._predict,
         )
@@ -396,7 +406,7 @@ class Simulation:
         draws = self._run if incarnations == 1 else self._run + 1000 * incarnations
         # Where outputs are read such a step is made again with the d that it had.
         disturbed = draws if self.scenario.plant.C is None else self._run
-        record = self._plant_journal.load()
+        record = self._plant_journal.load().record
         self.plant = open_core(
             self.scenario,
             self._plant_journal,
@@ -454,7 +464,14 @@ class Simulation:
         if self.chance(self._faults.amnesia):
             self.history.amnesias += 1
             end.journal.forget()
+            if end.side == "controller":
+                self._hand_over()
         self.after(self.random.random() * self._faults.down_s, lambda: self._start(end.side))
+
+    def _hand_over(self) -> None:
+        """The operator hands over all messages."""
+        for number, payload in enumerate(self._payloads):
+            self._queue.enqueue(SendCommand(id=f"{number}", payload=payload))
 
     def _note_offers(self) -> None:
         """Note for which transition an offer was meant, once the controller has counted so far.

@@ -18,10 +18,8 @@ from protocol.link.pacing import Pacing
 from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.streams import SystemSymbols
 from protocol.vectors import Vector
-from runtime.journal import ControllerJournal, PlantJournal
-from runtime.journal_files import JournalError
+from runtime.journal import ControllerJournal, JournalError, PlantJournal
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
-from runtime.step_log import STEPS
 
 INSTANCE: Final = "0" * 16
 
@@ -39,8 +37,14 @@ class JournalState:
         The transition that follows the record, as a trace's event.
     s : int
         The automaton's state after it.
-    messages : tuple of (str, bytes)
-        The controller's queue, or what the plant has received (without identifiers).
+    messages : int
+        How many were queued at the controller, or received at the plant, since this journal began.
+    delivered : int
+        Of the controller's queue.
+    waiting : tuple of (str, bytes)
+        Identifier and text of the messages that the controller has still to deliver.
+    last : bytes, optional
+        The message that the plant received last.
     k : int
         Step that the plant has come to.
     x : tuple of float
@@ -51,7 +55,10 @@ class JournalState:
     transitions: int
     pending: dict[str, Any] | None
     s: int
-    messages: tuple[tuple[str, bytes], ...]
+    messages: int
+    delivered: int = 0
+    waiting: tuple[tuple[str, bytes], ...] = ()
+    last: bytes | None = None
     k: int = -1
     x: tuple[float, ...] = ()
 
@@ -61,12 +68,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
 
     def read(path: Path) -> JournalState:
         with ControllerJournal(path, rules.fingerprint) as journal:
-            messages = tuple(
-                (journal.identifier(number), journal.payload(number) or b"")
-                for number in range(journal.queued)
-            )
-            record = journal.load()
-            contributions = journal.contributions(None if record is None else record.session)
+            loaded = journal.load()
             core = ControllerCore(
                 rules,
                 _propose_nothing,
@@ -74,10 +76,10 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 SystemSymbols(),
                 instance=INSTANCE,
                 period_s=1.0,
-                record=record,
-                measurement=journal.measurement,
-                offer=journal.offer,
-                contributions=contributions,
+                record=loaded.record,
+                measurement=loaded.measurement,
+                offer=loaded.offer,
+                contributions=loaded.rows,
             )
             pending = None
             if core.unfinished:
@@ -85,13 +87,19 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                     if isinstance(event, CountedTransition):
                         pending = event.as_event()
             record = core.record
-        return JournalState(
-            session=record.session,
-            transitions=record.transitions,
-            pending=pending,
-            s=record.s,
-            messages=messages,
-        )
+            return JournalState(
+                session=record.session,
+                transitions=record.transitions,
+                pending=pending,
+                s=record.s,
+                messages=journal.queued,
+                delivered=record.message,
+                waiting=tuple(
+                    (identifier, payload)
+                    for number, identifier, payload in journal.waiting()
+                    if number >= record.message
+                ),
+            )
 
     return _from_copy(run_dir / CONTROLLER_JOURNAL, read)
 
@@ -101,8 +109,8 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
 
     def read(path: Path) -> JournalState | None:
         with PlantJournal(path, rules.fingerprint) as journal:
-            record = journal.load()
-            if record is None:
+            loaded, last = journal.load(), journal.last_message()
+            if loaded.record is None:
                 return None
             core = PlantCore(
                 rules,
@@ -113,25 +121,27 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 lambda: INSTANCE,
                 0.0,
                 instance=INSTANCE,
-                record=record,
-                chunks=journal.chunks(),
-                contributions=journal.contributions(record.session),
-                offer=journal.offer,
-                tossed=journal.coin,
-                report=journal.measurement,
+                record=loaded.record,
+                symbols=loaded.symbols,
+                contributions=loaded.rows,
+                offer=loaded.offer,
+                tossed=loaded.coin,
+                report=loaded.measurement,
             )
-            messages = tuple(("", payload) for payload in journal.inbox(-1))
         pending = None
         if core.start(0.0).finish_step:
-            counted = [e for e in core.finish_step().events if isinstance(e, CountedTransition)]
+            actions = core.finish_step()
+            counted = [e for e in actions.events if isinstance(e, CountedTransition)]
             pending = counted[0].as_event()
+            last = last if actions.received is None else actions.received
         record = core.record
         return JournalState(
             session=record.session,
             transitions=record.transitions,
             pending=pending,
             s=record.s,
-            messages=messages,
+            messages=record.messages,
+            last=last,
             k=record.k,
             x=record.x,
         )
@@ -180,8 +190,7 @@ def _from_copy(
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / path.name
         try:
-            # Steps first: those that a process has since put into its database are then left out.
-            for suffix in (STEPS, "", "-wal"):
+            for suffix in ("", "-wal"):
                 source = path.with_name(path.name + suffix)
                 if source.is_file():
                     shutil.copyfile(source, copy.with_name(copy.name + suffix))

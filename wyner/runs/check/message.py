@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.events import NEW_JOURNAL
 from protocol.schemes.framing import Deframer
 from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
@@ -18,6 +19,7 @@ from wyner.runs.check.records import (
     QueuedLine,
     RecoveredLine,
     Refused,
+    SessionLine,
     TracedTransition,
     Walked,
 )
@@ -179,6 +181,8 @@ class Frames(Check):
     def feed(self, part: Part) -> None:
         for name, items in part.sides():
             for item in items:
+                if name == "plant" and _new_journal(item):
+                    self._received.clear()
                 whole = self._framing[name].feed(item)
                 if whole is not None:
                     at, text = whole.at, f"{name}'s trace: a frame fails its check"
@@ -198,17 +202,23 @@ class Frames(Check):
             self.counter.note += f"; {lost} reports lost to kills"
 
     def _same_inbox(self, plant: SideReader, journal: JournalState) -> None:
-        """What the plant's journal received are the last frames of its trace."""
+        """The plant's journal has received as many messages as its trace, and the same last one."""
         if plant.behind:
             return  # put back from an older copy, it has lost what came since
-        received, kept = self._received, [payload for _, payload in journal.messages]
-        if plant.from_journal and len(received) > len(kept):
-            received = received[:-1]  # of the step that is in the journal and not yet counted
-        if plant.gone:
-            kept = kept[max(len(kept) - len(received), 0) :]
-        if kept and received[-len(kept) :] != kept:
-            text = f"the plant's journal has received {len(kept)} messages that its trace has not"
+        received = self._received
+        if len(received) != journal.messages and not plant.gone:
+            text = f"the plant's trace has {len(received)} messages since its journal began, "
+            text += f"the journal counts {journal.messages}"
             self.counter.count(False, "", -1, -1, text)
+        elif received and received[-1] != journal.last:
+            text = f"the plant's trace ends with message {received[-1]!r}, "
+            self.counter.count(False, "", -1, -1, f"{text}its journal with {journal.last!r}")
+
+
+def _new_journal(item: Item) -> bool:
+    """Whether the plant begins a new journal."""
+    line = item.line if isinstance(item, OtherLine) else None
+    return isinstance(line, SessionLine) and line.reason == NEW_JOURNAL
 
 
 @dataclass(slots=True)
@@ -328,7 +338,7 @@ class Messages(Check):
     def finish(self) -> None:
         queue, journal = self._queue, self.evidence.controller_journal
         if isinstance(journal, JournalState):
-            for name, payload in journal.messages:
+            for name, payload in journal.waiting:
                 text = f"message {name} is in the controller's journal, and not in its trace"
                 self.counter.count((name, payload) in queue.told, "", -1, -1, text)
         queued = len(queue.told) - len(queue.void)

@@ -1,0 +1,111 @@
+"""Journals of ends that are driven by hand: in memory, or on disk and copied at each death."""
+
+import shutil
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from protocol.agreement import NO_SYMBOL
+from protocol.messages import Measurement, Offer, SendCommand
+from runtime.journal import ControllerJournal, PlantJournal
+
+SCENARIO = "f" * 64
+
+NO_STEP = (None, NO_SYMBOL, None)
+
+
+def plant_journal() -> PlantJournal:
+    """A plant's in memory; it outlives the ends that write it."""
+    return PlantJournal(None, SCENARIO)
+
+
+def controller_journal(*payloads: bytes) -> ControllerJournal:
+    """A controller's in memory, with messages to deliver."""
+    return handed_over(ControllerJournal(None, SCENARIO), payloads)
+
+
+def handed_over(journal: ControllerJournal, payloads: Sequence[bytes]) -> ControllerJournal:
+    """The journal, with messages in its queue."""
+    for payload in payloads:
+        journal.enqueue(SendCommand(id=f"{journal.queued}", payload=payload))
+    return journal
+
+
+def copied(journal: Path, folder: Path) -> Path:
+    """A copy of a journal's files, as a death leaves them."""
+    folder.mkdir()
+    for path in journal.parent.glob(f"{journal.name}*"):
+        shutil.copyfile(path, folder / path.name)
+    return folder / journal.name
+
+
+def step_of(
+    journal: ControllerJournal | PlantJournal,
+) -> tuple[Offer | None, int, Measurement | None]:
+    """The step that follows the record; :data:`NO_STEP` where none does."""
+    loaded: Any = journal.load()
+    return loaded.offer, loaded.coin, loaded.measurement
+
+
+class _Copied:
+    """A journal on disk. One who loads it is another process: it finds a copy of the files."""
+
+    if TYPE_CHECKING:
+        path: Path | None
+
+    def __init__(self) -> None:
+        self._folder: Path | None = None
+        self._lives = 0
+        first = Path(tempfile.mkdtemp())
+        super().__init__(first / "0" / "journal", SCENARIO)  # type: ignore[call-arg]
+        self._folder = first
+
+    def load(self) -> Any:
+        """What a copy holds of the files as they lie there; that goes on."""
+        before = super().load()  # type: ignore[misc]
+        if self._folder is None:  # it is being opened
+            return before
+        assert self.path is not None
+        self._lives += 1
+        path = copied(self.path, self._folder / f"{self._lives}")
+        super().close()  # type: ignore[misc]
+        folder, self._folder = self._folder, None
+        super().__init__(path, SCENARIO)  # type: ignore[call-arg]
+        self._folder = folder
+        assert super().load() == before  # type: ignore[misc]
+        return before
+
+    def close(self) -> None:
+        """Close it and remove the files."""
+        super().close()  # type: ignore[misc]
+        if self._folder is not None:
+            shutil.rmtree(self._folder)
+
+
+class CopiedControllerJournal(_Copied, ControllerJournal):
+    """The controller's."""
+
+
+class CopiedPlantJournal(_Copied, PlantJournal):
+    """The plant's."""
+
+
+def contents(journal: ControllerJournal | PlantJournal) -> tuple[tuple[Any, ...], ...]:
+    """All rows of a journal, table by table."""
+    db = journal._db
+    names = [table.split()[0] for table in journal.tables]
+    return tuple([tuple(db.execute(f"SELECT * FROM {name}")) for name in names])
+
+
+def fill(
+    journal: ControllerJournal | PlantJournal, rows: tuple[tuple[Any, ...], ...]
+) -> ControllerJournal | PlantJournal:
+    """A journal with these rows in the place of its own."""
+    journal.forget()
+    for table, some in zip(journal.tables, rows, strict=True):
+        if some:
+            marks = ", ".join("?" * len(some[0]))
+            journal._db.executemany(f"INSERT INTO {table.split()[0]} VALUES ({marks})", some)
+    journal.load()
+    return journal
