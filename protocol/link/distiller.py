@@ -50,32 +50,25 @@ class BlockEnded(NamedTuple):
         return {"event": "block", **self._asdict()}
 
 
-class KeyChanges(NamedTuple):
-    """What has changed since the last time: to be traced, saved with the step, and done.
+class KeyRows(NamedTuple):
+    """Rows of the journal that change with the next save.
 
     Parameters
     ----------
-    ended : tuple of BlockEnded
-    parts : tuple of Part
-        Rows of the stream; those without digits are to be erased.
+    contributions : tuple of Contribution
+        Of transitions that were counted since the last save.
     obsolete_rows : tuple of range
         Transitions whose rows no block needs any more.
-    tasks : tuple of ClosedBlock
-        Blocks to be extracted.
+    parts : tuple of Part
+        Digits of the stream; a part without any is to be erased.
     """
 
-    ended: tuple[BlockEnded, ...] = ()
-    parts: tuple[Part, ...] = ()
+    contributions: tuple[Contribution, ...] = ()
     obsolete_rows: tuple[range, ...] = ()
-    tasks: tuple[ClosedBlock, ...] = ()
-
-    @property
-    def unequal(self) -> bool:
-        """Whether a block differs from the partner's."""
-        return any(block.what == "unequal" for block in self.ended)
+    parts: tuple[Part, ...] = ()
 
 
-NO_CHANGES: Final = KeyChanges()
+NO_ROWS: Final = KeyRows()
 
 
 class Distiller:
@@ -159,6 +152,7 @@ class Distiller:
         self._over: set[int] = set()
         self._ended: list[BlockEnded] = []
         self._parts: list[Part] = []
+        self._rows: list[Contribution] = []
         self.stopped = ""
         if self.schedule is not None:
             self._open = OpenBlock(self.schedule.assumption)
@@ -237,6 +231,7 @@ class Distiller:
             heard=offer.heard,
         )
         self._count(self.schedule, row)
+        self._rows.append(row)
         return row
 
     def _count(self, schedule: Schedule, row: Contribution) -> None:
@@ -343,31 +338,35 @@ class Distiller:
 
     # --- what is to be done -----------------------------------------------------------------------
 
-    def changes(self) -> KeyChanges:
-        """What has changed since the last time."""
-        if self.schedule is None:
-            return NO_CHANGES
+    def ended(self) -> tuple[BlockEnded, ...]:
+        """What became of blocks since the last time."""
+        ended, self._ended = tuple(self._ended), []
+        return ended
+
+    def tasks(self) -> tuple[ClosedBlock, ...]:
+        """Blocks to be extracted now; each once."""
         tasks: list[ClosedBlock] = []
         while self._closed and not self.broken:
-            unconfirmed = sum(number > self.confirmed for number in self._wanted)
-            if unconfirmed >= UNCONFIRMED:
+            if sum(number > self.confirmed for number in self._wanted) >= UNCONFIRMED:
                 break
             tasks.append(self._closed.pop(0))
             self._wanted.add(tasks[-1].number)
+        return tuple(tasks)
+
+    def rows(self) -> KeyRows:
+        """What the journal must save with the record, once."""
+        if self.schedule is None:
+            return NO_ROWS
         over = {n for n in self._over if n <= self.block or n not in self._wanted}
         self._over -= over
         for number in over:
             self._extracted.pop(number, None)
             self._wanted.discard(number)
         begins = self.schedule.begins
-        changes = KeyChanges(
-            tuple(self._ended),
-            tuple(self._parts),
-            tuple(range(begins(n), begins(n + 1)) for n in sorted(over)),
-            tuple(tasks),
-        )
-        self._ended, self._parts = [], []
-        return changes
+        obsolete = tuple(range(begins(n), begins(n + 1)) for n in sorted(over))
+        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._parts))
+        self._rows, self._parts = [], []
+        return rows
 
     def status_fields(self) -> dict[str, Any]:
         """Fields of a status on keys."""

@@ -42,6 +42,7 @@ from protocol.agreement import (
 )
 from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
+from protocol.defence.watch import Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -52,6 +53,7 @@ from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
 from protocol.secret.key_digits import fails
 from protocol.secret.nonces import Contribution
+from protocol.secret.stream import NOWHERE, Position
 from protocol.vectors import Vector
 
 if TYPE_CHECKING:
@@ -80,7 +82,9 @@ class Rules:
     predicted : bool
         f_c is not linear: its predictions travel with the offer.
     keyed : bool
-        The plant's coin comes from keys, as long as there are some.
+        The plant's coin comes from the key stream, as long as it has digits.
+    watch : Watch
+        When unwatched steps make an alarm, where the coin is keyed.
     alarm_rule : AlarmRule
         When failed tests make an alarm.
     defence : str
@@ -102,6 +106,7 @@ class Rules:
     schedule: Schedule | None = None
     predicted: bool = False
     keyed: bool = False
+    watch: Watch = Watch(1.0, 0)
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
     defence: str = "residual"
@@ -171,15 +176,20 @@ class Rules:
             return offer.predictions[candidate]
         return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
 
-    def malformed_coin(self, name: str, *said: object) -> str:
-        """What is wrong with a message's fields of the coin, which begin with ``name``."""
-        if not self.keyed:
-            return (
-                ""
-                if all(v is None for v in said)
-                else f"{name}: expected none, as no coin is keyed"
-            )
-        return f"{name}: expected one, as the coin is keyed" if None in said else ""
+    @property
+    def digits(self) -> int:
+        """Digits of the key stream that an offer takes: one for the coin, one for a sealed symbol.
+
+        The coin's is the first.
+        """
+        return self.keyed + self.scheme.from_stream
+
+    def malformed_digits(self, name: str, *said: object) -> str:
+        """What is wrong with a message's fields of the key stream, which begin with ``name``."""
+        if not self.digits:
+            none = all(v is None for v in said)
+            return "" if none else f"{name}: expected none, as the key stream is not used"
+        return f"{name}: expected one, as the key stream is used" if None in said else ""
 
     def malformed_predictions(self, predictions: tuple[Vector, ...]) -> str:
         """What is wrong with an offer's predictions; nothing where they are as the rules say."""
@@ -217,6 +227,7 @@ def rules_of(scenario: Scenario) -> Rules:
         schedule=None if scenario.keys is None else scenario.keys.schedule(),
         predicted=scenario.defender.model is not None,
         keyed=scenario.defence.keyed,
+        watch=scenario.watch,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
         defence=scenario.defence.words(),
@@ -269,10 +280,9 @@ class CountedTransition(NamedTuple):
     copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
     ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
     b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
-    ``true_u`` are the ``truth``, for whoever judges the run. ``coin_key`` is the key that the
-    plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
-    coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
-    candidate that its own copy of that key chose: -1 where the transition is unwatched. A
+    ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the
+    key stream of the digits that served, None where none did. Only the controller has ``expected``,
+    the candidate that its own digit chose: -1 where the transition is unwatched. A
     frame that it completed is ``delivered`` (controller), ``recovered`` or ``refused`` (plant).
     """
 
@@ -296,8 +306,7 @@ class CountedTransition(NamedTuple):
     coin: int = NO_SYMBOL
     u: Vector = ()
     truth: Truth | None = None
-    coin_key: str | None = None
-    coin_from: int = -1
+    digits: Position | None = None
     expected: int = NO_SYMBOL
     delivered: SendCommand | None = None
     recovered: bytes | None = None
@@ -318,7 +327,7 @@ class CountedTransition(NamedTuple):
         coin: int = NO_SYMBOL,
         u: Vector = (),
         truth: Truth | None = None,
-        coin_key: str | None = None,
+        digits: Position | None = None,
         expected: int = NO_SYMBOL,
         delivered: SendCommand | None = None,
         recovered: bytes | None = None,
@@ -347,8 +356,7 @@ class CountedTransition(NamedTuple):
             coin,
             u,
             truth,
-            coin_key,
-            offer.coin_from if coin_key and offer.coin_from is not None else -1,
+            digits,
             expected,
             delivered,
             recovered,
@@ -411,10 +419,15 @@ class CountedTransition(NamedTuple):
         if self.coin != NO_SYMBOL:
             event["coin"] = self.coin
             event["u"] = self.u
-        if self.coin_key is not None:
-            event["coin_key"] = self.coin_key
-        if self.coin_key:
-            event["coin_from"] = self.coin_from
+        if self.digits is not None:
+            event["digits"] = self.digits
         if self.expected != NO_SYMBOL:
             event["expected"] = self.expected
         return event if self.truth is None else event | self.truth.fields()
+
+
+def position_of(offer: Offer) -> Position:
+    """Where in the key stream an offer's digits begin; :data:`NOWHERE` where it has none."""
+    if offer.stream_block is None or offer.stream_at is None or offer.stream_block < 0:
+        return NOWHERE
+    return Position(offer.stream_block, offer.stream_at)

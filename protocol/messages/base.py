@@ -19,7 +19,6 @@ Count = Annotated[int, Field(ge=0, le=LARGEST_COUNT)]
 Copy = Literal[0, 1]
 Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
 BlockNumber = Annotated[int, Field(ge=-1)]
-KeyName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{0,64}$")]
 Tag = Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{32})?$")]
 
 
