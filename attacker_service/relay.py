@@ -6,12 +6,12 @@ on here. A message that comes again is rewritten as it was before.
 
 import queue
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.topics import key_of
 from protocol.vectors import Vector
 from runtime.bus import Bus
@@ -64,7 +64,7 @@ class Rewriter:
             return payload
         if isinstance(message, Measurement):
             return self._measurement(message).wire()
-        return self._offer(message).wire() if isinstance(message, Offer) else payload
+        return self._offer(message).wire()
 
     def _offer(self, offer: Offer) -> Offer:
         at = offer.session, offer.k
@@ -97,13 +97,12 @@ class Relay:
     def __init__(self, attacker: Asked, plant: Bus, controller: Bus, loop: str) -> None:
         self._rewriter = Rewriter(attacker)
         self._inbox: Inbox[_Passed] = Inbox()
-        self._put = {
+        self._put: dict[type[FieldMessage], Callable[[bytes], None]] = {
             Measurement: controller.publisher(key_of(Measurement, loop)).put,
             Offer: plant.publisher(key_of(Offer, loop)).put,
-            Sealed: plant.publisher(key_of(Sealed, loop)).put,
         }
-        for kind, bus in ((Measurement, plant), (Offer, controller), (Sealed, controller)):
-            self._listen(kind, bus, loop)
+        self._listen(Measurement, plant, loop)
+        self._listen(Offer, controller, loop)
 
     def _listen(self, kind: type[FieldMessage], bus: Bus, loop: str) -> None:
         def deliver(_key: str, payload: bytes, _t_ns: int) -> None:

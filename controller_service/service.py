@@ -26,8 +26,6 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
-from runtime.keys.sealed_book import SealedBook
-from runtime.keys.sealing import SealingEnd
 from runtime.logs import logger
 from runtime.model import load_model
 from runtime.network import channel_of
@@ -154,16 +152,12 @@ class ControllerService(EndService[ControllerCore]):
         stopping: threading.Event,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        def sealing(book: SealedBook) -> SealingEnd:
-            return SealingEnd(book, clock())
-
         log = logger("controller")
         super().__init__(
             config,
             open_controller(config),
             _channel(config),
             Measurement,
-            sealing,
             log,
             field,
             management,

@@ -22,12 +22,11 @@ register(
             "management": Ends((CONTROLLER_MANAGEMENT,), (PLANT_MANAGEMENT,)),
         },
         publishes={
-            "field": ("offer", "sealed"),
+            "field": ("offer",),
             "management": (
                 "management/controller/hello",
                 "management/controller/status",
                 "management/reply/send",
-                "management/reply/seal",
                 "management/keys/word",
                 "management/keys/request",
                 "management/keys/answer",

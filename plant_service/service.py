@@ -30,7 +30,6 @@ from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import JournalError, PlantJournal
 from runtime.key_opening import coin_keys, guarded, open_key_maker, refusal
-from runtime.keys.sealing import OpeningEnd
 from runtime.logs import logger
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -173,7 +172,7 @@ class PlantService(EndService[PlantCore]):
         try:
             channel = _channel(config)
             super().__init__(
-                config, opened, channel, Offer, OpeningEnd, log, field, management, stopping, clock
+                config, opened, channel, Offer, log, field, management, stopping, clock
             )
         except BaseException:
             let_go(opened[0])

@@ -16,7 +16,6 @@ register(
                 "management/plant/hello",
                 "management/plant/model",
                 "management/plant/status",
-                "management/plant/receipt",
                 "management/keys/word",
                 "management/keys/request",
                 "management/keys/answer",

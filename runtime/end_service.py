@@ -1,4 +1,4 @@
-"""One end of one loop as a service: a host with one endpoint, and sealed messages beside it."""
+"""One end of one loop as a service: a host with one endpoint, and beside it who asks about keys."""
 
 import logging
 import threading
@@ -15,12 +15,10 @@ from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from runtime.bus import Bus
 from runtime.host import Host
-from runtime.keys.sealed_book import SealedBook
-from runtime.keys.sealing import End
+from runtime.key_thread import KeyThread
 from runtime.keys.store import KeyStore
 from runtime.ports import Files
 from runtime.recording import Bounds
-from runtime.sealed_thread import SealedThread
 
 E = TypeVar("E", bound=Peer)
 
@@ -56,8 +54,6 @@ class EndService(Generic[E]):
         What this end's messages pass before they arrive.
     kind : type
         `Measurement` or `Offer`, what the channel carries.
-    sealed : callable
-        Makes its end of sealed messages, from the book of its key store.
     log : logging.Logger
     field, management : Bus
         Already open; closed by whoever opened them.
@@ -73,7 +69,6 @@ class EndService(Generic[E]):
         opened: tuple[E, Files],
         channel: Channel | None,
         kind: type[Measurement] | type[Offer],
-        sealed: Callable[[SealedBook], End],
         log: logging.Logger,
         field: Bus,
         management: Bus,
@@ -88,9 +83,7 @@ class EndService(Generic[E]):
         self._beside: AbstractContextManager[object] = nullcontext()
         if files.key_maker is not None:
             store = KeyStore(files.key_maker.path, files.key_maker.side)
-            self._beside = SealedThread(
-                sealed(SealedBook(store)), store, config.loop, field, management, log
-            )
+            self._beside = KeyThread(store, config.loop, management, log)
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
 

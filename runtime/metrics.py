@@ -57,7 +57,6 @@ COUNTERS = {
         "key_bits_held": ("keys_bits_held", "bits of their rows that she can compute"),
         "copies": ("keys_copies", "first copies that were sent, as far as she can tell"),
         "copies_missed": ("keys_copies_missed", "first copies that she missed"),
-        "sealed_bits_known": ("keys_sealed_bits_known", "bits that she knows of sealed texts"),
     },
 }
 

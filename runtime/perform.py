@@ -49,7 +49,7 @@ class Ports(Protocol):
 
 
 class Finishing(Protocol):
-    """An end of the link, or of sealed messages."""
+    """An end of the link."""
 
     def finish_step(self) -> Actions:
         """What can wait until the message is on its way."""

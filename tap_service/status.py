@@ -274,9 +274,6 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
         "copies_absent": keys.absent,
         "claim_refuted": keys.refuted,
         "misses_in_bursts": keys.bursts,
-        "sealed_bits": sum(text.bits for text in keys.sealed),
-        "sealed_bits_known": sum(text.known_bits for text in keys.sealed),
-        "sealed_text": keys.sealed[-1].text[:SHOWN_TEXT] if keys.sealed else "",
     }
 
 

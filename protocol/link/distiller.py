@@ -14,7 +14,7 @@ from collections.abc import Iterable
 from hmac import compare_digest
 from typing import Any, Final, Literal, NamedTuple
 
-from protocol.messages import BlockAnnouncement, Measurement, Offer
+from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, ClosedBlock, ExtractedBlock, OpenBlock, Schedule
 from protocol.secret.nonces import (
     FIRST,
@@ -276,7 +276,7 @@ class Distiller:
                 self.block, self.tag = following, self._extracted[following].tag
         return self.block, self.tag
 
-    def heard(self, message: Measurement | Offer | BlockAnnouncement) -> None:
+    def heard(self, message: Measurement | Offer) -> None:
         """Compare the partner's announcement: it confirms blocks, or shows that one differs."""
         mine = self._extracted.get(message.block)
         if mine is None or message.block <= self.confirmed or self._unequal or self.broken:
@@ -304,37 +304,12 @@ class Distiller:
         self.lost += bool(why_not)
         self.stopped = f"block {block.number} {why_not}" if why_not else ""
 
-    @property
-    def waiting(self) -> int:
-        """Blocks that are whole and not confirmed, and make keys.
-
-        A block that waits for one further transition is not among them.
-        """
-        schedule = self.schedule
-        if schedule is None or self.broken:
-            return 0
-        numbers = {block.number for block in self._closed} | self._wanted
-        return sum(
-            n > self.confirmed and self._newest >= schedule.begins(n + 1) for n in numbers
-        )
-
-    def block_announcement(self, side: Side) -> BlockAnnouncement:
-        """The announcement as a message of its own, after the last step."""
-        block, tag = self.announcement()
-        return BlockAnnouncement(
-            side=side, session=self.session, block=block, tag=tag, waiting=self.waiting
-        )
-
     # --- the stream -------------------------------------------------------------------------------
 
     def used(self, position: Position, count: int) -> None:
         """``count`` digits at a position have served: they and all before them are erased."""
         if position != NOWHERE:
             self._parts += self.stream.drop_before(Position(position.block, position.at + count))
-
-    def void(self) -> None:
-        """Erase all digits: the claim that they rest on is refuted."""
-        self._parts += self.stream.drop_before(Position(self.confirmed + 1, 0))
 
     # --- what is to be done -----------------------------------------------------------------------
 
@@ -377,7 +352,6 @@ class Distiller:
             "keys_refused": self.broken,
             "keys_stopped": self.crowded or self.stopped,
             "key_blocks_lost": self.lost,
-            "key_blocks_waiting": self.waiting,
             "appearances": self.appearances,
             "digits_left": self.stream.left,
         }

@@ -10,7 +10,7 @@ No model is nested in another, so a recorder's schema of each needs no reference
 
 from protocol.messages.adversary import ADVERSARY, TapStatus
 from protocol.messages.base import LARGEST_COUNT, SCHEMA, Message
-from protocol.messages.field import FIELD, FieldMessage, Measurement, Offer, Sealed
+from protocol.messages.field import FIELD, FieldMessage, Measurement, Offer
 from protocol.messages.management import (
     LATENCY_BOUNDS_S,
     MANAGEMENT,
@@ -22,9 +22,6 @@ from protocol.messages.management import (
     PlantHello,
     PlantModel,
     PlantStatus,
-    SealCommand,
-    SealedReceipt,
-    SealReply,
     SendCommand,
     SendReply,
     Status,
@@ -49,10 +46,6 @@ __all__ = [
     "PlantHello",
     "PlantModel",
     "PlantStatus",
-    "SealCommand",
-    "SealReply",
-    "Sealed",
-    "SealedReceipt",
     "SendCommand",
     "SendReply",
     "Status",

@@ -48,7 +48,7 @@ class TapStatus(Message):
         The model that she has learned or was given; empty: none.
     key_blocks, key_bits_held : int
         Key blocks that she attacked, and bits of their rows that she can compute; -1 bits: she
-        attacks no keys. The fields up to ``sealed_text`` are those of one who does.
+        attacks no keys. The fields up to ``misses_in_bursts`` are those of one who does.
     copies, copies_missed : int
         Copies 0 that were sent while she was there, and those of them that she missed.
     copies_absent : int
@@ -58,10 +58,6 @@ class TapStatus(Message):
         share of its copies that she misses.
     claim_refuted, misses_in_bursts : bool
         She misses less than the operator claims; her misses come in bursts.
-    sealed_bits, sealed_bits_known : int
-        Bits of the sealed texts that she heard lately, and those of them that she knows.
-    sealed_text : str
-        The last of these texts, with ``·`` for what she does not know.
     tail_k, tail_symbol : tuple of int
         Of the last transitions, oldest first: the step k, and the symbol that she holds likeliest.
     tail_probability, tail_agreed : tuple of float
@@ -100,9 +96,6 @@ class TapStatus(Message):
     copies_absent: Count = 0
     claim_refuted: bool = False
     misses_in_bursts: bool = False
-    sealed_bits: Count = 0
-    sealed_bits_known: Count = 0
-    sealed_text: str = ""
     tail_k: tuple[int, ...] = ()
     tail_symbol: tuple[int, ...] = ()
     tail_probability: FiniteVector = ()

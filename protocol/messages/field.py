@@ -3,13 +3,12 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import ConfigDict, Field, StringConstraints
+from pydantic import Field, StringConstraints
 
 from protocol.messages.base import (
     BlockNumber,
     Copy,
     Count,
-    Identifier,
     Message,
     Nonce,
     SessionId,
@@ -158,31 +157,5 @@ class Offer(StepMessage):
     mac: Mac | None = None
 
 
-class Sealed(Message):
-    """Controller to plant: a message under a one-time pad, with its one-time tag.
-
-    The operator orders it, and it travels beside the loop, so it tells nothing of the scheme.
-
-    Attributes
-    ----------
-    id : str
-        The message's id, as the operator gave it.
-    key_ids : tuple of str
-        Ids of the keys that it takes, 1 to 4096. Each key serves this message alone.
-    cipher : bytes
-        The ciphertext, as long as the text; base64 on the wire.
-    tag : str
-        The one-time tag of ids and ciphertext, 32 hexadecimal digits.
-    """
-
-    topic: ClassVar[str] = "sealed"
-    id: Identifier
-    key_ids: Annotated[tuple[Identifier, ...], Field(min_length=1, max_length=4096)]
-    cipher: bytes
-    tag: Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{32}$")]
-
-    model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
-
-
-FieldMessage = Measurement | Offer | Sealed
-FIELD: tuple[type[FieldMessage], ...] = (Measurement, Offer, Sealed)
+FieldMessage = Measurement | Offer
+FIELD: tuple[type[FieldMessage], ...] = (Measurement, Offer)

@@ -78,19 +78,14 @@ class ControllerHello(Message):
     answers: SessionId | None = None
 
 
-class _Command(Message):
-    """A message that an operator hands over, under an id of the operator's choice."""
+class SendCommand(Message):
+    """An operator's message for the controller to deliver. An ``id`` is queued once."""
 
+    topic: ClassVar[str] = "management/command/send"
     id: Identifier
     payload: bytes
 
     model_config = ConfigDict(ser_json_bytes="base64", val_json_bytes="base64")
-
-
-class SendCommand(_Command):
-    """An operator's message for the controller to deliver. An ``id`` is queued once."""
-
-    topic: ClassVar[str] = "management/command/send"
 
     def as_event(self) -> dict[str, Any]:
         """As a line of a trace: it was queued."""
@@ -106,35 +101,6 @@ class SendReply(Message):
     accepted: bool
     queued: Count
     detail: str = ""
-
-
-class SealCommand(_Command):
-    """An operator's message to be sent sealed. An ``id`` is taken once."""
-
-    topic: ClassVar[str] = "management/command/seal"
-
-
-class SealReply(Message):
-    """The controller's answer to every `SealCommand`, repeated ones included."""
-
-    topic: ClassVar[str] = "management/reply/seal"
-    id: Identifier
-    accepted: bool
-    delivered: bool
-    detail: str = ""
-
-
-class SealedReceipt(Message):
-    """The plant's answer to every `Sealed`, repeated ones included.
-
-    Where ``refused`` is empty the message was opened. Else it says why the plant will never open
-    it, and ``key_ids`` are those of the message.
-    """
-
-    topic: ClassVar[str] = "management/plant/receipt"
-    id: Identifier
-    key_ids: Annotated[tuple[Identifier, ...], Field(max_length=4096)] = ()
-    refused: str = ""
 
 
 _Use = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._ -]{1,128}$")]
@@ -559,9 +525,6 @@ MANAGEMENT: tuple[type[Message], ...] = (
     ControllerHello,
     SendCommand,
     SendReply,
-    SealCommand,
-    SealReply,
-    SealedReceipt,
     BlockAnnouncement,
     KeyRequest,
     KeyAnswer,

@@ -119,6 +119,7 @@ class ClosedBlock(NamedTuple):
         """Whether there are rows for a tag and a key."""
         return self.rows >= 2
 
+
 class OpenBlock:
     """A block under way. It takes rows as they come, so its last step costs no more than others."""
 
@@ -180,3 +181,9 @@ class ExtractedBlock(NamedTuple):
 
     def __repr__(self) -> str:
         return f"ExtractedBlock({self.session}/{self.number})"
+
+
+class ExtractionFailed(NamedTuple):
+    """No block can be extracted any more; the loop goes on without new keys."""
+
+    reason: str

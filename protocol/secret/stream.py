@@ -121,15 +121,18 @@ class Stream:
         self._parts += made
         return (*self.drop_before(Position(block - BLOCKS + 1, 0)), *made)
 
-    def name(self, count: int) -> Position:
+    def name(self, count: int, up_to: int) -> Position:
         """The next ``count`` digits that no offer has named; :data:`NOWHERE` where there are none.
 
-        All of them are digits of one key. The position moves on, whatever becomes of the offer.
+        All of them are digits of one key, of block ``up_to`` or an earlier one. The position moves
+        on, whatever becomes of the offer.
         """
         newest = self._parts[-1].block if self._parts else -1
         after = max(self._after, Position(newest - BLOCKS + 2, 0))
         for part in self._parts[max(0, self._place(after)) :]:
             left = part.since(after)
+            if part.block > up_to:
+                break
             if len(left.digits) >= count:
                 self._after = Position(left.block, left.first + count)
                 return left.begins

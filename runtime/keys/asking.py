@@ -1,7 +1,6 @@
 """The part of either end that asks the other to mark what is about to be given, and answers.
 
-Whoever gives keys (a key server in another process, the sealed messages, the key maker) writes the
-request into the key store. So this part looks there every `POLL_S`.
+Whoever gives keys writes the request into the key store. So this part looks there every `POLL_S`.
 
 An end that starts also asks which of its keys and pads were given before, and erases them: its
 store may have been put back from a copy.
@@ -17,7 +16,7 @@ from protocol.link.peer import Actions, Notice
 from protocol.messages import KeyAnswer, KeyRequest, Message
 from runtime.keys import ledger
 from runtime.keys.giving import Asking, What, new_use, pending
-from runtime.keys.sealed_book import SealedBook
+from runtime.keys.store import KeyStore
 
 REPEAT_S: Final = 0.25
 """Seconds between two copies of a request, and between two looks for enough keys."""
@@ -37,17 +36,16 @@ class Asker:
 
     Parameters
     ----------
-    book : SealedBook
-        That of this end's key store.
+    store : KeyStore
+        Of this end.
     """
 
     hears: tuple[type[Message], ...] = (KeyRequest, KeyAnswer)
     says: tuple[type[Message], ...] = (KeyRequest, KeyAnswer)
 
-    def __init__(self, book: SealedBook) -> None:
-        self._book = book
-        self._store = book.store
-        self._side = book.store.side
+    def __init__(self, store: KeyStore) -> None:
+        self._store = store
+        self._side = store.side
         self._said_at: dict[str, float] = {}
         self._look_at = -inf
         self._audits: dict[str, Asking] = {}
@@ -127,7 +125,7 @@ class Asker:
         if what == "pads":
             erased = ledger.answered(store, answer.use, refused)
         elif what == "keys":
-            erased = self._book.answered(answer.use, refused)
+            erased = store.answered(answer.use, refused)
         elif answer.use not in self._audits:
             return Actions()  # of a former process
         else:

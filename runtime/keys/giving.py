@@ -6,9 +6,6 @@ that use, on its disk. Only then is it taken. A partner refuses a key that it ha
 use, or does not have. If one end is put back the other one knows; if both are put back at once
 nobody does.
 
-A sealed message may be given its keys again under the same use: its text stands beside the use, so
-the same bytes result. A key server forgets the uses of its former processes.
-
 The pads that sign a session's first key block are marked alike. Their use is the session.
 """
 
@@ -22,14 +19,13 @@ from protocol.secret.records import WHOLE, Key, Share, UnknownKeys
 from runtime.keys.store import KeyStore
 
 ANSWER_S: Final = 2.0
-"""Seconds that a key server waits for the partner's answer."""
+"""Seconds that a giver waits for the partner's answer."""
 
 POLL_S: Final = 0.005
 """Seconds between two looks for that answer."""
 
 SERVED: Final = "served"
-SEALED: Final = "sealed"
-"""First word of a use: a key server's caller; a sealed message, whose identifier follows."""
+"""First word of a use: a caller."""
 
 What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
 

@@ -497,7 +497,7 @@ class KeyStore(StoreFile):
         if there is not None:
             return bool(there == use)
         if own:
-            return here is not None and not here.startswith(("sealed ", "coin ", "guard "))
+            return here is not None and not here.startswith(("coin ", "guard "))
         return here is None and state in ("stored", "confirmed")
 
     def newest(self) -> int:
@@ -577,31 +577,6 @@ class KeyStore(StoreFile):
         db.execute("DELETE FROM asked WHERE use = ?", (use,))
         return keys
 
-    def marked(
-        self, db: sqlite3.Connection, kind: str, name: str, ids: Sequence[str], most_tries: int
-    ) -> tuple[Key, ...]:
-        """Keys that the partner gave for a use of this kind and name. They stay in the store.
-
-        Raises
-        ------
-        UnknownKeys
-            When some are not here, not marked for it, or had ``most_tries`` wrong tags.
-        KeysRefused
-            When nobody gets this store's keys.
-        """
-        self.check_refused()
-        prefix = f"{kind} {name} "
-        usable = "own = 0 AND use IS NULL AND substr(there, 1, ?) = ? AND tries < ?"
-        keys, missing = [], []
-        for name_of in dict.fromkeys(ids):
-            try:
-                keys.append(self._key_of(db, name_of, usable, len(prefix), prefix, most_tries))
-            except UnknownKeys:
-                missing.append(name_of)
-        if missing:
-            raise UnknownKeys(missing)
-        return tuple(keys)
-
     def used(self, db: sqlite3.Connection, name: str, uses: tuple[str, str]) -> Key:
         """A key that was set aside for a use from the first name to below the second; it stays.
 
@@ -611,15 +586,6 @@ class KeyStore(StoreFile):
             When it was not.
         """
         return self._key_of(db, name, "use >= ? AND use < ?", *uses)
-
-    def tried(self, ids: Sequence[str]) -> int:
-        """Count a wrong tag under these keys; returns their wrong tags so far."""
-        with self.transaction() as db:
-            db.executemany(
-                "UPDATE key SET tries = tries + 1 WHERE id = ?", ((name,) for name in ids)
-            )
-            row = db.execute("SELECT tries FROM key WHERE id = ?", (ids[0],)).fetchone()
-        return int(row[0])
 
     def _key_of(self, db: sqlite3.Connection, name: str, usable: str, *values: object) -> Key:
         """The key ``name``, if its row is ``usable``."""

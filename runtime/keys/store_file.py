@@ -32,7 +32,7 @@ CREATE TABLE IF NOT EXISTS block (
 CREATE TABLE IF NOT EXISTS key (
     place INTEGER PRIMARY KEY AUTOINCREMENT, id TEXT UNIQUE NOT NULL, block INTEGER NOT NULL,
     row INTEGER NOT NULL, own INTEGER NOT NULL, state TEXT NOT NULL, body BLOB, check_ INTEGER,
-    t_ns INTEGER, who TEXT, use TEXT, there TEXT, tries INTEGER NOT NULL DEFAULT 0);
+    t_ns INTEGER, who TEXT, use TEXT, there TEXT);
 CREATE INDEX IF NOT EXISTS key_use ON key (use);
 CREATE INDEX IF NOT EXISTS key_there ON key (there);
 CREATE TABLE IF NOT EXISTS asked (
@@ -45,11 +45,6 @@ CREATE TABLE IF NOT EXISTS pad (
     place INTEGER PRIMARY KEY, origin TEXT UNIQUE NOT NULL, kind TEXT NOT NULL, state TEXT NOT NULL,
     session TEXT, body BLOB, check_ INTEGER);
 CREATE INDEX IF NOT EXISTS pad_session ON pad (session);
-CREATE TABLE IF NOT EXISTS sealed (
-    number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, digest BLOB NOT NULL, state TEXT NOT NULL,
-    payload BLOB, key_ids TEXT, cipher BLOB, tag TEXT, use TEXT);
-CREATE TABLE IF NOT EXISTS opened (
-    number INTEGER PRIMARY KEY, id TEXT UNIQUE NOT NULL, payload BLOB NOT NULL);
 """
 
 
@@ -159,7 +154,7 @@ class StoreFile:
     def copy_of(cls, path: Path, side: Side) -> Self:
         """A copy in memory of the store at ``path``, for reading.
 
-        Nothing is written in its folder, even while a key server has it open. One exception: a
+        Nothing is written in its folder, even while a service has it open. One exception: a
         transaction that a death cut short is rolled back first.
 
         Raises

@@ -13,7 +13,7 @@ from pydantic import ConfigDict
 from protocol.fates import Fates
 from protocol.knowledge import Delay, Direction, Knowledge, NotNegative
 from protocol.losses import Losses
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.vectors import Matrix, Vector
 
 
@@ -83,7 +83,6 @@ class WiretapChannel:
         self._draw = random.Random(f"view {view.seed}")
         self._chain = view.chain
         self._fates = Fates(f"view {view.seed}")
-        self._k = 0
         self._held: deque[tuple[int, FieldMessage]] = deque()
 
     def hear(self, t_ns: int, message: FieldMessage) -> Iterator[tuple[int, FieldMessage]]:
@@ -105,10 +104,8 @@ class WiretapChannel:
             yield self._held.popleft()
 
     def _misses(self, message: FieldMessage) -> bool:
-        """Whether it does not reach her; a sealed message is of the step heard last."""
-        if not isinstance(message, Sealed):
-            self._k = message.k
-        loss = self._chain.loss_at(self._k, self._fates.of_step)
+        """Whether it does not reach her."""
+        loss = self._chain.loss_at(message.k, self._fates.of_step)
         return loss > 0 and self._draw.random() < loss
 
     def rest(self) -> Iterator[tuple[int, FieldMessage]]:
@@ -117,8 +114,6 @@ class WiretapChannel:
             yield self._held.popleft()
 
     def _blur(self, message: FieldMessage) -> FieldMessage:
-        if isinstance(message, Sealed):
-            return message  # no number in it
         if isinstance(message, Offer):
             candidates = tuple(self._blurred(u) for u in message.candidates)
             return message.model_copy(update={"candidates": candidates})

@@ -4,7 +4,6 @@ CSV and Parquet have one row a message. MCAP has one channel a message type, eac
 schema of the type itself.
 """
 
-import base64
 import csv
 import json
 from collections.abc import Callable
@@ -12,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
-from protocol.messages import FIELD, FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FIELD, FieldMessage, Measurement
 from protocol.topics import key_of
 from runtime.errors import needs
 from runtime.recording import first_part, parts_of
@@ -41,22 +40,15 @@ def to_csv(reader: CaptureReader, out: IO[str]) -> int:
     """Write one row a message; vectors become JSON arrays in their cell. Returns the rows."""
     writer = csv.writer(out, lineterminator="\n")
     names = ("t_ns", "topic", "session", "k", "x", "applied_k", "x_after", "candidates", "cipher")
-    writer.writerow((*names, *KEY_FIELDS, "id", "key_ids", "sealed"))
+    writer.writerow((*names, *KEY_FIELDS))
     rows = 0
     for t_ns, message in reader.records():
-        row: list[object] = [t_ns, message.topic]
-        sealed: list[object] = ["", "", ""]
+        row: list[object] = [t_ns, message.topic, message.session, message.k]
         if isinstance(message, Measurement):
-            row += [message.session, message.k, json.dumps(message.x), message.applied_k]
-            row += [json.dumps(message.x_after), "", ""]
-        elif isinstance(message, Offer):
-            row += [message.session, message.k, "", "", ""]
-            row += [json.dumps(message.candidates), message.cipher]
+            row += [json.dumps(message.x), message.applied_k, json.dumps(message.x_after), "", ""]
         else:
-            row += [""] * 7
-            cipher = base64.b64encode(message.cipher).decode("ascii")
-            sealed = [message.id, json.dumps(message.key_ids), cipher]
-        writer.writerow(row + [getattr(message, name, "") for name in KEY_FIELDS] + sealed)
+            row += ["", "", "", json.dumps(message.candidates), message.cipher]
+        writer.writerow(row + [getattr(message, name, "") for name in KEY_FIELDS])
         rows += 1
     return rows
 
@@ -92,9 +84,6 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
             ("heard", pyarrow.int64()),
             ("block", pyarrow.int64()),
             ("tag", pyarrow.string()),
-            ("id", pyarrow.string()),
-            ("key_ids", pyarrow.list_(pyarrow.string())),
-            ("sealed", pyarrow.binary()),
         ]
     )
     rows = 0
@@ -109,8 +98,6 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
 
 def _columns(names: list[str], t_ns: int, message: FieldMessage) -> dict[str, object]:
     columns = {name: getattr(message, name, None) for name in names}
-    if isinstance(message, Sealed):  # a loop's cipher is a symbol, this one's are bytes
-        columns |= {"cipher": None, "sealed": message.cipher}
     return {"t_ns": t_ns, "topic": message.topic, **columns}
 
 
@@ -146,7 +133,7 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
                 channel_id=channels[message.topic],
                 log_time=t_ns,
                 publish_time=t_ns,
-                sequence=0 if isinstance(message, Sealed) else message.k & 0xFFFFFFFF,
+                sequence=message.k & 0xFFFFFFFF,
                 data=message.wire(),
             )
             written += 1

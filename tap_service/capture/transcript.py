@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.vectors import Vector
 
 PATIENCE = 4
@@ -227,13 +227,8 @@ class Transcript:
         return Unused(self._foreign + held, self._late, self._jumped)
 
     def hear(self, message: FieldMessage) -> list[Transition]:
-        """Take one message; the transitions that are finished by it, in order.
-
-        A sealed message passes beside the loop: it finishes none.
-        """
+        """Take one message; the transitions that are finished by it, in order."""
         finished: list[Transition] = []
-        if isinstance(message, Sealed):
-            return finished
         self._arrived += 1
         if not self._session or (message.session == self._session and self._fits(message.k)):
             self._take(message, finished)

@@ -82,17 +82,6 @@ class HeldBlock(BaseModel):
     bits: int
 
 
-class ReadText(BaseModel):
-    """A sealed message: its bits, those that she knows by rank, the bytes that she has."""
-
-    model_config = ConfigDict(frozen=True)
-
-    id: str
-    bits: int
-    known_bits: int
-    text: str
-
-
 class KeysHeld(BaseModel):
     """What one who attacks keys holds of them.
 
@@ -114,8 +103,6 @@ class KeysHeld(BaseModel):
         Copies 0 that were sent while she was not there.
     newest : tuple of HeldBlock
         The last blocks.
-    sealed : tuple of ReadText
-        The last sealed messages.
     """
 
     model_config = ConfigDict(frozen=True)
@@ -131,7 +118,6 @@ class KeysHeld(BaseModel):
     direction: str = ""
     absent: int = 0
     newest: tuple[HeldBlock, ...] = ()
-    sealed: tuple[ReadText, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -235,7 +221,7 @@ class Eavesdropper(ABC):
             )
 
     def hear(self, message: FieldMessage) -> None:  # noqa: B027
-        """Take a message as it was heard, repeats and sealed ones included."""
+        """Take a message as it was heard, repeats included."""
 
     @abstractmethod
     def observe(self, transition: Transition) -> Guess:

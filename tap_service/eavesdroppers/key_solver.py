@@ -6,9 +6,8 @@ that the plant missed, and she did not hear so, she takes for a transition: her 
 by one, and `wyner score`, which reads the plant's trace, counts exactly.
 
 A block of R rows of which she missed e counted copies gives her R - e combinations of rows: none,
-where the claim holds. With what she has she opens sealed messages, word by word. Where keys are
-made of words she counts what she holds in the same way, and opens with blocks alone that she heard
-all of.
+where the claim holds. Where keys are made of words she counts what she holds in the same way, and
+computes keys of blocks alone that she heard all of.
 """
 
 from collections import deque
@@ -18,13 +17,12 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 
 from protocol.knowledge import Knowledge
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.extractor import WORDS, extract, words
 from protocol.secret.galois import Words
-from protocol.secret.nonces import NONCE_BYTES, as_bytes
+from protocol.secret.nonces import as_bytes
 from protocol.secret.records import key_id
-from protocol.secret.sealed import TAG_KEY_BYTES, keys_needed
 from runtime.keys.key_maker import PUBLIC_TAG_BYTES
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
@@ -34,21 +32,16 @@ from tap_service.eavesdroppers.base import (
     HeldBlock,
     KeysHeld,
     KnowledgeError,
-    ReadText,
     even,
 )
 from tap_service.inference.key_solver import KnownCombinations, bits_held, held, within
 from tap_service.inference.miss_rate import Audit, worst
 
 KEPT_BLOCKS: Final = 64
-"""Blocks that she has something of and keeps for sealed messages, and blocks that she tells of."""
-
-KEPT_SEALED: Final = 32
+"""Blocks that she has something of and keeps, and blocks that she tells of."""
 
 SHOWN: Final = PUBLIC_TAG_BYTES // 2
 """Words of row 0 that a public tag shows."""
-
-UNKNOWN: Final = "·"
 
 BOTH: Final = ("measurements", "offers")
 
@@ -116,9 +109,6 @@ class KeySolver(Eavesdropper):
         self._misses = Audit(self._claim.eps_E, BOTH if directions == "both" else (directions,))
         self._steps: dict[str, dict[int, _Step]] = {}
         self._tags: dict[tuple[str, int], _Tags] = {}
-        self._sealed: dict[str, Sealed] = {}
-        self._texts: dict[str, tuple[int, ReadText]] = {}
-        self._openers = 0  # of what sealed messages are opened with
         self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
         self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
         self._blocks = self._broken = self._bits = 0
@@ -131,13 +121,6 @@ class KeySolver(Eavesdropper):
 
     def hear(self, message: FieldMessage) -> None:
         """Note nonces and copies; their transitions come when they are settled."""
-        if isinstance(message, Sealed):
-            self._sealed.setdefault(message.id, message)
-            if len(self._sealed) > KEPT_SEALED:
-                oldest = next(iter(self._sealed))
-                del self._sealed[oldest]
-                self._texts.pop(oldest, None)
-            return
         step = self._step(message.session, message.k)
         if isinstance(message, Offer):
             if not message.copy_number and message.nonce:
@@ -151,7 +134,6 @@ class KeySolver(Eavesdropper):
         if message.block >= 0:
             at = (message.session, message.block)
             shown = self._tags.setdefault(at, _Tags()).shown
-            self._openers += shown.get(type(message)) != message.tag
             shown[type(message)] = message.tag
             if len(self._tags) > 2 * KEPT_BLOCKS:
                 del self._tags[next(iter(self._tags))]
@@ -217,7 +199,6 @@ class KeySolver(Eavesdropper):
             self._solved.append(_Solved(session, number, found))
         elif bits and not self._claim.by_words:  # by words the system is sixteen times as large
             self._solved.append(_Solved(session, number, held(nonces, rows)))
-        self._openers += bits > 0
         block = HeldBlock(
             session=session, number=number, counted=len(nonces), rows=rows, missed=missed, bits=bits
         )
@@ -229,14 +210,9 @@ class KeySolver(Eavesdropper):
     # --- what she has -----------------------------------------------------------------------------
 
     def belief(self) -> Belief:
-        """What she holds of the keys, and what she reads of sealed messages."""
+        """What she holds of the keys."""
         rates = self._misses.judge()
         direction, rate = worst(rates)
-        for name, message in self._sealed.items():
-            openers, text = self._texts.get(name, (-1, None))
-            if text is None or (openers != self._openers and text.known_bits < text.bits):
-                self._texts[name] = self._openers, self._read(message)
-        read = tuple(self._texts[name][1] for name in self._sealed)
         return Belief(
             keys=KeysHeld(
                 blocks=self._blocks,
@@ -250,74 +226,26 @@ class KeySolver(Eavesdropper):
                 refuted=rate.refuted,
                 bursts=any(one.bursts for one in rates.values()),
                 newest=tuple(self._told),
-                sealed=read,
             ),
         )
 
     def key(self, name: str) -> bytes | None:
         """The key of this id, where she can compute all of it."""
+        found = self.known_words(name)
+        return b"".join(word for word in found if word) if all(found) else None
+
+    def known_words(self, name: str) -> tuple[bytes | None, ...]:
+        """The key of this id in words of two bytes, None for those that she cannot compute."""
         for solved in self._solved:
             for row in range(1, solved.held.rows):
                 if key_id(solved.session, solved.number, row) == name:
-                    return self._row(solved, row)
-        return None
+                    return tuple(self._word(solved, row, place) for place in range(WORDS))
+        return (None,) * WORDS
 
-    def _row(self, solved: _Solved, row: int) -> bytes | None:
-        found = []
-        for word in range(WORDS):
-            combinations, values = solved.known((row,), word, self._tag(solved))
-            if not len(combinations):
-                return None
-            found.append(int(values[0, 0]).to_bytes(2))
-        return b"".join(found)
+    def _word(self, solved: _Solved, row: int, place: int) -> bytes | None:
+        combinations, values = solved.known((row,), place, self._tag(solved))
+        return int(values[0, 0]).to_bytes(2) if len(combinations) else None
 
     def _tag(self, solved: _Solved) -> bytes:
         tags = self._tags.get((solved.session, solved.number))
         return b"" if tags is None else tags.public
-
-    def _read(self, message: Sealed) -> ReadText:
-        """What she can tell of a sealed text: bits by rank, and the bytes that she knows."""
-        length = len(message.cipher)
-        shown = [UNKNOWN] * length
-        bits = 0
-        places = self._places(message) if len(message.key_ids) == keys_needed(length) else {}
-        for (at, word), rows in places.items():
-            solved = self._solved[at]
-            under = sorted(rows, key=rows.__getitem__, reverse=True)  # half a word comes first
-            combinations, values = solved.known(tuple(under), word, self._tag(solved))
-            bits += 16 * len(combinations)
-            for combination, value in zip(combinations, values, strict=True):
-                found = np.flatnonzero(combination)
-                place = rows[under[int(found[0])]]
-                if place + 1 == length:
-                    bits -= 8
-                if len(found) > 1:
-                    continue
-                pad = int(value[0]).to_bytes(2)
-                for i in range(place, min(place + 2, length)):
-                    byte = message.cipher[i] ^ pad[i - place]
-                    shown[i] = chr(byte) if 32 <= byte < 127 else "?"
-        return ReadText(
-            id=message.id,
-            bits=8 * length,
-            known_bits=bits,
-            text="".join(shown),
-        )
-
-    def _places(self, message: Sealed) -> dict[tuple[int, int], dict[int, int]]:
-        """For each of her blocks and word of a row: the rows under it, with their places."""
-        found: dict[tuple[int, int], dict[int, int]] = {}
-        rows = {
-            key_id(solved.session, solved.number, row): (at, row)
-            for at, solved in enumerate(self._solved)
-            for row in range(1, solved.held.rows)
-        }
-        for i, name in enumerate(message.key_ids):
-            if name not in rows:
-                continue
-            at, row = rows[name]
-            for word in range(WORDS):
-                place = i * NONCE_BYTES + 2 * word - TAG_KEY_BYTES
-                if 0 <= place < len(message.cipher):
-                    found.setdefault((at, word), {})[row] = place
-        return found

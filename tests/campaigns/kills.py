@@ -8,10 +8,10 @@ a C compiler): nothing may depend on it. With ``--apart`` each has a wall clock 
 set so, and lives on a machine of its own as far as the monotonic clock goes: in a time namespace
 (needs root, too). With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
-loses, repeats and delays, blocks of keys are signed in every other run, and every other
-message is sealed. With ``--watched`` the coin is keyed and the loop is in lock-step: no honest step
-may alarm. With ``--guarded`` messages are tagged in every other run and coded in the others: none
-may be refused, and no slot of a key may serve two.
+loses, repeats and delays, and blocks of keys are signed in every other run. With ``--watched`` the
+coin is keyed and the loop is in lock-step: no honest step may alarm. With ``--guarded`` messages
+are tagged in every other run and coded in the others: none may be refused, and no slot of a key
+may serve two.
 """
 
 import argparse
@@ -144,7 +144,7 @@ def one_run(
             reaper.strike()
             wrong += reaper.mend()
             if draw.random() < 0.05 and len(traffic.operators) < 20:
-                traffic.send(sealed=keys and draw.random() < 0.5)
+                traffic.send()
             time.sleep(draw.choice((0.0, draw.uniform(0.0, 0.5))))
         reaper.mend(all_of_it=True)
         traffic.arrive()
@@ -163,7 +163,7 @@ def main(argv: list[str] | None = None) -> int:
         ("jumps", "set the wall clock again and again"),
         ("apart", "each has clocks of its own"),
         ("tls", "a router that asks for certificates"),
-        ("keys", "a relay, sealed messages"),
+        ("keys", "a relay"),
         ("watched", "the coin is keyed"),
         ("guarded", "messages are tagged or coded"),
     ):

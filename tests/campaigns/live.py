@@ -321,10 +321,9 @@ class LiveLoop:
             if not process.alive():
                 process.start()
 
-    def send(self, name: str, text: str, *, sealed: bool = False) -> Process:
-        """An operator who asks until a message has been queued, or a sealed one has arrived."""
-        how = ["--sealed"] if sealed else []
-        argv = ["send", text, "--id", name, "--timeout=600", *how, *self.management]
+    def send(self, name: str, text: str) -> Process:
+        """An operator who asks until a message has been queued."""
+        argv = ["send", text, "--id", name, "--timeout=600", *self.management]
         operator = Process(name, argv, self.folder / "send.log")
         operator.start()
         return operator

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 
-from protocol.messages import Measurement, Offer, Sealed
+from protocol.messages import Measurement, Offer
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.bus import TransportError
 from runtime.errors import DONE
@@ -38,7 +38,7 @@ class Relay:
         self._odds = loss, repeat, delay_s
         self.counts = {"passed": 0, "lost": 0, "repeated": 0}
         one, two = self._buses
-        for kind, near, far in ((Measurement, one, two), (Offer, two, one), (Sealed, two, one)):
+        for kind, near, far in ((Measurement, one, two), (Offer, two, one)):
             key = key_of(kind, DEFAULT_LOOP)
             near.subscribe(key, partial(self._pass, far.publisher(key).put))
 

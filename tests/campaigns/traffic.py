@@ -13,10 +13,7 @@ from types import TracebackType
 from typing import Any, Final
 
 from protocol.secret.records import StoreError
-from runtime.keys.sealed_book import SealedBook
-from runtime.keys.store import KeyStore
 from runtime.recording import TraceError
-from runtime.run_folder import PLANT_KEYS
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
@@ -33,15 +30,12 @@ class Traffic:
     ----------
     expected : list of str
         Every message that must arrive once, the controller's first among them.
-    sealed : dict of str to str
-        Every sealed one, by its identifier.
     wrong : list of str
         What was wrong, in a line each.
     """
 
     def __init__(self, loop: LiveLoop, first: str, draw: random.Random) -> None:
         self.loop, self.expected, self.draw = loop, [first], draw
-        self.sealed: dict[str, str] = {}
         self.wrong: list[str] = []
         self.operators: list[Process] = []
 
@@ -49,14 +43,11 @@ class Traffic:
         self.loop.start()
         return self
 
-    def send(self, *, sealed: bool = False) -> None:
+    def send(self) -> None:
         """Hand over one message more."""
         name, text = f"message-{len(self.operators)}", plain_text(self.draw, 12)
-        if sealed:
-            self.sealed[name] = text
-        else:
-            self.expected.append(text)
-        self.operators.append(self.loop.send(name, text, sealed=sealed))
+        self.expected.append(text)
+        self.operators.append(self.loop.send(name, text))
 
     def arrive(self) -> None:
         """All is well now: wait until every message has arrived."""
@@ -80,12 +71,10 @@ class Traffic:
 
     def judged(self, counts: Counter[str]) -> list[str]:
         """What was wrong with a run that is over; adds its figures to ``counts``."""
-        counts["messages"], counts["sealed"] = len(self.expected), len(self.sealed)
+        counts["messages"] = len(self.expected)
         run_dir = self.loop.run_dir
         try:
             self.wrong += _recovered(run_dir, self.expected, counts)
-            if self.sealed:
-                self.wrong += _opened(run_dir, self.sealed)
             self.wrong += _watched(run_dir, counts)
             evidence = read_evidence(run_dir)
             results = check(evidence)
@@ -126,11 +115,3 @@ def _recovered(run_dir: Path, expected: list[str], counts: Counter[str]) -> list
         f"{text[:20]!r} was recovered {seen[text]} times" for text in expected if seen[text] != 1
     ]
     return wrong + [f"{text[:20]!r} was never sent" for text in seen if text not in expected]
-
-
-def _opened(run_dir: Path, sealed: dict[str, str]) -> list[str]:
-    with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
-        opened = [(name, payload.decode()) for name, payload in SealedBook(store).opened()]
-    if sorted(opened) == sorted(sealed.items()):
-        return []
-    return [f"sealed messages: {sorted(sealed)} were acknowledged, {sorted(opened)} opened"]

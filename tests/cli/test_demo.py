@@ -22,16 +22,16 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (code, told["as_it_must"]) == (0, True), told["verdict"]
     assert list(bare_figures(told)) == []
     points = [line.split()[1] for line in told["verdict"]]
-    assert points == ["Spoken:", "Sealed:", "Control:", "Attacked:"]
-    spoken, sealed, control, caught, unseen = told["runs"].values()
+    assert points == ["Spoken:", "Keys:", "Control:", "Attacked:"]
+    spoken, keys, control, caught, unseen = told["runs"].values()
     # at the limit of the channel, and she has it at the very step at which the plant has it
     made = 1 - spoken["missed"] / spoken["steps"]  # a busy machine misses some steps
     assert spoken["bits_per_second"] > 15 * made
     assert spoken["taps"]["nearest-centre"]["solved_k"] == spoken["delivered_k"] > 0
     assert spoken["keys"] is None
-    assert sealed["keys"]["made"] > 0
-    assert sealed["keys"]["held_by_tap_bits"] == 0
-    assert sealed["keys"]["same_at_both_ends"]
+    assert keys["keys"]["made"] > 0
+    assert keys["keys"]["held_by_tap_bits"] == 0
+    assert keys["keys"]["same_at_both_ends"]
     assert control["keys"]["made"] == 0
     assert "eps_E" in control["keys"]["refused"]
     # the same attack under a key that she does not have, and under one that she has
@@ -79,7 +79,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     assert asked[:3] == [
         ("spoken", f"x{pace:g}"),
         ("spoken", f"x{pace / 2:g}"),
-        ("sealed", f"x{pace / 2:g}"),
+        ("keys", f"x{pace / 2:g}"),
     ]
     verdict = json.loads(capsys.readouterr().out)["verdict"]
     assert verdict[0] == "1. Spoken:  not delivered: 99 of 460 steps missed."
@@ -88,7 +88,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     asked.clear()
     assert main(["demo", "--json", "--run-dir", str(tmp_path / "idle")]) == 1
     names = [name for name, _ in asked]
-    assert names == ["spoken", "sealed", "control", "caught", "unseen"]  # it was not the machine
+    assert names == ["spoken", "keys", "control", "caught", "unseen"]  # it was not the machine
     capsys.readouterr()
     missed = 99
     monkeypatch.setattr(demo, "SLOWEST", 8)

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import FIELD, Sealed
+from protocol.messages import FIELD
 from runtime.options import alone_in
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE
@@ -236,7 +236,7 @@ def test_export_to_mcap_is_read_by_the_public_reader(
             (schema.name, channel.topic, message.log_time, json.loads(message.data))
             for schema, channel, message in reader.iter_messages()
         ]
-    assert {s.name for s in summary.schemas.values()} == {"Measurement", "Offer", "Sealed"}
+    assert {s.name for s in summary.schemas.values()} == {"Measurement", "Offer"}
     assert all(s.encoding == "jsonschema" for s in summary.schemas.values())
     assert len(got) == len(run.messages)
     for (name, topic, t_ns, data), (i, message) in zip(got, enumerate(run.messages), strict=True):
@@ -244,35 +244,6 @@ def test_export_to_mcap_is_read_by_the_public_reader(
         assert topic == f"wyner/v2/loop/{message.topic}"
         assert t_ns == 1000 + i
         assert type(message).model_validate(data) == message
-
-
-def test_sealed_messages_are_exported_with_their_ciphertext(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    sealed = Sealed(id="m0", key_ids=("a", "b"), cipher=b"\x00\xff", tag="f" * 32)
-    log = RotatingLog(tmp_path / CAPTURE, {}, Limits(free_bytes=0), logging.getLogger("test"))
-    log.write(mirror_line(7, sealed.topic, sealed.wire()))
-    log.close()
-    (row,) = csv.DictReader(io.StringIO(call(capsys, "export", tmp_path, "--to", "csv")[1]))
-    assert {name: value for name, value in row.items() if value} == {
-        "t_ns": "7",
-        "topic": "sealed",
-        "tag": "f" * 32,
-        "id": "m0",
-        "key_ids": '["a", "b"]',
-        "sealed": "AP8=",
-    }
-    parquet = pytest.importorskip("pyarrow.parquet")
-    assert call(capsys, "export", tmp_path, "--to", "parquet", "--output", tmp_path / "c")[0] == 0
-    (columns,) = parquet.read_table(tmp_path / "c").to_pylist()
-    assert (columns["id"], columns["key_ids"], columns["sealed"]) == ("m0", ["a", "b"], b"\x00\xff")
-    assert columns["cipher"] is None
-    reader_module = pytest.importorskip("mcap.reader")
-    assert call(capsys, "export", tmp_path, "--to", "mcap", "--output", tmp_path / "m")[0] == 0
-    with (tmp_path / "m").open("rb") as file:
-        ((_, channel, message),) = reader_module.make_reader(file).iter_messages()
-    assert channel.topic == "wyner/v2/loop/sealed"
-    assert Sealed.model_validate_json(message.data) == sealed
 
 
 def test_the_exported_schemas_hold_no_reference() -> None:

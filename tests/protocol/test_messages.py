@@ -79,7 +79,6 @@ def test_the_field_bus_has_these_messages_with_these_fields_only() -> None:
             *("coin_key", "coin_from", "coin_last", "guard", "mac"),
             *OF_KEYS,
         },
-        "Sealed": {"v", "id", "key_ids", "cipher", "tag"},
     }
 
 

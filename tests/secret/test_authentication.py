@@ -1,6 +1,5 @@
-"""Tags under one-time pads, the first secret, and messages sealed under keys."""
+"""Tags under one-time pads, and the first secret."""
 
-import os
 import random
 from pathlib import Path
 
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 from protocol.secret.authentication import PADS_BYTES, PRIME, RESERVE, Secret, polynomial, tag
 from protocol.secret.extractor import cauchy, extract
 from protocol.secret.galois import multiply
-from protocol.secret.sealed import Unsealed, keys_needed, seal, unseal
 from runtime.keys.secret_file import SecretError, make_secret, read_secret, spend_secret
 
 TEXTS = st.binary(max_size=100)
@@ -113,36 +111,3 @@ def _inverse(a: int) -> int:
 
 def _changed(nonce: bytes, change: int) -> bytes:
     return (int.from_bytes(nonce[:2]) ^ change).to_bytes(2) + nonce[2:]
-
-
-@given(st.binary(max_size=300), st.binary(max_size=40))
-def test_what_is_sealed_comes_out_again(text: bytes, header: bytes) -> None:
-    keys = [os.urandom(32) for _ in range(keys_needed(len(text)))]
-    cipher, shown = seal(header, text, keys)
-    assert len(cipher) == len(text)
-    assert unseal(header, cipher, shown, keys) == text
-
-
-def test_an_old_mill_takes_two_keys() -> None:
-    assert keys_needed(len(b"The old mill, at nine.")) == 2
-    assert keys_needed(0) == 1
-    assert keys_needed(33) == 3
-
-
-@given(st.data())
-def test_one_changed_bit_anywhere_is_refused(data: st.DataObject) -> None:
-    text, header = b"The old mill, at nine.", b"session/1/id"
-    keys = [bytes(range(32)), bytes(range(32, 64))]
-    cipher, shown = seal(header, text, keys)
-    parts = [bytearray(header), bytearray(cipher), bytearray.fromhex(shown)]
-    part = data.draw(st.sampled_from(parts))
-    place = data.draw(st.integers(0, len(part) - 1))
-    part[place] ^= 1 << data.draw(st.integers(0, 7))
-    with pytest.raises(Unsealed, match="tag does not hold"):
-        unseal(bytes(parts[0]), bytes(parts[1]), bytes(parts[2]).hex(), keys)
-
-
-def test_header_and_text_cannot_change_places() -> None:
-    keys = [bytes(range(32))]
-    _, shown = seal(b"ab", b"", keys)
-    assert seal(b"a", b"", keys)[1] != shown

@@ -7,14 +7,13 @@ from protocol.secret.records import WHOLE, Key, Share
 from runtime.keys import ledger
 from runtime.keys.asking import Asker
 from runtime.keys.giving import Giver, pending
-from runtime.keys.sealed_book import SealedBook, SealedText
 from runtime.keys.store import KeyStore
 from tests.support.mail import mail
 
 
 def agree(*stores: KeyStore) -> None:
     """Each of two ends asks what it has to ask, and the other one answers."""
-    ends = [Asker(SealedBook(store)) for store in stores]
+    ends = [Asker(store) for store in stores]
     for asker, partner in (ends, ends[::-1]):
         ask(asker, partner, 0.0)
 
@@ -28,14 +27,6 @@ def ask(asker: Asker, partner: Asker, now: float) -> None:
         said += [(speaker, hearer, out) for out in hearer.receive(*mail(message)).publish]
 
 
-def sealed_by(book: SealedBook, plant: KeyStore) -> SealedText | None:
-    """The oldest message of a controller's book once the plant was asked for its keys."""
-    if (text := book.next()) is None:
-        agree(book.store, plant)
-        text = book.next()
-    return text
-
-
 def consent(store: KeyStore) -> None:
     """A partner that marks whatever it is asked for."""
     for use, what, _ in pending(store):
@@ -43,7 +34,7 @@ def consent(store: KeyStore) -> None:
 
 
 def _answered(store: KeyStore, use: str, refused: tuple[str, ...]) -> None:
-    SealedBook(store).answered(use, refused)
+    store.answered(use, refused)
 
 
 def looking(store: KeyStore, partner: KeyStore | None) -> Callable[[], None]:

@@ -40,7 +40,6 @@ from runtime.key_opening import guarded_by
 from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
-from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
 from tests.support.giving import ask
@@ -114,7 +113,7 @@ class Alive:
 
     def __post_init__(self) -> None:
         if self.key_maker is not None:
-            self.asker = Asker(SealedBook(self.key_maker.store))
+            self.asker = Asker(self.key_maker.store)
 
 
 class TwoEnds(ABC):

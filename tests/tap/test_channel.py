@@ -7,14 +7,13 @@ import pytest
 from pydantic import ValidationError
 
 from protocol.knowledge import Knowledge, Policy
-from protocol.messages import FieldMessage, Measurement, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import TapView
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.eavesdroppers import named
 
 S = "f" * 16
-SEALED = Sealed(id="m0", key_ids=("a",), cipher=b"xyz", tag="0" * 32)
-MESSAGES: list[FieldMessage] = [SEALED]
+MESSAGES: list[FieldMessage] = []
 for k in range(500):
     x = (math.sin(k), math.cos(k))
     MESSAGES.append(Measurement(session=S, k=k, x=x, applied_k=k - 1, x_after=x if k else ()))
@@ -49,9 +48,7 @@ def test_loss_takes_each_message_with_its_probability() -> None:
     assert seen(View(loss=1.0)) == []
 
 
-@pytest.mark.parametrize(
-    ("view", "kind"), [("measurements", Measurement), ("offers", Offer | Sealed)]
-)
+@pytest.mark.parametrize(("view", "kind"), [("measurements", Measurement), ("offers", Offer)])
 def test_one_direction(view: str, kind: type) -> None:
     got = seen(View.model_validate({"view": view}))
     assert got == [m for m in MESSAGES if isinstance(m, kind)]
@@ -72,8 +69,6 @@ def test_noise_has_its_deviation_and_leaves_the_cipher_alone() -> None:
             assert isinstance(now, Offer)
             assert now.cipher == was.cipher
             errors += [b[0] - a[0] for a, b in zip(was.candidates, now.candidates, strict=True)]
-        elif isinstance(was, Sealed):
-            assert now == was
         else:
             assert isinstance(now, Measurement)
             assert now.x == now.x_after or was.k == 0
@@ -84,8 +79,6 @@ def test_noise_has_its_deviation_and_leaves_the_cipher_alone() -> None:
 
 def test_quantising_rounds_to_the_step() -> None:
     for message in seen(View(quantise=0.25)):
-        if isinstance(message, Sealed):
-            continue
         values = message.x if isinstance(message, Measurement) else message.candidates[0]
         assert all(v % 0.25 == 0 for v in values)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import Sealed
+from protocol.messages import Offer
 from tap_service import sandboxed as guests
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import KnowledgeError
@@ -71,7 +71,7 @@ class Mine(Eavesdropper):
     heard = 0
     def hear(self, message):
         self.heard += 1
-        if message.id == "bad":
+        if message.k == 7:
             raise ValueError("not that one")
     def observe(self, transition):
         return Guess(transition.k, (0.25, 0.75), 1.0)
@@ -85,13 +85,13 @@ def test_she_hears_messages_where_she_asks_to(tmp_path: Path) -> None:
     path = tmp_path / "mine.py"
     path.write_text(HEARS)
     listener = Listener.of(sandboxed(f"{path}:Mine"), KNOWLEDGE)
-    sealed = Sealed(id="m", key_ids=("a",), cipher=b"x", tag="0" * 32)
-    listener.hear(sealed)
-    listener.hear(sealed)
+    offer = Offer(session="f" * 16, k=0, candidates=((0.1,), (0.2,)), cipher=0)
+    listener.hear(offer)
+    listener.hear(offer)
     keys = listener.belief().keys
     assert keys is not None
     assert keys.copies == 2
-    listener.hear(sealed.model_copy(update={"id": "bad"}))
+    listener.hear(offer.model_copy(update={"k": 7}))
     assert "a message: ValueError: not that one" in listener.failed
 
 

@@ -7,16 +7,15 @@ from functools import cache
 import pytest
 
 from protocol.knowledge import Knowledge
-from protocol.messages import FieldMessage, Measurement, Message, Offer, Sealed
+from protocol.messages import FieldMessage, Measurement, Message, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
 from protocol.secret.records import BlockRow
-from runtime.keys.sealed_book import SealedBook
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
+from tap_service.eavesdroppers.key_solver import KeySolver
 from tap_service.status import Listener
-from tests.support.giving import sealed_by
 from tests.support.held_memory import kept
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
@@ -25,8 +24,6 @@ from tests.support.two_ends import Name
 
 CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
-TEXT = "The old mill, at nine, and bring the other half of the map with you, unfolded."
-"""78 bytes and an odd one: three keys of pad."""
 
 
 class Recorded(KeyedEnds):
@@ -50,20 +47,28 @@ class Recorded(KeyedEnds):
 @cache
 def recorded(
     lossy: bool = False, claim: Assumption = CLAIM
-) -> tuple[list[FieldMessage], list[BlockRow], str]:
-    """Messages of some blocks and a sealed one, the controller's blocks, and the sealed text."""
+) -> tuple[list[FieldMessage], list[BlockRow], dict[str, bytes | None]]:
+    """Messages of some blocks, the controller's blocks, and its keys by their ids."""
     draw = random.Random(4)
     world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
     while world.stores["controller"].available() < 4:
         world.well(100)
-    books = {side: SealedBook(world.stores[side]) for side in ("controller", "plant")}
-    books["controller"].queue("m", TEXT.encode())
-    sealed = sealed_by(books["controller"], world.stores["plant"])
-    assert sealed is not None
-    message = Sealed(id="m", key_ids=sealed.key_ids, cipher=sealed.cipher, tag=sealed.tag)
     blocks = world.stores["controller"].blocks()
+    keys = world.stores["controller"].compare()
     world.close()
-    return [*world.field, message, message], blocks, TEXT
+    return world.field, blocks, keys
+
+
+def solver_of(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeySolver:
+    """One who heard these, to be asked for keys."""
+    solver, transcript = KeySolver(knowledge), Transcript()
+    for message in messages:
+        solver.hear(message)
+        for transition in transcript.hear(message):
+            solver.observe(transition)
+    for transition in transcript.flush():
+        solver.observe(transition)
+    return solver
 
 
 def held_by(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeysHeld:
@@ -85,7 +90,7 @@ def held_by(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) 
 def without(messages: Iterable[FieldMessage], loss: float, seed: int) -> Iterator[FieldMessage]:
     draw = random.Random(seed)
     for message in messages:
-        if isinstance(message, Sealed) or draw.random() >= loss:
+        if draw.random() >= loss:
             yield message
 
 
@@ -93,30 +98,29 @@ def without(messages: Iterable[FieldMessage], loss: float, seed: int) -> Iterato
     ("lossy", "claim"),
     [(False, CLAIM), (True, CLAIM), (False, Assumption(0.5, unheard_bits=128))],
 )
-def test_who_hears_all_holds_every_row_and_reads_what_is_sealed(
-    lossy: bool, claim: Assumption
-) -> None:
-    messages, blocks, text = recorded(lossy, claim)
-    keys = held_by(messages, KNOWLEDGE.model_copy(update={"keys": claim}))
+def test_who_hears_all_holds_every_row_and_every_key(lossy: bool, claim: Assumption) -> None:
+    messages, blocks, made = recorded(lossy, claim)
+    knowledge = KNOWLEDGE.model_copy(update={"keys": claim})
+    keys = held_by(messages, knowledge)
     assert [(b.number, b.counted, b.rows, b.missed) for b in keys.newest] == [
         (b.number, b.counted, b.rows, 0) for b in blocks if b.rows >= 2
     ]
     assert keys.bits == 256 * sum(b.rows for b in blocks if b.rows >= 2) > 0
     assert keys.broken == keys.blocks
     assert keys.refuted
-    (read,) = keys.sealed
-    assert (read.known_bits, read.bits, read.text) == (8 * len(text), 8 * len(text), text)
+    hers = solver_of(messages, knowledge)
+    assert {name: hers.key(name) for name in made} == made
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_who_misses_as_much_as_is_claimed_holds_nothing(seed: int) -> None:
-    messages, blocks, text = recorded()
+    messages, blocks, made = recorded()
     keys = held_by(without(messages, 0.5, seed))
     assert keys.blocks == len(blocks)
     assert (keys.bits, keys.broken, keys.refuted, keys.bursts) == (0, 0, False, False)
     assert 0.4 < keys.missed / keys.copies < 0.6
-    (read,) = keys.sealed
-    assert (read.known_bits, read.text) == (0, "·" * len(text))
+    hers = solver_of(without(messages, 0.5, seed))
+    assert {word for name in made for word in hers.known_words(name)} == {None}
 
 
 @pytest.mark.long
@@ -174,41 +178,44 @@ def test_one_row_too_many_is_one_combination_of_rows_and_half_of_it_is_of_keys()
         assert (block.missed, block.bits) == (missed, bits)
 
 
-def test_who_missed_one_copy_knows_half_of_every_key_by_the_public_tag() -> None:
-    messages, blocks, text = recorded()
-    hers = list(messages)
+def with_one_missed_each(
+    messages: list[FieldMessage], blocks: list[BlockRow]
+) -> list[FieldMessage]:
     k = 1
     for block in blocks:
-        hers = missing(hers, range(k + 3, k + 4), 1)
+        messages = missing(messages, range(k + 3, k + 4), 1)
         k += block.transitions
-    keys = held_by(hers)
-    assert [b.missed for b in keys.newest] == [1] * len(blocks)
-    (read,) = keys.sealed
-    known = [i for i in range(len(text)) if i % 32 < 16]
-    assert read.text == "".join(c if i in known else "·" for i, c in enumerate(text))
-    # of the words that the tag does not show: one equation less than there are keys, by rank
-    assert 8 * len(known) < read.known_bits < 8 * len(text)
+    return messages
+
+
+def test_who_missed_one_copy_knows_half_of_every_key_by_the_public_tag() -> None:
+    messages, blocks, made = recorded()
+    messages = with_one_missed_each(messages, blocks)
+    assert [b.missed for b in held_by(messages).newest] == [1] * len(blocks)
+    hers = solver_of(messages)
+    for name, key in made.items():
+        assert key is not None
+        words = tuple(key[place : place + 2] for place in range(0, 16, 2))
+        assert hers.known_words(name) == (*words, *[None] * 8)
+        assert hers.key(name) is None
 
 
 def test_tags_that_differ_are_signed_and_tell_her_nothing() -> None:
-    messages, blocks, _ = recorded()
-    hers: list[FieldMessage] = [
+    messages, blocks, made = recorded()
+    signed: list[FieldMessage] = [
         m.model_copy(update={"tag": "5" * 32}) if isinstance(m, Offer) and m.block >= 0 else m
         for m in messages
     ]
-    k = 1
-    for block in blocks:
-        hers = missing(hers, range(k + 3, k + 4), 1)
-        k += block.transitions
-    (read,) = held_by(hers).sealed
-    assert set(read.text) == {"·"}
+    hers = solver_of(with_one_missed_each(signed, blocks))
+    assert {word for name in made for word in hers.known_words(name)} == {None}
 
 
 def test_one_who_comes_late_knows_no_block_and_says_so() -> None:
-    messages, _, text = recorded()
+    messages, _, made = recorded()
     late = held_by(messages[100:])
     assert (late.blocks, late.bits) == (0, 0)
-    assert late.sealed[0].text == "·" * len(text)
+    hers = solver_of(messages[100:])
+    assert {hers.key(name) for name in made} == {None}
 
 
 @pytest.mark.parametrize("claim", [None, Assumption(0.0)])

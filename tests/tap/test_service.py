@@ -22,7 +22,6 @@ from protocol.messages import (
     Measurement,
     Message,
     Offer,
-    Sealed,
     TapStatus,
 )
 from protocol.topics import key_of
@@ -108,20 +107,6 @@ def test_every_message_is_mirrored_as_it_came(run: Run, tmp_path: Path) -> None:
     assert mirrored == list(run.messages)
     assert wire.statuses[-1].mirrored == len(run.messages)
     assert wire.statuses[-1].dropped == 0
-
-
-def test_sealed_messages_are_mirrored_beside_the_loops(run: Run, tmp_path: Path) -> None:
-    sealed = Sealed(id="m0", key_ids=("a", "b"), cipher=b"\x00\xff", tag="f" * 32)
-    wire = Wire(config(run, tmp_path))
-    sent = [*run.messages[:40], sealed, *run.messages[40:80], sealed]
-    for message in sent:
-        wire.send(message)
-    wire.finish()
-    assert [m for _, m in CaptureReader(tmp_path).records()] == sent
-    assert wire.statuses[-1].steps == 39
-    replay = Replay(tmp_path, LIGHT)
-    replay.run()
-    assert [status.steps for status in replay.statuses()] == [39] * len(LIGHT)
 
 
 def test_guesses_are_logged_step_by_step_with_a_probability(run: Run, tmp_path: Path) -> None:

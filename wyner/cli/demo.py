@@ -1,17 +1,15 @@
 """``wyner demo``: the whole story in five short runs on one screen.
 
-The law `packed` at its limit, read by the tap as it is spoken; a sealed message under distilled
-keys beside a tap that misses three messages of ten; the control, a tap that hears all; and a sensor
+The law `packed` at its limit, read by the tap as it is spoken; keys distilled beside a tap that
+misses three messages of ten; the control, a tap that hears all; and a sensor
 that is spoofed, under a key that is secret and under one that the tap reads.
 """
 
 import argparse
 import json
-import queue
 import shutil
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -19,23 +17,16 @@ from pathlib import Path
 from textwrap import wrap
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.messages import SealCommand, SealReply
-from protocol.secret.sealed import keys_needed
-from protocol.topics import DEFAULT_LOOP, key_of
-from runtime.bus import Bus
 from runtime.errors import DONE, FAILED, INTERRUPTED
-from runtime.ids import new_id
-from runtime.inbox import Inbox
 from runtime.options import run_dir_of
 from runtime.scenario_file import scenario_of
-from wyner.cli.up import Background, Outcome, run_session
+from wyner.cli.up import Outcome, run_session
 from wyner.deployment.one_machine import RunOptions
 
 if TYPE_CHECKING:
     from wyner.dashboard.app import Stage
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
-SEALED: Final = "The old mill, at nine."
 PACE: Final = 5.0
 """Times the plant's clock: a minute in all, and slow enough to be read."""
 
@@ -45,18 +36,16 @@ SLOWEST: Final = 8
 """What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
 is made again at half the pace, and those after it begin so."""
 
-REPEAT_S: Final = 0.2
-
 TITLES: Final = {
     "spoken": "1/4 spoken",
-    "sealed": "2/4 sealed",
+    "keys": "2/4 keys",
     "control": "3/4 control",
     "caught": "4/4 attacked, secret key",
     "unseen": "4/4 attacked, key read",
 }
 ABOUT: Final = {
     "spoken": "a message that the loop itself carries, beside a tap that hears all",
-    "sealed": "one under keys distilled from what a tap that loses 30 % misses",
+    "keys": "keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
     "caught": "a sensor spoofed by who misses 30 %, under keys distilled from that",
     "unseen": "the same by who hears all: the claim that she misses 30 % is false",
@@ -130,7 +119,7 @@ def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
     told = _Outcome()
     acts: tuple[tuple[str, Callable[..., Act]], ...] = (
         ("spoken", _spoken),
-        ("sealed", _sealed),
+        ("keys", _keys),
         ("control", _control),
         ("caught", _caught),
         ("unseen", _unseen),
@@ -226,26 +215,16 @@ def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
     return outcome, line, bool(had)
 
 
-def _sealed(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
-    """Keys from what the tap misses, and a message under a one-time pad of them."""
-    payload = SEALED.encode()
-    messages: list[SealedMessage] = []
-
-    def begin(management: Bus) -> Background:
-        messages.append(SealedMessage(management, payload))
-        return messages[0]
-
+def _keys(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
+    """Keys from what the tap misses."""
     options = _options(args, "keys", folder, told.slower, secret=True)
-    outcome = run_session(options, begin, stays=False, title=TITLES["sealed"], stage=stage)
+    outcome = run_session(options, stays=False, title=TITLES["keys"], stage=stage)
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
-    sent = bool(messages and messages[0].delivered)
-    if not sent:
-        line = f"2. Sealed:  not delivered: {made} keys made, {_missed(outcome.summary)}."
-        return outcome, line, None
-    under = f"{len(payload)} bytes under {keys_needed(len(payload))} of {made} keys"
-    line = f"2. Sealed:  {under}. A tap that loses 30 % holds {held} bits."
-    return outcome, line, bool(made and held == 0 and keys.get("same_at_both_ends"))
+    if not made:
+        return outcome, f"2. Keys:    none was made: {_missed(outcome.summary)}.", None
+    line = f"2. Keys:    {made} keys made. A tap that loses 30 % holds {held} bits."
+    return outcome, line, bool(held == 0 and keys.get("same_at_both_ends"))
 
 
 def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
@@ -342,33 +321,3 @@ def _scenario(name: str, shipped: str, changes: Mapping[str, Any]) -> Iterator[s
         path = Path(where) / f"{name}.toml"
         path.write_text(as_toml(tables), encoding="utf-8")
         yield str(path)
-
-
-class SealedMessage:
-    """Asks the controller again and again to deliver one message sealed, until it has."""
-
-    def __init__(self, management: Bus, payload: bytes) -> None:
-        self.delivered = False
-        self._command = SealCommand(id=new_id(), payload=payload).wire()
-        self._id = SealCommand.model_validate_json(self._command).id
-        self._answers: Inbox[bytes] = Inbox()
-        self._publisher = management.publisher(key_of(SealCommand, DEFAULT_LOOP))
-        self._due = 0.0
-        management.subscribe(
-            key_of(SealReply, DEFAULT_LOOP),
-            lambda _key, reply, _t_ns: self._answers.put(reply, len(reply)),
-        )
-
-    def __call__(self) -> bool:
-        """Ask if it is time to, hear what was answered; whether it is delivered."""
-        now = time.monotonic()
-        if not self.delivered and now >= self._due:
-            self._due = now + REPEAT_S
-            self._publisher.put(self._command)
-        while True:
-            try:
-                reply = SealReply.model_validate_json(self._answers.get(timeout=0.0))
-            except queue.Empty:
-                return self.delivered
-            if reply.id == self._id:
-                self.delivered = self.delivered or reply.delivered

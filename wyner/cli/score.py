@@ -43,9 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--watch", action="store_true", help="watch the decoding, on the dashboard or in lines"
     )
-    parser.add_argument(
-        "--unsealed", action="store_true", help="show the sealed messages that the plant opened"
-    )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
@@ -55,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
     from wyner.cli.decode import decode
 
     with reading(", ".join(args.runs)):
-        if args.unsealed:
-            return _unsealed(Path(_only(args.runs, "--unsealed")), as_json=args.json)
         if args.decode or args.watch or args.first is not None or args.last is not None:
             return decode(args, Path(_only(args.runs, "--decode")))
         if any(Path(one).is_file() for one in args.runs):
@@ -142,31 +137,6 @@ def _only(runs: Sequence[str], option: str) -> str:
     if len(runs) > 1:
         raise UsageError(f"RUN: got {len(runs)} of them, expected one with {option}")
     return runs[0]
-
-
-def _unsealed(run_dir: Path, *, as_json: bool) -> int:
-    """What came by ``wyner send --sealed``, in order."""
-    import base64
-    import json
-
-    from protocol.secret.records import StoreError
-    from protocol.text import readable
-    from runtime.errors import DONE, UsageError
-    from runtime.keys.sealed_book import SealedBook
-    from runtime.keys.store import KeyStore
-    from runtime.run_folder import PLANT_KEYS
-
-    try:
-        with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
-            opened = SealedBook(store).opened()
-    except StoreError as error:
-        raise UsageError(str(error)) from None
-    if as_json:
-        print(json.dumps([{"id": i, "payload": base64.b64encode(p).decode()} for i, p in opened]))
-    else:
-        for identifier, payload in opened:
-            print(f"{identifier}  {readable(payload)}")
-    return DONE
 
 
 def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":

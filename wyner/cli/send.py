@@ -5,12 +5,10 @@ import json
 import math
 import queue
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from protocol.messages import SealCommand, SealReply, SendCommand, SendReply
-from protocol.secret.sealed import keys_needed
+from protocol.messages import SendCommand, SendReply
 from protocol.text import printable
 from protocol.topics import key_of
 from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
@@ -45,9 +43,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument(
-        "--sealed", action="store_true", help="under distilled keys: a one-time pad and a tag"
-    )
-    parser.add_argument(
         "--timeout",
         type=float,
         default=5.0,
@@ -72,9 +67,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"--timeout: got {args.timeout}, expected more than 0")
     payload = message_of(args.text, args.file)
     assert payload is not None
-    kind = SealCommand if args.sealed else SendCommand
     try:
-        command = kind(id=args.id or new_id(), payload=payload)
+        command = SendCommand(id=args.id or new_id(), payload=payload)
     except ValidationError:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
@@ -83,73 +77,59 @@ def run(args: argparse.Namespace) -> int:
     run, buses = joined(told, args.run_name, "operator", args.timeout)
     loop = loop_of(buses)
     ends = endpoints_of(buses, "operator", "management")
-    said, until = "no answer", time.monotonic() + args.timeout
+    until = time.monotonic() + args.timeout
     try:
         with open_bus(ends, args.timeout) as management:
-            for reply in answers(management, loop, command, until):
-                if not reply.accepted:
-                    raise Failure(reply.detail)
-                if isinstance(reply, SendReply) or reply.delivered:
-                    print_reply(reply, len(payload), as_json=args.json)
-                    return DONE
-                said = reply.detail
+            reply = answer(management, loop, command, until)
     except TransportError as error:
         raise UsageError(str(error)) from None
-    if said != "no answer":
-        raise Failure(f"{command.id}: not acknowledged within {args.timeout:g} s; {said}")
+    if reply is not None:
+        if not reply.accepted:
+            raise Failure(reply.detail)
+        print_reply(reply, len(payload), as_json=args.json)
+        return DONE
     if run is not None:
         where = printable(run.seen_from(Path.cwd()))
         raise Failure(
             f"{command.id}: the run {where} did not answer within {args.timeout:g} s; where it is "
             "only being started, try again or give it longer (--timeout)"
-            + ("; without a table [keys] it seals nothing" if args.sealed else "")
         )
     at = ", ".join((*ends.connect, *ends.listen))
-    start = "with a table [keys]: wyner up --scenario keys" if args.sealed else "wyner up"
     raise Failure(
         f"no controller of loop {loop!r} answered within {args.timeout:g} s at {at}: "
-        f"start one ({start}), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"
+        "start one (wyner up), or say where it is (--connect management=tcp/HOST:PORT, --loop ID)"
     )
 
 
-def print_reply(reply: SendReply | SealReply, size: int, *, as_json: bool) -> None:
-    """Tell what became of a message that was taken in."""
-    sealed = isinstance(reply, SealReply)
-    queued = None if isinstance(reply, SealReply) else reply.queued
-    keys = keys_needed(size) if sealed else None
+def print_reply(reply: SendReply, size: int, *, as_json: bool) -> None:
+    """Tell that a message was taken in."""
     if as_json:
-        told = {"id": reply.id, "bytes": size, "sealed": sealed, "delivered": sealed}
-        print(json.dumps({**told, "queued": queued, "keys": keys}))
-    elif sealed:
-        print(f"delivered as {reply.id}: {size} bytes under {keys} keys")
+        print(json.dumps({"id": reply.id, "bytes": size, "queued": reply.queued}))
     else:
-        print(f"queued as {reply.id}: {size} bytes, {queued} not delivered yet")
+        print(f"queued as {reply.id}: {size} bytes, {reply.queued} not delivered yet")
 
 
-def answers(
-    management: "Bus", loop: str, command: SendCommand | SealCommand, until: float
-) -> "Iterator[SendReply | SealReply]":
-    """Say the command again and again; each answer to it.
+def answer(management: "Bus", loop: str, command: SendCommand, until: float) -> SendReply | None:
+    """Say the command again and again until it is answered; None where it is not in time.
 
     Others who wait hear the same answers: saying it on each of them would be a flood.
     """
     from pydantic import ValidationError
 
-    kind: type[SendReply | SealReply]
-    kind = SealReply if isinstance(command, SealCommand) else SendReply
     heard: Inbox[bytes] = Inbox()
     management.subscribe(
-        key_of(kind, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply))
+        key_of(SendReply, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply))
     )
-    publisher = management.publisher(key_of(type(command), loop))
+    publisher = management.publisher(key_of(SendCommand, loop))
     again = -math.inf
     while (now := time.monotonic()) < until:
         if now >= again:
             publisher.put(command.wire())
             again = now + REPEAT_S
         try:
-            reply = kind.model_validate_json(heard.get(timeout=again - now))
+            reply = SendReply.model_validate_json(heard.get(timeout=again - now))
         except (queue.Empty, ValidationError):
             continue
         if reply.id == command.id:
-            yield reply
+            return reply
+    return None

@@ -35,7 +35,6 @@ from wyner.deployment.one_machine import RunOptions, lay_out, text_of
 if TYPE_CHECKING:
     from protocol.link.events import AttackBegan
     from protocol.scenario import Scenario
-    from runtime.bus import Bus
     from wyner.dashboard.app import Stage
     from wyner.deployment.supervisor import Supervisor
 
@@ -131,13 +130,8 @@ class Outcome(NamedTuple):
     """Whether the screen was left before the run had come to its end."""
 
 
-Background = Callable[[], bool]
-"""Something to be done beside a run, a little at each call; True once it is done."""
-
-
 def run_session(
     options: RunOptions,
-    background: "Callable[[Bus], Background] | None" = None,
     epilogue: Callable[[dict[str, Any]], Sequence[str]] | None = None,
     *,
     stays: bool = True,
@@ -149,9 +143,6 @@ def run_session(
     Parameters
     ----------
     options : RunOptions
-    background : callable, optional
-        Takes the management bus; the run is not over before what it gives is, or the plant has
-        ended.
     epilogue : callable, optional
         Lines for the last screen, from the summary; the verdict's if not given.
     stays : bool, optional
@@ -219,8 +210,6 @@ def run_session(
             management.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             management.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
             source = BusSource(management, adversary_bus, DEFAULT_LOOP)
-            if background is not None:
-                watching.background = background(management)
             if screen:
                 ending = run_dashboard(
                     source,
@@ -316,7 +305,6 @@ class Progress:
     def __init__(self, *, until_delivered: bool, supervisor: "Supervisor") -> None:
         self._until_delivered = until_delivered
         self._supervisor = supervisor
-        self.background: Background = lambda: True
         self.received = 0
         self.delivered = 0
         self.waiting = True
@@ -345,8 +333,7 @@ class Progress:
         self._supervisor.poll()
         now = time.monotonic()
         ended = self._supervisor.child("plant").returned is not None
-        done = self.background()  # asked each time: it goes on while it is asked
         arrived = 0 < self.delivered <= self.received and not self.waiting
-        if self._over_at is None and (ended or (self._until_delivered and arrived and done)):
+        if self._over_at is None and (ended or (self._until_delivered and arrived)):
             self._over_at = now + GRACE_S
         return self._over_at is not None and now >= self._over_at

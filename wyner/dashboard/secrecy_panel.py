@@ -149,11 +149,6 @@ def contradictions(state: State) -> Iterator[str]:
         yield f"CLAIM REFUTED: she misses {hers.missed_at_most:.2g}{of} at most"
     if hers.misses_in_bursts:
         yield "MISSES IN BURSTS"
-    if hers.sealed_bits_known:
-        yield (
-            f"SHE READS {count(hers.sealed_bits_known)} of {count(hers.sealed_bits)} sealed bits: "
-            f"{drawn(hers.sealed_text)}"
-        )
 
 
 def curves(state: State, its: SecrecyScore, width: int) -> list[Row]:

@@ -43,7 +43,6 @@ from runtime.key_opening import End, guarded_by
 from runtime.keys import coins
 from runtime.keys.asking import Asker
 from runtime.keys.key_maker import KeyMaker, work
-from runtime.keys.sealed_book import SealedBook
 from runtime.keys.store import KeyStore
 from runtime.model import load_model
 from runtime.network import Direction, channel_of
@@ -343,7 +342,7 @@ class Simulation:
         end.endpoint = self._behind_the_network(side, end.incarnations)
         defence = self.scenario.defence
         if (defence.keyed or defence.guards) and side in self.stores:
-            end.asker = Asker(SealedBook(self.stores[side]))
+            end.asker = Asker(self.stores[side])
             self._ask(end, end.incarnations)
         self._perform(end, end.endpoint.start(self.now_s))
 

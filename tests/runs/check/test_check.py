@@ -420,7 +420,7 @@ def test_a_malformed_message_is_shown_with_its_key_and_its_first_bytes(copied: P
     place = findings(copied)["public-fields"].counter.first
     assert place is not None
     assert place.text == (
-        "capture.jsonl line 51: neither Measurement, Offer nor Sealed (wyner/v2/loop/offer: b'hi')"
+        "capture.jsonl line 51: neither Measurement nor Offer (wyner/v2/loop/offer: b'hi')"
     )
 
 

@@ -7,7 +7,7 @@ import pytest
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
-from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.ended_run import ended_run
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.runs.check import check, evidence
@@ -116,18 +116,3 @@ def test_a_run_is_judged_the_same_in_smaller_parts(
     seen = [len(part.seen) for part in parts if part.seen]
     assert set(seen[:-1]) == {20}
     assert sum(seen) == len(one[0].seen)
-
-
-def test_sealed_messages_count_in_a_part_as_others_do(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """A part is full with both kinds together, and none is given twice."""
-    folder = ended_run(tmp_path / "run", (b"a",)).folder
-    lines = read_lines(folder / CAPTURE)
-    sealed = {"event": "field", "t_ns": 1, "topic": "sealed", "message": {"id": "m"}}
-    woven = [one for line in lines[1:50] for one in (line, sealed)]
-    write_lines(folder / CAPTURE, [lines[0], *woven])
-    monkeypatch.setattr(evidence, "AT_ONCE", 20)
-    parts = [part for part in read_evidence(folder).parts() if part.seen or part.sealed]
-    assert [(len(part.seen), len(part.sealed)) for part in parts] == [(10, 10)] * 4 + [(9, 9)]
-    assert len({seen.number for part in parts for seen in (*part.seen, *part.sealed)}) == 98

@@ -30,7 +30,6 @@ from wyner.runs.check.key_blocks import (
 from wyner.runs.check.keys import Agreement, Coin, InStep, Paper, Receiver, Sender
 from wyner.runs.check.loop import Admissible, Reachable, Switching
 from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
-from wyner.runs.check.sealed import SealedOnce
 from wyner.runs.check.stores import KeyStores
 from wyner.runs.check.watched import Alarms, Guarded, KeyedCoins
 
@@ -65,7 +64,6 @@ CHECKS: Final[tuple[type[Check], ...]] = (
     GivenOnce,
     KeyIds,
     KeyStores,
-    SealedOnce,
     RefusedAtZero,
     KeyedCoins,
     Guarded,
@@ -84,7 +82,6 @@ OF_KEYS: Final = frozenset(
         GivenOnce,
         KeyIds,
         KeyStores,
-        SealedOnce,
         KeyedCoins,
         Guarded,
     )

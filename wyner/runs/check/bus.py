@@ -9,7 +9,7 @@ from typing import Any, Final
 from pydantic import ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.messages import FIELD, Measurement, Offer
+from protocol.messages import FIELD, Measurement
 from protocol.scenario.defence import CLEAR
 from wyner.runs.check.attacked import rewrites
 from wyner.runs.check.base import Check, Counter
@@ -23,7 +23,6 @@ PUBLIC: Final = {
     for topic, fields in {
         "measurement": "v session k x applied_k x_after copy_number nonce applied_copy block tag",
         "offer": "v session k candidates cipher predictions copy_number nonce heard block tag",
-        "sealed": "v id key_ids cipher tag",
     }.items()
 }
 """The field bus's messages and all their fields, written out here so that adding one to the message
@@ -217,7 +216,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
 
 
 class PublicFields(Check):
-    """Only the three public messages, with exactly their public fields."""
+    """Only the two public messages, with exactly their public fields."""
 
     name = "public-fields"
     source = "assumption 2"
@@ -230,7 +229,7 @@ class PublicFields(Check):
         self._guards = evidence.scenario.defence.messages != CLEAR
 
     def feed(self, part: Part) -> None:
-        for seen in (*part.seen, *part.sealed):
+        for seen in part.seen:
             unlike = self._unlike(seen)
             text = f"{seen.where}: {unlike}" if unlike else ""
             self.counter.count(not unlike, seen.session, -1, seen.k, text)
@@ -255,12 +254,10 @@ class PublicFields(Check):
         if isinstance(message, Measurement):
             n = rules.states
             fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
-        elif isinstance(message, Offer):
+        else:
             fits = len(message.candidates) == rules.size and message.cipher < rules.size
             fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
             fits = fits and not rules.malformed_predictions(message.predictions)
-        else:
-            return "" if rules.schedule is not None else "sealed, and no keys are made"
         if not fits:
             return f"{topic} is not of this plant's shape"
         if keys is not None:
@@ -271,7 +268,7 @@ class PublicFields(Check):
     def finish(self) -> None:
         assert self.evidence.wire is not None
         for problem in self.evidence.wire.strange:
-            text = f"{problem.where}: neither Measurement, Offer nor Sealed ({problem.text})"
+            text = f"{problem.where}: neither Measurement nor Offer ({problem.text})"
             self.counter.count(False, "", -1, -1, text)
         self.counter.note = f"{self.evidence.wire.torn} torn lines"
 

@@ -4,13 +4,12 @@ Nothing here judges. The traces come first, both ends side by side; the capture 
 compared with the plant's steps. A run of millions of steps is never in memory as a whole.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.link.session import Rules, rules_of
-from protocol.messages import Sealed
 from protocol.scenario import Scenario
 from runtime.options import refuse_running
 from runtime.recording import parts_of
@@ -34,16 +33,12 @@ class Pair(NamedTuple):
 
 
 class Part(NamedTuple):
-    """A piece of a run: items of both traces and their transitions side by side, or messages.
-
-    ``seen`` are the loop's messages, ``sealed`` those that pass beside it.
-    """
+    """A piece of a run: items of both traces and their transitions side by side, or messages."""
 
     plant: list[Item]
     controller: list[Item]
     pairs: list[Pair]
     seen: list[CapturedMessage]
-    sealed: Sequence[CapturedMessage] = ()
 
     def sides(self) -> "tuple[tuple[str, list[Item]], tuple[str, list[Item]]]":
         """Both traces' items, with the side's name."""
@@ -126,13 +121,12 @@ class Evidence:
         if self.wire is None:
             return
         seen: list[CapturedMessage] = []
-        sealed: list[CapturedMessage] = []
         for one in self.wire:
-            (sealed if one.topic == Sealed.topic else seen).append(one)
-            if len(seen) + len(sealed) == AT_ONCE:
-                yield Part([], [], [], seen, sealed)
-                seen, sealed = [], []
-        yield Part([], [], [], seen, sealed)
+            seen.append(one)
+            if len(seen) == AT_ONCE:
+                yield Part([], [], [], seen)
+                seen = []
+        yield Part([], [], [], seen)
 
 
 class _Sides:

@@ -1,6 +1,5 @@
 """The key stores of a run: each holds what its end stored."""
 
-import json
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -120,7 +119,6 @@ class _Store:
     def look(self, e: Evidence, end: _End | None) -> None:
         blocks = self._blocks()
         self._keys(blocks)
-        self._sealed()
         assert e.scenario.keys is not None
         claim = e.scenario.keys.assumption().sentence()
         told = self.store.note("assumption")
@@ -178,27 +176,6 @@ class _Store:
                 good = good and body is None
             self._count(good, block["session"], f"key {name} is not as it was written")
 
-    def _sealed(self) -> None:
-        """Keys of sealed messages were taken for them, and for nothing else."""
-        pruned = len(self.store.rows("SELECT 1 FROM key LIMIT ?", (TOMBSTONES,))) == TOMBSTONES
-        texts = {
-            name: json.loads(ids or "[]")
-            for name, ids in self.store.rows(
-                "SELECT id, CASE WHEN cipher IS NULL THEN NULL ELSE key_ids END FROM sealed"
-            )
-        }
-        opened = {name for (name,) in self.store.rows("SELECT id FROM opened")}
-        taken: dict[str, set[str]] = {}
-        for name, who in self.store.rows("SELECT id, who FROM key WHERE who LIKE 'sealed %'"):
-            taken.setdefault(who.removeprefix("sealed "), set()).add(name)
-        for name, ids in texts.items():
-            good = pruned or taken.get(name, set()) == set(ids)
-            self._count(good, "", f"sealed {name}: its keys were taken for something else")
-        for name in opened:
-            self._count(pruned or name in taken, "", f"sealed {name}: no key was taken to open it")
-        for name in taken.keys() - texts.keys() - opened:
-            self._count(False, "", f"sealed {name}: its keys were taken, and it is gone")
-
     def _as_traced(self, e: Evidence, end: _End, blocks: dict[At, dict[str, Any]]) -> None:
         reader = dict(e.readers())[self.side]
         for at, keys in end.blocks.stored.items():
@@ -224,15 +201,10 @@ class _Store:
 
 
 def _same(controller: KeyStore, plant: KeyStore, counter: Counter) -> None:
-    """Keys that both ends still hold are the same; what was acknowledged was opened."""
+    """Keys that both ends still hold are the same."""
     rows = "SELECT id, body FROM key WHERE state = 'confirmed'"
     mine, theirs = dict(controller.rows(rows)), dict(plant.rows(rows))
     for name in mine.keys() & theirs.keys():
         counter.count(mine[name] == theirs[name], "", -1, -1, f"key {name} differs at the two ends")
     secrets = {controller.note("secret"), plant.note("secret")} - {None}
     counter.count(len(secrets) < 2, "", -1, -1, "the two ends' stores took different secrets")
-    if (plant.note("begun") or "None/0").startswith("None"):
-        opened = {name for (name,) in plant.rows("SELECT id FROM opened")}
-        for (name,) in controller.rows("SELECT id FROM sealed WHERE state = 'done'"):
-            text = f"sealed {name}: acknowledged, and the plant's store has not opened it"
-            counter.count(name in opened, "", -1, -1, text)

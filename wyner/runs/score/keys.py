@@ -11,7 +11,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from protocol.messages import Sealed
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
@@ -404,7 +403,7 @@ def _heard(run: Run) -> HeardCopies | None:
     try:
         reader = run.capture()
         for _, message in reader.records():
-            if not isinstance(message, Sealed) and not message.copy_number:
+            if not message.copy_number:
                 copy = (message.topic, message.session, message.k)
                 heard.add(copy, reader.incarnations)
     except (CaptureError, OSError):

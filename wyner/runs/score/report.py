@@ -341,9 +341,4 @@ def rows(r: Report) -> list[tuple[str, ...]]:
 
 def held_line(held: KeysHeld) -> str:
     """What one who goes for keys holds, in words."""
-    line = f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
-    if held.sealed:
-        known, bits = (sum(getattr(t, f) for t in held.sealed) for f in ("known_bits", "bits"))
-        line += f"; reads {known} of {bits} bits of sealed text"
-        line += "".join(f', "{t.text}"' for t in held.sealed if t.known_bits)
-    return line
+    return f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
