@@ -2,7 +2,6 @@
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from runtime.bus_options import (
@@ -68,7 +67,6 @@ class ControllerOptions(ServiceOptions):
     pace: str = "realtime"
     message: str | None = None
     message_file: str | None = None
-    secret: str | None = None
     clear_alarm: bool = False
     model_folder: str | None = None
 
@@ -122,7 +120,6 @@ def run_controller(options: ControllerOptions) -> int:
         pace=pace,
         seed=options.seed,
         bounds=bounds,
-        secret=None if options.secret is None else Path(options.secret),
         clear_alarm=options.clear_alarm,
         run_dir=run_dir_of(options.run_dir),
         folder=folder,

@@ -228,6 +228,11 @@ class ControllerCore:
         return self._plant
 
     @property
+    def makes_keys(self) -> bool:
+        """Whether it has key blocks to be extracted."""
+        return self.keys.on
+
+    @property
     def refused(self) -> bool:
         """Whether the only plant shares another model: there is nothing to go on with."""
         return self._state == "refused"

@@ -2,7 +2,6 @@
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 
 from runtime.bus_options import (
     ServiceOptions,
@@ -58,7 +57,6 @@ class PlantOptions(ServiceOptions):
     attack: str | None = None
     plant_folder: str | None = None
     clear_safe: bool = False
-    secret: str | None = None
 
 
 def run(args: argparse.Namespace) -> int:
@@ -111,7 +109,6 @@ def run_plant(options: PlantOptions) -> int:
         attack=attack,
         seed=options.seed,
         bounds=bounds,
-        secret=None if options.secret is None else Path(options.secret),
         run_dir=run_dir_of(options.run_dir),
         folder=folder,
     )

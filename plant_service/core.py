@@ -237,6 +237,11 @@ class PlantCore:
         return self.state in WORKING
 
     @property
+    def makes_keys(self) -> bool:
+        """Whether it has key blocks to be extracted."""
+        return self.keys.on
+
+    @property
     def refused(self) -> bool:
         """Whether the only controller shares another model: there is nothing to go on with."""
         return self.state == "refused"

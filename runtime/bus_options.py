@@ -83,13 +83,8 @@ def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> Non
 
 
 def add_end_arguments(parser: argparse.ArgumentParser, service: str) -> None:
-    """Add what both ends of a loop are told alike: seed, secret, bounds, fleets, metrics, buses."""
+    """Add what both ends of a loop are told alike: seed, bounds, fleets, metrics, buses."""
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
-    parser.add_argument(
-        "--secret",
-        metavar="F",
-        help="sign key blocks by this file, as `wyner certs --secret` writes it",
-    )
     add_check_argument(parser)
     add_bounds_arguments(parser)
     add_fleet_arguments(parser)

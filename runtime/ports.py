@@ -1,25 +1,20 @@
-"""The ports of one end of one loop: its files, its publishers, its log, its key maker."""
+"""The ports of one end of one loop: its files, its publishers, its log."""
 
 import logging
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Final, Protocol
+from typing import Final, Protocol
 
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
-from protocol.secret.tasks import Task
+from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
-from runtime.keys.key_maker import KeyMakerAt
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
-
-if TYPE_CHECKING:
-    from protocol.link.guarded import Guarded
-
 
 class Journal(Protocol):
     """What :func:`runtime.perform.perform` writes to."""
@@ -33,16 +28,11 @@ class Journal(Protocol):
 
 @dataclass(slots=True)
 class Files:
-    """Where one end of one loop leaves what it has to keep: journal, trace and status.
-
-    ``guarded`` is the end with its messages guarded, where they are.
-    """
+    """Where one end of one loop leaves what it has to keep: journal, trace and status."""
 
     journal: Journal
     trace: TraceWriter
     health: Path
-    key_maker: KeyMakerAt | None = None
-    guarded: "Guarded | None" = None
 
     def close(self) -> None:
         """Close journal and trace."""
@@ -102,8 +92,8 @@ class LoopPorts(BusPorts):
         As for :class:`BusPorts`.
     tell_health : callable
         Has the status kept in the run's folder.
-    key_maker : callable, optional
-        Takes tasks for the key maker.
+    extract : callable, optional
+        Takes key blocks to be extracted.
     """
 
     def __init__(
@@ -112,10 +102,10 @@ class LoopPorts(BusPorts):
         publishers: dict[type[Message], Publisher],
         log: logging.Logger,
         tell_health: Callable[[Status], None],
-        key_maker: Callable[[Task], None] | None = None,
+        extract: Callable[[ClosedBlock], None] | None = None,
     ) -> None:
         super().__init__(publishers, log)
-        self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
+        self.files, self.tell_health, self._extract = files, tell_health, extract
 
     def save(self, actions: Actions) -> None:
         """Write to the journal. What it has on the disk, the trace has there before."""
@@ -127,10 +117,10 @@ class LoopPorts(BusPorts):
         """Append to the trace."""
         self.files.trace.write(*lines(event))
 
-    def submit_key_task(self, task: Task) -> None:
-        """Hand it to whoever keeps keys."""
-        assert self.key_maker is not None, "keys are made, and nobody keeps them"
-        self.key_maker(task)
+    def extract(self, block: ClosedBlock) -> None:
+        """Have a key block extracted."""
+        assert self._extract is not None, "keys are made, and nothing extracts them"
+        self._extract(block)
 
     def health(self, status: Status) -> None:
         """Have the status and the health line replaced; tell what the log still owes."""

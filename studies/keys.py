@@ -8,15 +8,9 @@ from collections.abc import Callable, Iterator
 from random import Random
 from typing import Final, NamedTuple, Self
 
-import numpy as np
-
 from protocol.gilbert_elliott import GilbertElliott
-from protocol.secret.authentication import PRIME, tag
 from protocol.secret.bound import NONCE_BITS, Assumption, quantile
-from protocol.secret.extractor import WORDS, cauchy, extract
-from protocol.secret.galois import inverse, multiply
-from protocol.secret.nonces import NONCE_BYTES
-from runtime.keys.key_maker import PUBLIC_TAG_BYTES
+from protocol.secret.extractor import WORDS
 from tap_service.inference.key_solver import bits_held
 
 TRANSITIONS: Final = 256
@@ -102,26 +96,6 @@ def half_heard(random: Random) -> KeyRun:
     return KeyRun(half * broken, NONCE_BITS // WORDS * max(0, WORDS * kept - unheard))
 
 
-def forged(random: Random) -> KeyRun:
-    """She changes two nonces on their way to one end, so that row 0 stays as it is."""
-    rows = CLAIM.rows(TRANSITIONS, TRANSITIONS, COPIES)
-    nonces = [random.randbytes(NONCE_BYTES) for _ in range(COPIES)]
-    theirs = list(nonces)
-    i, j = random.sample(range(COPIES), 2)
-    change = np.array(random.randrange(1, 1 << 16), np.uint16)
-    row_0 = cauchy(1, COPIES)[0]
-    other = multiply(multiply(row_0[i], change), inverse(row_0[j]))
-    for place, word in ((i, change), (j, other)):
-        first = int.from_bytes(nonces[place][:2]) ^ int(word)
-        theirs[place] = first.to_bytes(2) + nonces[place][2:]
-    one, two = extract(nonces, rows), extract(theirs, rows)
-    differ = NONCE_BITS * sum(a != b for a, b in zip(one[1:], two[1:], strict=True))
-    point, pad = random.randrange(PRIME), random.randrange(PRIME)
-    unseen = one[0][:PUBLIC_TAG_BYTES] == two[0][:PUBLIC_TAG_BYTES]
-    signed = tag(point, pad, b"".join(nonces)) == tag(point, pad, b"".join(theirs))
-    return KeyRun(differ * unseen, differ * signed)
-
-
 CONTROLS: Final[dict[str, Callable[[Random], KeyRun]]] = {
     "one row too many": one_row_more,
     "repeats with the nonce": same_nonce,
@@ -129,7 +103,6 @@ CONTROLS: Final[dict[str, Callable[[Random], KeyRun]]] = {
     "0.5 claimed, 0.3 true": high_claim,
     "bursts as independent": bursts,
     "half heard as missed": half_heard,
-    "forger, public tag": forged,
 }
 
 

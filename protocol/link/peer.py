@@ -75,6 +75,10 @@ class Peer(Protocol):
     says: tuple[type[Message], ...]
 
     @property
+    def makes_keys(self) -> bool:
+        """Whether it has key blocks to be extracted."""
+
+    @property
     def code(self) -> int | None:
         """The exit code once this end is over; None as long as it goes on."""
 

@@ -110,7 +110,7 @@ _Names = Annotated[
 ]
 
 
-_What = Literal["keys", "pads", "unused", "made", "marked", "ready", "blocks", "lacked"]
+_What = Literal["keys", "unused", "made", "marked", "blocks", "lacked"]
 
 
 class BlockAnnouncement(Message):
@@ -129,22 +129,22 @@ class BlockAnnouncement(Message):
 
 
 class KeyRequest(Message):
-    """One end asks the other about keys or pads; repeated until it is answered.
+    """One end asks the other about keys; repeated until it is answered.
 
     Attributes
     ----------
     side : {"controller", "plant"}
         Who asks.
     use : str
-        The one use that the keys or pads are for.
+        The one use that the keys are for.
     what : str
-        ``keys``, ``pads``: mark these for the use, before they are given. The others are asked
-        after a start, since the store may have been put back. ``unused``, ``made`` (since the
-        start), ``marked`` (given by the other end) and ``ready`` (pads): which of these were given
-        before? ``blocks``: which blocks beyond these, its newest, did it have? ``lacked``: which
-        of these blocks does the other end lack?
+        ``keys``: mark these for the use, before they are given. The others are asked after a start,
+        since the store may have been put back. ``unused``, ``made`` (since the start) and
+        ``marked`` (given by the other end): which of these were given before? ``blocks``: which
+        blocks beyond these, its newest, did it have? ``lacked``: which of these blocks does the
+        other end lack?
     names : tuple of str
-        Ids of keys, origins of pads or names of blocks; 4096 at most.
+        Ids of keys or names of blocks; 4096 at most.
     """
 
     topic: ClassVar[str] = "management/keys/request"
@@ -158,7 +158,7 @@ class KeyAnswer(Message):
     """The answer to a `KeyRequest` of ``side``.
 
     ``refused`` are the names that it must not give, or the blocks that it asked for. Empty: all
-    keys or pads are marked.
+    keys are marked.
     """
 
     topic: ClassVar[str] = "management/keys/answer"

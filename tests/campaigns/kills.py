@@ -8,7 +8,7 @@ a C compiler): nothing may depend on it. With ``--apart`` each has a wall clock 
 set so, and lives on a machine of its own as far as the monotonic clock goes: in a time namespace
 (needs root, too). With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
-loses, repeats and delays, and blocks of keys are signed in every other run. With ``--watched`` the
+loses, repeats and delays. With ``--watched`` the
 coin is keyed and the loop is in lock-step: no honest step may alarm. With ``--guarded`` messages
 are tagged in every other run and coded in the others: none may be refused, and no slot of a key
 may serve two.
@@ -122,7 +122,6 @@ def one_run(
     guard = ("mac", "coding")[seed % 2] if kind == "guarded" else None
     pace = "fast" if watched else RELAYED_PACE if keys else "x20" if guard else draw.choice(PACES)
     relay = RELAY if keys else None
-    signed = keys and seed % 2 == 0
     loop = LiveLoop(
         folder,
         text.encode(),
@@ -130,14 +129,12 @@ def one_run(
         router=kind == "tls" or (not keys and seed % 2 == 1),
         tls=kind == "tls",
         relay=relay,
-        secret=signed,
         boots=draw if kind == "apart" else None,
         scenario="watched" if watched else "keys",
         guard=guard,
     )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
-    counts["unsigned runs"] = int(keys and not signed)
     with traffic:
         time.sleep(draw.uniform(0.5, 1.5))
         while sum(counts[name] for name in loop.processes) < kills and not wrong:

@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Final
 
 from runtime.addresses import free_endpoints
-from runtime.keys.secret_file import make_secret
 from runtime.run_folder import CONTROLLER_STATUS, SCENARIO
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
@@ -200,8 +199,6 @@ class LiveLoop:
     relay : tuple of float, optional
         The field bus between the two ends goes through a relay with these odds: loss, repeat, and
         the longest delay in seconds.
-    secret : bool
-        Blocks of keys are signed.
     boots : random.Random, optional
         Every process has a wall clock and a monotonic clock of its own.
     scenario : str
@@ -219,7 +216,6 @@ class LiveLoop:
         router: bool = False,
         tls: bool = False,
         relay: tuple[float, float, float] | None = None,
-        secret: bool = False,
         boots: random.Random | None = None,
         scenario: str = "keys",
         guard: str | None = None,
@@ -242,11 +238,6 @@ class LiveLoop:
         run = ["--run-dir", str(self.run_dir)]
         self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
         common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
-        if secret:
-            make_secret(folder / "secret-plant")
-            shutil.copy(folder / "secret-plant", folder / "secret-controller")
-            for side, arguments in common.items():
-                arguments += ["--secret", str(folder / f"secret-{side}")]
         self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
         told = ["--message-file", str(folder / "message")]
         self._add("controller", [*common["controller"], *told, *ends["controller"]])

@@ -118,10 +118,6 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["up", "--eavesdropper", "eve"], "eavesdropper: got 'eve', expected set-membership"),
         (["up", "--eavesdropper", ","], "--eavesdropper: got ',', expected at least one name"),
         (["up", "--pace", "x0"], "--pace: got 'x0', expected realtime, fast, or xN"),
-        (
-            ["up", "--secret"],
-            "--secret: signs key blocks, and scenario sustained has no table keys",
-        ),
         (["up", "--message", ""], "message: got 0 bytes, expected 1 to 65535"),
         (["up", "--message-file", "none.txt"], "none.txt: cannot be read"),
         (["up", "--message", "a", "--message-file", "b"], "not allowed with"),

@@ -56,18 +56,18 @@ def test_a_loop_that_makes_no_keys_any_more_says_so(
     keying = Keying(schedule_of(Assumption(0.5)))
     keying.begin("0" * 16)
     told = []
-    for number, keys, exhausted in ((0, 5, False), (1, 0, False), (2, 0, True)):
-        keying.done(Stored("0" * 16, number, "", keys=keys, exhausted=exhausted))
+    for number, keys in ((0, 5), (1, 0)):
+        keying.done(Stored("0" * 16, number, "", keys=keys))
         told.append(keying.status_fields("")["keys_stopped"])
-    assert told[:2] == ["", "block 1 lost too many copies to make one"]
-    why = {"keys_stopped": told[2]}
+    assert told == ["", "block 1 lost too many copies to make one"]
+    why = {"keys_stopped": told[1]}
     write_status(tmp_path, "plant", 10, **why)
     later = threading.Timer(0.2, write_status, (tmp_path, "plant", 11), why)
     later.start()
     assert health(tmp_path, "plant") == 0
     later.join()
     told_last = capsys.readouterr().out
-    assert told_last.endswith("; keys stopped: no pad is left to sign key blocks with\n")
+    assert told_last.endswith("; keys stopped: block 1 lost too many copies to make one\n")
 
 
 def test_a_service_that_reports_but_whose_loop_stands_still_is_not(

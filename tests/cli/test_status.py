@@ -6,19 +6,13 @@ from pathlib import Path
 
 import pytest
 
-from runtime.keys.ledger import Authentication, take_secret
-from runtime.keys.secret_file import make_secret
-from runtime.keys.store import KeyStore
 from runtime.run_folder import (
     BELIEFS,
-    CONTROLLER_KEYS,
     CONTROLLER_STATUS,
-    PLANT_KEYS,
     PLANT_STATUS,
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
-from tests.support.giving import consent
 from wyner.cli.main import main
 
 pytestmark = pytest.mark.slow
@@ -148,38 +142,6 @@ def test_the_claim_is_that_of_the_runs_scenario(
     (folder / SCENARIO).write_text("name = 1")
     assert main(["status", str(folder)]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
-
-
-def test_the_ledger_of_each_end_is_shown_and_left_as_it_was(
-    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = changed(run_dir, tmp_path, PLANT_STATUS)
-    make_secret(tmp_path / "first")
-    shutil.copy(tmp_path / "first", tmp_path / "second")
-    with KeyStore(folder / PLANT_KEYS, "plant", create=True) as keys:
-        take_secret(keys, tmp_path / "first")
-        authentication = Authentication(keys, look=lambda: consent(keys))
-        assert authentication.tags("a", 0, b"its content", [bytes(32)]) is not None
-    with KeyStore(folder / CONTROLLER_KEYS, "controller", create=True) as keys:
-        take_secret(keys, tmp_path / "second")
-        keys.drop("no", 1)
-        before = (folder / CONTROLLER_KEYS).read_bytes()
-        with keys.transaction():  # someone is at it
-            assert main(["status", str(folder)]) == 0
-    assert (folder / CONTROLLER_KEYS).read_bytes() == before
-    lines = capsys.readouterr().out.splitlines()
-    assert [line for line in lines if line.startswith("pads")] == [
-        "pads        at the controller: 16 sets made, 0 spent, 16 left",
-        "pads        at the plant: 16 sets made, 1 spent, 15 left",
-    ]
-    assert main(["status", str(folder), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)["pads"]
-    assert told["plant"] == {"made": 16, "spent": 1, "left": 15}
-    (folder / PLANT_KEYS).write_bytes(b"no store" * 300)
-    assert main(["status", str(folder)]) == 1
-    out = capsys.readouterr().out  # all else is told as well
-    assert out.count("warning: ") == out.count("not a database") == 1
-    assert "at the controller: 16 sets" in out
 
 
 def test_what_cannot_be_read_is_one_line(

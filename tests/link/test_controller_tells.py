@@ -751,7 +751,7 @@ def keys_at_work() -> Told:
     end = Told(KEYS, record, contributions=rows)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=4, applied_k=1), 0.0)
-    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+    stored = end.does(end.core.key_task_done(Stored(S, 0, "b" * 32, keys=5), 0.0))
     assert [event.as_event()["event"] for event in stored.events] == ["block"]
     end.all.clear()
     return end

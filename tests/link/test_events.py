@@ -111,7 +111,7 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
         (COMMAND, {"event": "sent", "id": "m1", "payload": "YQ=="}),
         (
             BlockStored(S, 1, 5),
-            {"event": "block", "session": S, "number": 1, "keys": 5, "signed": ""},
+            {"event": "block", "session": S, "number": 1, "keys": 5},
         ),
         (Appearances(S, 4, 2), {"event": "appearances", "session": S, "k": 4, "times": 2}),
         (
@@ -179,11 +179,6 @@ CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
         (STORED._replace(number=1), (BlockStored(S, 1, 5),), ()),
         (STORED._replace(confirmed=True), (BlockStored(S, 0, 5),), ()),
         (STORED._replace(keys=0), (BlockStored(S, 0, 0),), ()),
-        (
-            STORED._replace(keys=0, exhausted=True),
-            (BlockStored(S, 0, 0),),
-            (Notice("no pad is left to sign key blocks with: make a new secret", "error"),),
-        ),
         (DONE, (DONE,), ()),
         (
             DONE._replace(what="unequal", keys=0),

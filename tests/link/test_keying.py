@@ -27,7 +27,7 @@ SCHEDULE = Schedule(Assumption(0.1), 2, 4)
 """Block 0 is transitions 1 and 2, block 1 the four after them."""
 
 NONCES = tuple(fresh_nonce() for _ in range(8))
-TAG, THEIRS = "a" * 32, "b" * 32
+TAG, OTHER_TAG = "a" * 32, "b" * 32
 
 
 def offer(**fields: object) -> Offer:
@@ -53,7 +53,7 @@ def stored(keying: Keying, number: int = 0) -> Stored:
     (closed,) = keying.tasks()
     assert isinstance(closed, ClosedBlock)
     assert (closed.session, closed.number) == (S, number)
-    done = Stored(S, number, TAG, THEIRS, keys=5)
+    done = Stored(S, number, TAG, keys=5)
     keying.done(done)
     return done
 
@@ -70,7 +70,7 @@ def test_without_keys_everything_is_constant() -> None:
     sent = offer(nonce="")
     assert keying.again(sent) is sent
     assert keying.count(1, 1, offer(), 0, NONCES[1]) is None
-    assert keying.heard(said(0, THEIRS)) == ()
+    assert keying.heard(said(0, TAG)) == ()
     assert keying.tasks([BlockResult(S, 0, "confirmed")]) == ()
     assert keying.done(BlockResult(S, 0, "confirmed", 5)) == ()
     assert keying.obsolete_rows() == ()
@@ -121,7 +121,7 @@ def test_a_sessions_first_transition_is_in_no_block() -> None:
     assert keying.count(2, 1, offer(), 0, NONCES[1]) is not None
     (closed,) = keying.tasks()
     assert isinstance(closed, ClosedBlock)
-    assert (closed.transitions, closed.steps, closed.pattern) == (2, 2, "33")
+    assert (closed.transitions, closed.steps, closed.counted) == (2, 2, 4)
     assert keying.tasks() == ()
 
 
@@ -151,7 +151,7 @@ def test_a_block_is_announced_once_it_is_stored() -> None:
 
 
 def test_the_partners_word_confirms_a_block_or_differs() -> None:
-    for tag, what in ((THEIRS, "confirmed"), (TAG, "unequal")):
+    for tag, what in ((TAG, "confirmed"), (OTHER_TAG, "unequal")):
         keying = counting(3)
         stored(keying)
         judged = keying.heard(said(0, tag))
@@ -168,7 +168,7 @@ def test_what_was_read_back_goes_on_where_it_was() -> None:
     keying.count(6, 1, offer(), 0, NONCES[1])
     (closed,) = keying.tasks()
     assert isinstance(closed, ClosedBlock)
-    assert (closed.number, closed.pattern, closed.last) == (1, "1113", 6)
+    assert (closed.number, closed.counted, closed.last) == (1, 5, 6)
 
 
 def test_a_session_that_is_over_leaves_nothing() -> None:
@@ -189,7 +189,7 @@ def test_a_verdict_goes_before_the_next_block() -> None:
     stored(keying)
     for j in range(3, 7):
         keying.count(j, 1, offer(), 0, NONCES[1])
-    verdict, closed = keying.tasks(keying.heard(said(0, THEIRS)))
+    verdict, closed = keying.tasks(keying.heard(said(0, TAG)))
     assert isinstance(verdict, BlockResult)
     assert isinstance(closed, ClosedBlock)
     assert closed.number == 1
@@ -219,7 +219,7 @@ def test_rows_go_once_their_block_is_confirmed_and_announced() -> None:
     keying = counting(4)
     stored(keying)
     assert keying.obsolete_rows() == ()
-    keying.heard(said(0, THEIRS))
+    keying.heard(said(0, TAG))
     keying.announcement()
     assert keying.obsolete_rows() == ()
     keying.done(BlockResult(S, 0, "confirmed", 5))
@@ -232,9 +232,9 @@ def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_on
     first, second = keying.tasks()
     assert isinstance(first, ClosedBlock)
     assert isinstance(second, ClosedBlock)
-    keying.done(Stored(S, 1, TAG, THEIRS, keys=5))
-    keying.heard(said(1, THEIRS))
-    late = Stored(S, 0, TAG, THEIRS, keys=5)
+    keying.done(Stored(S, 1, TAG, keys=5))
+    keying.heard(said(1, TAG))
+    late = Stored(S, 0, TAG, keys=5)
     assert keying.done(late) == (BlockResult(S, 0, "confirmed"),)
 
 
@@ -243,7 +243,6 @@ def test_a_block_that_the_partner_confirmed_before_it_was_stored_is_judged_at_on
     [
         (Stored(S, 0, TAG, keys=5), ""),
         (Stored(S, 2, ""), "block 2 lost too many copies to make one"),
-        (Stored(S, 0, "", exhausted=True), "no pad is left to sign key blocks with"),
         (Stored(S, 3, "", older=True), "block 3 began before the key store did"),
     ],
 )
@@ -298,13 +297,6 @@ def test_blocks_that_differ_stop_the_keys_until_a_new_session() -> None:
     assert state(keying) == ("block 0 differs from the partner's", 1)
     keying.begin(OTHER)
     assert state(keying) == ("", 1)
-
-
-def test_a_new_session_without_pads_makes_no_keys_either() -> None:
-    keying = counting(3)
-    keying.done(Stored(S, 0, "", exhausted=True))
-    keying.begin(OTHER)
-    assert state(keying) == ("no pad is left to sign key blocks with", 1)
 
 
 def test_a_broken_store_is_asked_for_nothing_more() -> None:
@@ -365,13 +357,11 @@ AS_RECEIVER = ReceiverRecord(S, 9, (0.0,), (0.0,), transitions=6, block=0, tag=T
     [
         (lambda: sender(AS_SENDER), (0, TAG)),
         (
-            lambda: sender(
-                AS_SENDER, offer=offer(block=1, tag=THEIRS), measurement=said(-1, NO_TAG)
-            ),
-            (1, THEIRS),
+            lambda: sender(AS_SENDER, offer=offer(block=1, tag=TAG), measurement=said(-1, NO_TAG)),
+            (1, TAG),
         ),
         (lambda: receiver(AS_RECEIVER), (0, TAG)),
-        (lambda: receiver(AS_RECEIVER, said(1, THEIRS)), (1, THEIRS)),
+        (lambda: receiver(AS_RECEIVER, said(1, TAG)), (1, TAG)),
     ],
     ids=["sender", "sender with a step", "receiver", "receiver with a step"],
 )
@@ -384,7 +374,7 @@ def test_an_end_goes_on_with_its_last_word_and_its_rows(
     keying.count(6, 1, offer(), 0, NONCES[1])
     (closed,) = keying.tasks()
     assert isinstance(closed, ClosedBlock)
-    assert (closed.session, closed.number, closed.pattern) == (S, 1, "1113")
+    assert (closed.session, closed.number, closed.counted) == (S, 1, 5)
 
 
 def test_a_record_without_a_word_says_that_there_is_none() -> None:

@@ -983,7 +983,7 @@ def keys_at_work(steps: int | None = None, **more: Any) -> Told:
     if steps is None:
         end.hears(hello(), 0.0)
         end.hears(hello(verdict="accepted", answers=P), 0.0)
-    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+    stored = end.does(end.core.key_task_done(Stored(S, 0, "b" * 32, keys=5), 0.0))
     assert [event.as_event()["event"] for event in stored.events] == ["block"]
     end.all.clear()
     return end
@@ -1060,7 +1060,7 @@ def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
     )
     for tag in ("b" * 32, "c" * 32):
         end = Told(KEYS, record, contributions=rows(4)).met()
-        end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, "b" * 32, keys=5), 0.0))
+        end.does(end.core.key_task_done(Stored(S, 0, "b" * 32, keys=5), 0.0))
         end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
         counted = end.all[-1]
         differs = tag[0] == "c"

@@ -11,7 +11,6 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret.authentication import RESERVE
 from protocol.secret.blocks import (
     NO_TAG,
     BlockResult,
@@ -25,10 +24,8 @@ from protocol.secret.blocks import (
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, contribution_of, fresh_nonce
 from runtime.keys.key_maker import KeyMaker
-from runtime.keys.ledger import Authentication, pad_counts, take_secret
-from runtime.keys.secret_file import SecretError, make_secret
 from runtime.keys.store import KeyStore
-from tests.support.giving import agree, consent, deliver, deliver_named
+from tests.support.giving import deliver, deliver_named
 
 SESSION = "0123456789abcdef"
 SMALL = Schedule(Assumption(0.9, eps_sec=1e-2), first=3, largest=6)
@@ -83,11 +80,9 @@ def test_a_block_is_everything_counted_in_order() -> None:
         Contribution(4, 2, None, None),
     )
     block = closed(contributions)
-    assert block.pattern == "3210"
     assert block.nonces == tuple(nonce[:4])
     assert (block.transitions, block.steps, block.counted, block.last) == (4, 7, 4, 4)
     assert block.rows == 0  # ten copies of fourteen were lost
-    assert closed(contributions[:1]).message() != block.message()
 
 
 def test_what_does_not_count_leaves_no_nonce() -> None:
@@ -112,7 +107,7 @@ def counting(last: int) -> Blocks:
 def test_a_block_is_announced_once_a_later_transition_was_counted() -> None:
     """Until then the plant could be put back, and count its last transition otherwise."""
     blocks = counting(3)
-    blocks.stored(Stored(SESSION, 0, "a", "x"))
+    blocks.stored(Stored(SESSION, 0, "a"))
     assert blocks.announcement() == (-1, NO_TAG)
     blocks.count(Contribution(4, 1, None, None))
     assert blocks.announcement() == (0, "a")
@@ -121,11 +116,11 @@ def test_a_block_is_announced_once_a_later_transition_was_counted() -> None:
 def test_a_later_block_that_holds_confirms_the_one_before() -> None:
     blocks = counting(16)
     assert blocks.announcement() == (-1, NO_TAG)
-    blocks.stored(Stored(SESSION, 0, "a", "x"))
-    blocks.stored(Stored(SESSION, 2, "c", "z"))  # block 1 made no key
+    blocks.stored(Stored(SESSION, 0, "a"))
+    blocks.stored(Stored(SESSION, 2, "c"))  # block 1 made no key
     assert blocks.announcement() == (0, "a")
     assert blocks.announcement() == (0, "a")  # not before block 0 is confirmed
-    assert blocks.heard(2, "z") == (
+    assert blocks.heard(2, "c") == (
         BlockResult(SESSION, 0, "confirmed"),
         BlockResult(SESSION, 2, "confirmed"),
     )
@@ -135,22 +130,22 @@ def test_a_later_block_that_holds_confirms_the_one_before() -> None:
 
 def test_a_tag_that_differs_is_told_once() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored(SESSION, 0, "a", "x"))
+    blocks.stored(Stored(SESSION, 0, "a"))
     assert blocks.heard(0, "y") == (BlockResult(SESSION, 0, "unequal"),)
     assert blocks.heard(0, "y") == ()
-    assert blocks.heard(0, "x") == ()
+    assert blocks.heard(0, "a") == ()
 
 
 def test_another_sessions_blocks_are_of_no_concern() -> None:
     blocks = Blocks(SMALL, SESSION)
-    blocks.stored(Stored("f" * 16, 0, "a", "x"))
+    blocks.stored(Stored("f" * 16, 0, "a"))
     assert blocks.announcement() == (-1, NO_TAG)
 
 
 def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
     blocks = counting(10)
-    blocks.stored(Stored(SESSION, 0, "a", "x"))
-    blocks.heard(0, "x")
+    blocks.stored(Stored(SESSION, 0, "a"))
+    blocks.heard(0, "a")
     blocks.judged(SESSION, 0)
     assert blocks.obsolete_rows() == ()  # the partner has not been told
     blocks.announcement()
@@ -163,36 +158,20 @@ def test_rows_are_kept_until_a_block_is_confirmed_and_announced() -> None:
 class End:
     """One end with its store and what a journal would keep: the word, and the rows."""
 
-    def __init__(
-        self, folder: Path, side: str, contributions: list[Contribution], secret: Path | None
-    ) -> None:
-        self.path, self.side, self.contributions, self.secret = (
-            folder / f"{side}.db",
-            side,
-            contributions,
-            secret,
-        )
+    def __init__(self, folder: Path, side: str, contributions: list[Contribution]) -> None:
+        self.path, self.side, self.contributions = folder / f"{side}.db", side, contributions
         self.rows: dict[int, Contribution] = {}
         self.word = (-1, NO_TAG)
         self.j = 0
         self.alarms = 0
-        self.partner: End | None = None
         self.start()
 
     def start(self) -> None:
         self.store = KeyStore(self.path, self.side, create=True)  # type: ignore[arg-type]
         self.store.db.execute("PRAGMA synchronous=OFF")  # the process dies here, not the machine
-        guard = None
-        if self.secret is not None:
-            take_secret(self.store, self.secret)
-            guard = Authentication(self.store, look=self.look)
-        self.key_maker = KeyMaker(self.store, guard)
+        self.key_maker = KeyMaker(self.store)
         self.verdicts: list[BlockResult] = []
         self.blocks = Blocks(SMALL, SESSION, *self.word, contributions=self.rows.values())
-
-    def look(self) -> None:
-        assert self.partner is not None
-        agree(self.store, self.partner.store)
 
     def die(self) -> None:
         self.store.close()
@@ -240,24 +219,11 @@ def rows_of(generator: random.Random, count: int) -> list[Contribution]:
     ]
 
 
-@pytest.mark.parametrize("guarded", [False, True])
 @pytest.mark.parametrize("seed", range(3))
-def test_two_ends_hold_the_same_keys_whatever_dies(
-    tmp_path: Path, seed: int, guarded: bool
-) -> None:
+def test_two_ends_hold_the_same_keys_whatever_dies(tmp_path: Path, seed: int) -> None:
     generator = random.Random(seed)
-    secrets = {side: tmp_path / side for side in ("controller", "plant")}
-    if guarded:
-        make_secret(secrets["controller"])
-        secrets["plant"].write_bytes(secrets["controller"].read_bytes())
-        secrets["plant"].chmod(0o600)
     contributions = rows_of(generator, 120)
-    ends = [
-        End(tmp_path, side, contributions, secrets[side] if guarded else None)
-        for side in ("controller", "plant")
-    ]
-    for end, other in (ends, ends[::-1]):
-        end.partner = other
+    ends = [End(tmp_path, side, contributions) for side in ("controller", "plant")]
     words: list[tuple[End, tuple[int, str]]] = []
     deaths = 0
     for step in range(1500):
@@ -290,8 +256,6 @@ def test_two_ends_hold_the_same_keys_whatever_dies(
     for giver, taker in ((controller, plant), (plant, controller)):
         given = deliver(giver, giver.available(), partner=taker)
         assert deliver_named(taker, [key.key_id for key in given], partner=giver) == given
-    for end in ends:
-        assert pad_counts(end.path) == ((RESERVE, 1, RESERVE - 1) if guarded else None)
     for store in (controller, plant):
         store.close()
 
@@ -303,7 +267,7 @@ def test_other_raw_nonces_are_an_alarm_and_no_key(tmp_path: Path) -> None:
         contributions[2]._replace(offer=os.urandom(32)),
         *contributions[3:],
     ]
-    ends = [End(tmp_path, "controller", contributions, None), End(tmp_path, "plant", forged, None)]
+    ends = [End(tmp_path, "controller", contributions), End(tmp_path, "plant", forged)]
     for _ in range(30):
         for end, other in (ends, ends[::-1]):
             end.count()
@@ -314,36 +278,3 @@ def test_other_raw_nonces_are_an_alarm_and_no_key(tmp_path: Path) -> None:
         assert end.store.available() == 0
         assert {state for name, state in end.store.ids() if state != "stored"} == {"dropped"}
         end.store.close()
-
-
-def test_pads_run_out_when_blocks_are_aborted_and_then_no_key_is_made(tmp_path: Path) -> None:
-    make_secret(tmp_path / "secret")
-    with KeyStore(tmp_path / "keys", "plant", create=True) as store:
-        take_secret(store, tmp_path / "secret")
-        key_maker = KeyMaker(store, Authentication(store, look=lambda: consent(store)))
-        contributions = rows_of(random.Random(2), 4)[1:]
-        tags = []
-        for number in range(
-            RESERVE + 1
-        ):  # so many sessions that end before their first block is confirmed
-            block = closed(
-                [contribution._replace(steps=1) for contribution in contributions], f"{number:016x}"
-            )
-            tags.append(key_maker.make_keys(block).tag)
-            assert key_maker.make_keys(block).tag == tags[-1]
-        assert len(set(tags[:-1])) == RESERVE
-        assert tags[-1] == ""
-        assert pad_counts(tmp_path / "keys") == (RESERVE, RESERVE, 0)
-        assert [block.state for block in store.blocks()] == ["stored"] * RESERVE + ["empty"]
-
-
-def test_a_secret_is_taken_by_one_store(tmp_path: Path) -> None:
-    make_secret(tmp_path / "secret")
-    with KeyStore(tmp_path / "a", "plant", create=True) as store:
-        take_secret(store, tmp_path / "secret")
-        take_secret(store, tmp_path / "secret")
-    with (
-        KeyStore(tmp_path / "b", "plant", create=True) as store,
-        pytest.raises(SecretError, match="taken by another key store"),
-    ):
-        take_secret(store, tmp_path / "secret")

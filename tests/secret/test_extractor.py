@@ -183,3 +183,21 @@ def test_slices_of_the_work_make_the_same_rows() -> None:
 def test_words_are_big_endian() -> None:
     assert words([b"\x01\x02\x03\x04"]).tolist() == [[0x0102, 0x0304]]
     assert words([]).shape == (0, 16)
+
+
+def test_a_forger_who_changes_two_nonces_is_not_seen_by_the_public_tag() -> None:
+    """Row 0, which the tag shows, stays as it is; every key differs (docs/keys.md)."""
+    generator = random.Random(1)
+    for _ in range(50):
+        nonces = [generator.randbytes(32) for _ in range(16)]
+        forged = list(nonces)
+        i, j = generator.sample(range(16), 2)
+        change = np.array(generator.randrange(1, 1 << 16), np.uint16)
+        row_0 = cauchy(1, 16)[0]
+        other = multiply(multiply(row_0[i], change), inverse(row_0[j]))
+        for place, word in ((i, change), (j, other)):
+            first = int.from_bytes(nonces[place][:2]) ^ int(word)
+            forged[place] = first.to_bytes(2) + nonces[place][2:]
+        mine, theirs = extract(nonces, 6), extract(forged, 6)
+        assert mine[0] == theirs[0]
+        assert all(a != b for a, b in zip(mine[1:], theirs[1:], strict=True))

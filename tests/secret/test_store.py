@@ -24,10 +24,8 @@ from protocol.secret.records import (
 )
 from runtime.keys.anchor import Anchor
 from runtime.keys.key_maker import KeyMaker
-from runtime.keys.ledger import Authentication, take_secret
-from runtime.keys.secret_file import make_secret
 from runtime.keys.store import KeyStore
-from tests.support.giving import consent, deliver, deliver_named
+from tests.support.giving import deliver, deliver_named
 
 SESSION = "0123456789abcdef"
 
@@ -171,25 +169,19 @@ def test_a_full_store_drops_the_oldest_keys_its_own_half_first(
 
 
 @pytest.mark.slow
-def test_a_block_costs_the_same_however_many_keys_and_pads_there_are(
+def test_a_block_costs_the_same_however_many_keys_there_are(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Counted in steps of SQLite's machine, a hundred at a time."""
     monkeypatch.setattr("runtime.keys.store.MOST_KEYS", 2000)
     monkeypatch.setattr("runtime.keys.store.TOMBSTONES", 9000)
-    make_secret(tmp_path / "secret")
     with store(tmp_path) as keys:
-        take_secret(keys, tmp_path / "secret")
-        authentication = Authentication(keys, look=lambda: consent(keys))
         steps: list[int] = []
         for number in range(160):
             spent: list[int] = []
             keys.db.set_progress_handler(partial(spent.append, 0), 100)
-            signed = authentication.tags(SESSION, number, b"message", [bytes(32)] * 87)
-            assert signed is not None
-            keys.add(row(number, 84), bodies(0, 84), pads=signed[3])
+            keys.add(row(number, 84), bodies(0, 84))
             keys.confirm(SESSION, number)
-            authentication.confirm(SESSION, number)
             steps.append(len(spent))
         assert keys.counts().dropped == 3000
         assert len(keys.ids()) == 9000
@@ -338,17 +330,12 @@ def test_a_key_that_is_not_as_it_was_written_is_not_given(
             deliver_named(keys, [str(name)])
 
 
-def test_notes_blocks_and_pads_are_seen_to_be_as_they_were_written(tmp_path: Path) -> None:
-    make_secret(tmp_path / "secret")
+def test_notes_and_blocks_are_seen_to_be_as_they_were_written(tmp_path: Path) -> None:
     with store(tmp_path) as keys:
-        take_secret(keys, tmp_path / "secret")
-        authentication = Authentication(keys, look=lambda: consent(keys))
-        assert authentication.tags("a", 0, b"", [bytes(32)]) is not None
         keys.add(row(0, 2), bodies(0, 2), tag="ab")
-        for table, column in (("pad", "body"), ("block", "tag"), ("meta", "value")):
+        for table, column in (("block", "tag"), ("meta", "value")):
             keys.db.execute(f"UPDATE {table} SET {column} = 'x'")
         for ask in (
-            lambda: authentication.tags("a", 0, b"", [bytes(32)]),
             lambda: keys.block_tag(SESSION, 0),
             lambda: keys.assumption or keys.note("side"),
         ):
@@ -383,12 +370,10 @@ def test_a_new_store_makes_no_key_of_a_block_that_began_before_it(tmp_path: Path
         keys.begin(SESSION, 5)
         key_maker = KeyMaker(keys)
         for number, first, made in ((1, 3, 0), (2, 5, 5), (3, 9, 5)):
-            closed = ClosedBlock(SESSION, number, 4, 4, 8, 6, "3333", nonces, first + 3)
+            closed = ClosedBlock(SESSION, number, 4, 4, 8, 6, nonces, first + 3)
             stored = key_maker.make_keys(closed)
             assert (stored.keys, stored.older, bool(stored.tag)) == (made, not made, bool(made))
-        assert (
-            key_maker.make_keys(ClosedBlock("another", 0, 4, 4, 8, 6, "3333", nonces, 4)).keys == 5
-        )
+        assert key_maker.make_keys(ClosedBlock("another", 0, 4, 4, 8, 6, nonces, 4)).keys == 5
         assert keys.counts().stored == 15
 
 

@@ -30,7 +30,7 @@ SESSION = "0123456789abcdef"
 def closed(number: int) -> ClosedBlock:
     draw = random.Random(number)
     nonces = tuple(draw.randbytes(32) for _ in range(88))
-    return ClosedBlock(SESSION, number, 44, 44, 88, 9, "3" * 44, nonces, 44 * (number + 1))
+    return ClosedBlock(SESSION, number, 44, 44, 88, 9, nonces, 44 * (number + 1))
 
 
 def verdict(number: int) -> BlockResult:

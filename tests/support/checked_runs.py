@@ -28,7 +28,7 @@ def failed(folder: Path) -> set[str]:
 
 
 def keyed_run(factory: pytest.TempPathFactory) -> Path:
-    """A run of all three services with signed keys, made once in a session of tests.
+    """A run of all three services with keys, made once in a session of tests.
 
     It has steps for some blocks, so that one is confirmed at both ends.
     """
@@ -62,7 +62,6 @@ def _run_with_keys(folder: Path) -> None:
         headless=True,
         json=True,
         run_dir=str(folder),
-        secret=True,
     )
     outcome = run_session(options, stays=False)
     assert outcome.failure is None

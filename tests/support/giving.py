@@ -4,7 +4,6 @@ from collections.abc import Callable, Sequence
 
 from protocol.messages import Message
 from protocol.secret.records import WHOLE, Key, Share
-from runtime.keys import ledger
 from runtime.keys.asking import Asker
 from runtime.keys.giving import Giver, pending
 from runtime.keys.store import KeyStore
@@ -29,12 +28,8 @@ def ask(asker: Asker, partner: Asker, now: float) -> None:
 
 def consent(store: KeyStore) -> None:
     """A partner that marks whatever it is asked for."""
-    for use, what, _ in pending(store):
-        (ledger.answered if what == "pads" else _answered)(store, use, ())
-
-
-def _answered(store: KeyStore, use: str, refused: tuple[str, ...]) -> None:
-    store.answered(use, refused)
+    for use, _, _ in pending(store):
+        store.answered(use, ())
 
 
 def looking(store: KeyStore, partner: KeyStore | None) -> Callable[[], None]:

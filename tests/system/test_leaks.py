@@ -102,7 +102,6 @@ class Seen:
     def __init__(self, run: Path) -> None:
         self.run = run
         self.pieces: dict[str, bytes] = {}
-        self.secret = b""
 
     def look(self) -> None:
         """Command lines and environments of the run's processes; statuses and health as of now."""
@@ -114,9 +113,6 @@ class Seen:
                     self.pieces[f"environment of {entry.name}"] = (entry / "environ").read_bytes()
             except OSError:
                 continue
-        for path in self.run.glob("*/secret"):  # each end takes it up once, and leaves a mark
-            word = path.read_bytes().split()[-1]
-            self.secret = word if len(word) > len(self.secret) else self.secret
         for path in (*self.run.glob("*/status.json"), *self.run.glob("*/health")):
             name = f"{path.relative_to(self.run)} at {len(self.pieces)}"
             self.pieces[name] = path.read_bytes()
@@ -128,7 +124,6 @@ class Seen:
             CONTROLLER_JOURNAL.name,
             CONTROLLER_KEYS.name,
             "message",
-            "secret",
             "summary.json",
         )
         for path in self.run.rglob("*"):
@@ -156,9 +151,8 @@ def secrets_of(run: Path) -> dict[str, set[bytes]]:
     contributions: set[bytes] = set()
     for side in ("controller", "plant"):
         with closing(sqlite3.connect(run / side / "keys.sqlite3")) as store:
-            for table in ("key", "pad"):
-                rows = store.execute(f"SELECT body FROM {table} WHERE body IS NOT NULL")
-                keys |= {bytes(body) for (body,) in rows if len(body) >= 8}
+            rows = store.execute("SELECT body FROM key WHERE body IS NOT NULL")
+            keys |= {bytes(body) for (body,) in rows}
     for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
         message = json.loads(line).get("message") or {}
         contributions |= {message["nonce"].encode()} if message.get("nonce") else set()
@@ -184,7 +178,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     blind = shipped.replace("[tap]\n", '[tap]\neavesdroppers = ["set-membership"]\n', 1)
     assert blind != shipped
     scenario.write_text(blind)
-    arguments = ["--scenario", str(scenario), "--secret", "--message-file", str(file)]
+    arguments = ["--scenario", str(scenario), "--message-file", str(file)]
     arguments += ["--pace", "fast", "--run-dir", str(run)]
     process = subprocess.Popen(
         [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],
@@ -209,8 +203,6 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     live = set(seen.pieces)
     seen.look_back()
     secrets = secrets_of(run)
-    secrets["secret"] = {seen.secret}
-    assert len(seen.secret) > 100
     assert all(secrets.values())
     assert len(secrets["keys of the store"]) > 20
     assert {"manifest.json", "tap/capture.jsonl", "plant/log", "plant/status.json"} <= set(

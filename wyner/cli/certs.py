@@ -1,4 +1,4 @@
-"""``wyner certs``: certificates for each service, and the first secret that both ends share."""
+"""``wyner certs``: certificates for each service."""
 
 import argparse
 from pathlib import Path
@@ -23,15 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Make an authority in FOLDER and, for each service, a folder with ca.pem, "
         "cert.pem and key.pem to give to --tls. What is there and valid for another day is kept."
     )
-    parser.add_argument(
-        "folder", nargs="?", type=Path, metavar="FOLDER", help="where they are written"
-    )
-    parser.add_argument(
-        "--secret",
-        metavar="F",
-        help="write a new secret to F, by which both ends sign key blocks. Give a copy of it to "
-        "each, for its --secret; each takes it once, and its file then holds only its name",
-    )
+    parser.add_argument("folder", type=Path, metavar="FOLDER", help="where they are written")
     parser.add_argument(
         "--name",
         action="append",
@@ -47,12 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Make what is missing, and say which names were made and which were kept."""
-    if args.secret is not None:
-        _make_secret(Path(args.secret))
-    if args.folder is None:
-        if args.secret is None:
-            raise UsageError("FOLDER: expected where certificates are written, or --secret F")
-        return DONE
     from wyner.deployment.certificates import (
         CertificateError,
         check_host,
@@ -87,13 +73,3 @@ def run(args: argparse.Namespace) -> int:
     for name in hosts:
         print(f"{'made' if name in made else 'kept'} {args.folder / name}")
     return DONE
-
-
-def _make_secret(file: Path) -> None:
-    from runtime.keys.secret_file import SecretError, make_secret
-
-    try:
-        name = make_secret(file)
-    except SecretError as error:
-        raise UsageError(str(error)) from None
-    print(f"secret {name}: give a copy of {file} to each end")

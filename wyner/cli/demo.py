@@ -175,9 +175,7 @@ def _rows(line: str) -> list[str]:
     return wrap(line, max(40, shutil.get_terminal_size().columns - 1), subsequent_indent="   ")
 
 
-def _options(
-    args: argparse.Namespace, scenario: str, folder: Path, slower: int, *, secret: bool
-) -> RunOptions:
+def _options(args: argparse.Namespace, scenario: str, folder: Path, slower: int) -> RunOptions:
     """What one of the runs is asked to be."""
     return RunOptions(
         scenario=scenario,
@@ -188,7 +186,6 @@ def _options(
         until_delivered=True,
         headless=args.headless,
         json=args.json,
-        secret=secret,
     )
 
 
@@ -198,7 +195,7 @@ Act = tuple[Outcome, str, bool | None]
 
 def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
-    options = _options(args, "packed", folder, told.slower, secret=False)
+    options = _options(args, "packed", folder, told.slower)
     outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
     summary = outcome.summary
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
@@ -217,7 +214,7 @@ def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
 
 def _keys(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
     """Keys from what the tap misses."""
-    options = _options(args, "keys", folder, told.slower, secret=True)
+    options = _options(args, "keys", folder, told.slower)
     outcome = run_session(options, stays=False, title=TITLES["keys"], stage=stage)
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
@@ -231,7 +228,7 @@ def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Sta
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     changes = {**HEARS_ALL, "keys.eps_E": 0.0}
     with _scenario("wired-tap", "keys", changes) as scenario:
-        options = _options(args, scenario, folder, told.slower, secret=True)
+        options = _options(args, scenario, folder, told.slower)
         outcome = run_session(options, stays=False, title=TITLES["control"], stage=stage)
     summary = outcome.summary
     made = (summary["keys"] or {}).get("made", 0)
@@ -299,7 +296,7 @@ def _missed(summary: dict[str, Any]) -> str:
 
 def _attacked(args: argparse.Namespace, scenario: str, folder: Path, slower: int) -> RunOptions:
     """What a run is asked to be whose sensor is spoofed."""
-    options = _options(args, scenario, folder, slower, secret=True)
+    options = _options(args, scenario, folder, slower)
     return replace(
         options,
         attack=f"ghost@{ONSET}",

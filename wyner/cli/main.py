@@ -36,7 +36,7 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
     "operate": {
         "router": "a Zenoh router, with access control",
-        "certs": "for mutual TLS; --secret to sign key blocks with",
+        "certs": "for mutual TLS",
         "status": "what a run's services last said; --healthy",
         "bench": "how fast wyner is here; did a change slow it?",
     },

@@ -13,7 +13,6 @@ from wyner.cli.healthy import add_options, check_health
 
 if TYPE_CHECKING:
     from protocol.messages import ControllerStatus, PlantStatus
-    from protocol.secret.records import Side
 
 OLD_S = 5.0
 """A status older than this is of a service that is frozen or gone: it writes one each second."""
@@ -40,7 +39,6 @@ def run(args: argparse.Namespace) -> int:
     plant, controller = _statuses(run_dir)
     claim, distance = _claim(run_dir)
     distance *= plant.key_blocks_begun
-    pads, unread = _pads(run_dir)
     now_ns = time.time_ns()
     warnings = [
         *_warnings_of_plant(plant),
@@ -50,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
             if status.phase != "stopped" and now_ns - status.t_ns > OLD_S * 1e9
         ),
     ]
-    warnings += [*_warnings_of_taps(run_dir), *unread]
+    warnings += _warnings_of_taps(run_dir)
     warnings += filter(None, (controller.alarm_sentence(), plant.alarm_sentence()))
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
@@ -61,14 +59,13 @@ def run(args: argparse.Namespace) -> int:
             "plant": plant.model_dump(),
             "controller": controller.model_dump(),
         }
-        told |= {"claim": claim, "distance": distance, "pads": pads}
+        told |= {"claim": claim, "distance": distance}
         bare = {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED}
         print(json.dumps({**told, "no_interval": bare, "warnings": warnings}))
     else:
         lines = (
             *_lines(plant, controller, claim),
             *_lines_of_distance(plant, distance),
-            *_lines_of_pads(pads),
         )
         for line in (*lines, *(f"warning: {text}" for text in warnings)):
             print(printable(line))
@@ -120,30 +117,6 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
-def _pads(run_dir: Path) -> "tuple[dict[Side, dict[str, int]], list[str]]":
-    """What each end's ledger says of the pads for sessions to come, and what cannot be read.
-
-    Without a secret, nothing. The store of an end that was killed while it wrote cannot be read
-    before that end has opened it again.
-    """
-    from protocol.secret.records import StoreError
-    from runtime.keys.ledger import pad_counts
-    from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
-
-    stores: dict[Side, Path] = {"controller": CONTROLLER_KEYS, "plant": PLANT_KEYS}
-    found: dict[Side, dict[str, int]] = {}
-    unread = []
-    for end, path in stores.items():
-        try:
-            counts = pad_counts(run_dir / path) if (run_dir / path).exists() else None
-        except StoreError as error:
-            unread.append(str(error))
-            continue
-        if counts:
-            found[end] = counts._asdict()
-    return found, unread
-
-
 def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
     """What all blocks that were begun may cost, and what no end can tell of its key store."""
     if not plant.key_blocks_begun or plant.keys_refused:
@@ -153,13 +126,6 @@ def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
         f"{distance:.2g} from perfect keys at most",
         "stores      what one end gives is marked at the other first; put back together, both may "
         "give keys twice",
-    ]
-
-
-def _lines_of_pads(pads: "dict[Side, dict[str, int]]") -> list[str]:
-    return [
-        f"pads        at the {end}: {n['made']} sets made, {n['spent']} spent, {n['left']} left"
-        for end, n in pads.items()
     ]
 
 

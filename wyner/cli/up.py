@@ -77,11 +77,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
     )
     parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
-    parser.add_argument(
-        "--secret",
-        action="store_true",
-        help="sign key blocks with a secret made for this run",
-    )
     parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
 
 
@@ -99,7 +94,6 @@ def run(args: argparse.Namespace) -> int:
             pace=args.pace,
             steps=args.steps,
             seed=args.seed,
-            secret=args.secret,
             attack=args.attack,
             until_delivered=args.until_delivered,
             headless=args.headless,
@@ -166,10 +160,6 @@ def run_session(
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
-    if options.secret and scenario.keys is None:
-        raise UsageError(
-            f"--secret: signs key blocks, and scenario {scenario.name} has no table keys"
-        )
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)

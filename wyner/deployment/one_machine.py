@@ -12,8 +12,7 @@ from protocol.link.events import AttackBegan
 from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
-from runtime.files import make_folder, read_regular, write_atomically
-from runtime.keys.secret_file import make_secret
+from runtime.files import read_regular, write_atomically
 from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
@@ -34,8 +33,6 @@ class RunOptions:
     pace : str
         ``realtime``, ``xN`` or ``fast``.
     steps, seed : int, optional
-    secret : bool
-        Sign key blocks with a secret made for this run.
     until_delivered : bool
         End when the plant has the message.
     headless, json, story : bool
@@ -51,7 +48,6 @@ class RunOptions:
     pace: str = "realtime"
     steps: int | None = None
     seed: int | None = None
-    secret: bool = False
     until_delivered: bool = False
     headless: bool = False
     json: bool = False
@@ -135,7 +131,6 @@ def lay_out(
     seed = [] if options.seed is None else ["--seed", str(options.seed)]
     steps = [] if options.steps is None else ["--steps", str(options.steps)]
     attacked = [] if options.attack is None else ["--attack", options.attack]
-    secrets = _secrets(run_dir) if options.secret else {}
     tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
     for name, value in knobs.items():
@@ -146,7 +141,6 @@ def lay_out(
             [
                 *common,
                 *seed,
-                *secrets.get("plant", ()),
                 *steps,
                 *attacked,
                 "--scenario",
@@ -170,7 +164,6 @@ def lay_out(
             [
                 *common,
                 *seed,
-                *secrets.get("controller", ()),
                 "--scenario",
                 str(scenario_file),
                 "--pace",
@@ -223,17 +216,3 @@ def lay_out(
             adversary=adversary,
         ),
     )
-
-
-def _secrets(run_dir: Path) -> dict[str, list[str]]:
-    """A secret in each end's folder, and the option that names it."""
-    options = {}
-    first = run_dir / "controller" / "secret"
-    make_folder(first.parent)
-    make_secret(first)
-    for side in ("controller", "plant"):
-        path = run_dir / side / "secret"
-        if path != first:
-            write_atomically(path, read_regular(first))
-        options[side] = ["--secret", str(path)]
-    return options

@@ -58,7 +58,6 @@ KINDS: Final = (
     FileKind("*/.*", False, "on its way to its name, or the one before it"),
     FileKind("*/keys.sqlite3-journal", False, "SQLite's own, empty between two writes"),
     FileKind("*/log.old", False, "a log that was begun again"),
-    FileKind("*/secret", False, "taken into the key store, which says so"),
     FileKind("*/lock", False, "empty"),
     FileKind("report.html", False, "made of the run, and can be made again"),
 )

@@ -36,7 +36,6 @@ _STAYS: Final = (
     "SELECT session, number, transitions, steps, counted, rows, keys, state, tag "
     "FROM block ORDER BY place",
     "SELECT id, row, own FROM key ORDER BY place",
-    "SELECT origin, kind, session FROM pad ORDER BY place",
 )
 
 CHANGED: Final = "it is not as the run left it"

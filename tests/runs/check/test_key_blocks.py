@@ -145,7 +145,7 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
 
 
 def stored(number: int, keys: int, session: str = A) -> OtherLine:
-    return OtherLine(BlockStoredLine("block", session, number, keys, ""), b"")
+    return OtherLine(BlockStoredLine("block", session, number, keys), b"")
 
 
 def block_items(number: int, keys: int, counts: int = 3, session: str = A) -> list[Item]:
@@ -259,21 +259,17 @@ def test_a_block_has_one_tag_at_both_ends(tmp_path: Path) -> None:
         told(7, "measurement", 6, block=1, tag="z"),
         told(8, "offer", 7, block=0, tag="x"),
     )
-    assert judge(key_blocks.Tags, evidence(tmp_path), part) == Counter(6, note="public")
+    assert judge(key_blocks.Tags, evidence(tmp_path), part) == Counter(6)
     other = heard(told(9, "offer", 8, block=0, tag="w"))
     text = "capture.jsonl line 9: block 0 has another tag than before"
     found = judge(key_blocks.Tags, evidence(tmp_path), part, other)
-    assert found == Counter(7, 1, first(8, text), "public")
+    assert found == Counter(7, 1, first(8, text))
 
 
-def test_public_tags_are_the_same_and_signed_ones_need_not_be(tmp_path: Path) -> None:
+def test_tags_of_a_block_are_the_same_at_both_ends(tmp_path: Path) -> None:
     part = heard(told(2, "offer", 1, block=3, tag="x"), told(3, "measurement", 1, block=3, tag="y"))
-    expected = Counter(3, 1, first(-1, "block 3: the ends' tags differ"), "public")
+    expected = Counter(3, 1, first(-1, "block 3: the ends' tags differ"))
     assert judge(key_blocks.Tags, evidence(tmp_path), part) == expected
-    with store(tmp_path, "controller"), store(tmp_path, "plant") as plant:
-        plant.set_note("secret", "yes")
-    signed = judge(key_blocks.Tags, evidence(tmp_path), part)
-    assert signed == Counter(2, note="signed with a shared secret")
 
 
 # --- stores ---------------------------------------------------------------------------------------

@@ -23,7 +23,6 @@ from wyner.runs.check.key_blocks import (
     GivenOnce,
     KeyIds,
     NonceOnce,
-    PadsOnce,
     RefusedAtZero,
     Tags,
 )
@@ -60,7 +59,6 @@ CHECKS: Final[tuple[type[Check], ...]] = (
     Counted,
     Blocks,
     Tags,
-    PadsOnce,
     GivenOnce,
     KeyIds,
     KeyStores,
@@ -78,7 +76,6 @@ OF_KEYS: Final = frozenset(
         Counted,
         Blocks,
         Tags,
-        PadsOnce,
         GivenOnce,
         KeyIds,
         KeyStores,

@@ -8,7 +8,6 @@ from typing import Final
 
 from protocol.secret.blocks import Schedule
 from protocol.secret.records import Side, StoreError
-from runtime.keys.ledger import spent_rows
 from runtime.keys.store import KeyStore
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from wyner.runs.check.base import Check, Counter
@@ -141,13 +140,12 @@ class TracedBlocks:
         """R of a block."""
         return self.schedule.assumption.rows(block.transitions, block.steps, block.counted)
 
-    def keys(self, at: tuple[str, int], *, signed: bool) -> int | None:
+    def keys(self, at: tuple[str, int]) -> int | None:
         """How many keys a block must have made; None where it is not whole."""
         block = self.whole(at)
         if block is None:
             return None
-        rows = self.rows(block)
-        return max(0, rows - (spent_rows(rows) if signed else 1))
+        return max(0, self.rows(block) - 1)
 
 
 class Blocks(Check):
@@ -174,15 +172,14 @@ class Blocks(Check):
 
     def finish(self) -> None:
         readers = dict(self.evidence.readers())
-        signed = {side for side, name in _notes(self.evidence, "secret").items() if name}
         for side, end in self._ends.items():
             cut = readers[side].cut
             for at, keys in end.stored.items():
                 if cut and at[0] == cut.session and at[1] <= self._schedule.block_of(cut.j + 1):
                     continue  # it began before what is left
-                expected = end.keys(at, signed=side in signed)
+                expected = end.keys(at)
                 text = f"the {side} made {keys} keys of block {at[1]}, expected {expected}"
-                # a block without a pad for its tag makes none
+                # a block that began before its store makes none
                 self.counter.count(keys == expected or not keys, at[0], -1, -1, text)
         plant, controller = self._ends["plant"], self._ends["controller"]
         for at in plant.stored.keys() & controller.stored.keys():
@@ -203,7 +200,7 @@ def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStoredLine
 
 
 class Tags(Check):
-    """Each end shows one tag for a block, and the same as its partner where tags are public."""
+    """Each end shows one tag for a block, and the same as its partner."""
 
     name = "tags"
     source = "rule 10"
@@ -224,40 +221,11 @@ class Tags(Check):
                 self.counter.count(first == tag, seen.session, -1, seen.k, text)
 
     def finish(self) -> None:
-        signed = any(_notes(self.evidence, "secret").values())
         for (topic, session, block), tag in self._known.items():
             other = self._known.get(("offer", session, block))
-            if topic == "measurement" and other is not None and not signed:
+            if topic == "measurement" and other is not None:
                 text = f"block {block}: the ends' tags differ"
                 self.counter.count(tag == other, session, -1, -1, text)
-        self.counter.note = "signed with a shared secret" if signed else "public"
-
-
-class PadsOnce(Check):
-    """A set of pads signs one block, at whichever end."""
-
-    name = "pads-once"
-    source = "rule 10"
-    says = "a set of pads signs one block"
-    of = "blocks"
-
-    def __init__(self, evidence: Evidence, counter: Counter) -> None:
-        super().__init__(evidence, counter)
-        self._owner: dict[str, tuple[str, int]] = {}
-
-    def feed(self, part: Part) -> None:
-        for side, line in _lines(part):
-            if not isinstance(line, BlockStoredLine) or not line.signed:
-                continue
-            at = line.session, line.number
-            first = self._owner.setdefault(line.signed, at)
-            text = f"the {side} signs block {at[1]} of session {at[0]} under {line.signed}, which "
-            text += f"signed block {first[1]} of session {first[0]}"
-            self.counter.count(first == at, line.session, -1, -1, text)
-
-    def finish(self) -> None:
-        if not self._owner:
-            self.counter.skipped = "no block is signed"
 
 
 class _BothStores(Check):

@@ -119,13 +119,12 @@ class Refused:
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class BlockStoredLine:
-    """A key block is on disk; ``keys`` were made of it, ``signed`` names its tag's set of pads."""
+    """A key block is on disk; ``keys`` were made of it."""
 
     event: Literal["block"]
     session: str
     number: int
     keys: int
-    signed: str
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
