@@ -141,9 +141,9 @@ class ControllerCore:
         Offer,
         ControllerHello,
         SendReply,
-    StopKeys,
+        StopKeys,
         ControllerStatus,
-        )
+    )
 
     def __init__(
         self,
@@ -513,7 +513,7 @@ class ControllerCore:
         unwatched, too_many = record.unwatched, False
         if self.rules.keyed:
             watched = expected != NO_SYMBOL
-            unwatched, too_many = self.rules.watch.count(unwatched, watched=watched)
+            unwatched, too_many = self.rules.watch.after(unwatched, watched=watched)
         reason: Reason = failure if alarm else "unwatched" if too_many else ""
         following = following._replace(
             failed=tests,
@@ -884,7 +884,7 @@ class ControllerCore:
     # --- keys -------------------------------------------------------------------------------------
 
     def _stop_keys(self, command: StopKeys) -> Actions:
-        """The claim that keys rest on is refuted: no more are made, and none that are left serve."""
+        """The claim that keys rest on is refuted: no more are made, and no offer has digits."""
         if self.record.refuted or not self.keys.on:
             return NOTHING_TO_DO
         self.record = self.record._replace(refuted=command.reason)
@@ -947,7 +947,5 @@ class ControllerCore:
             self._status_at = self._health_at = self.now
 
 
-
 def _after(incarnation: int) -> int:
     return min(incarnation + 1, LARGEST_COUNT)
-

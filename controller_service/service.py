@@ -190,6 +190,6 @@ def run_controllers(
             folder=scenario_file_of(loop.scenario).parent,
         )
         core, files = open_controller(config, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), files.guarded or core, Measurement), files
+        return behind(_channel(config), core, Measurement), files
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("controller"))

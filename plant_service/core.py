@@ -181,7 +181,7 @@ class PlantCore:
         self._offer = offer  # which it takes, from its coin until it is counted
         self._tossed = tossed  # its b_r
         self._said = report  # of its end, once that was read
-        self._digits: tuple[int, ...] = ()  # of the key stream, which it takes
+        self._taken: tuple[int, ...] = ()  # digits of the key stream
         self._truth: Truth | None = None if offer is None else plant.truth  # of its end
         self._back = back
         self._moved = record.k > 0 or offer is not None
@@ -190,7 +190,6 @@ class PlantCore:
         self.measured_at = now
         # the frame under way
         self.deframer = Deframer(rules.size)
-        self._covers = Deframer(rules.size)
         self._digits = hex_digits(rules.size)
         kept = symbols + record.partial
         for i in range(0, len(kept), self._digits):
@@ -202,7 +201,7 @@ class PlantCore:
             record.session, said.block, said.tag, record.confirmed, contributions, parts
         )
         if offer is not None and report is not None and report.keyed:
-            self._digits = self.keys.stream.at(position_of(offer), rules.digits) or ()
+            self._taken = self.keys.stream.at(position_of(offer), rules.digits) or ()
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
@@ -420,9 +419,9 @@ class PlantCore:
         if self.measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self.measured_at)
         self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
-        self._digits = self.keys.stream.at(position_of(offer), self.rules.digits) or ()
-        if self.rules.keyed and self._digits:
-            return self._begin(offer, self._digits[0])
+        self._taken = self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        if self.rules.keyed and self._taken:
+            return self._begin(offer, self._taken[0])
         return self._begin(offer, self.coin.toss(record.transitions))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
@@ -504,7 +503,8 @@ class PlantCore:
 
         By its report the controller takes the message for delivered, so it must be on the disk.
         """
-        carried = self.rules.scheme.pad(self.record.state) != NO_SYMBOL
+        scheme = self.rules.scheme
+        carried = bool(self._taken) if scheme.from_stream else scheme.pad(self.record.state) >= 0
         return carried and len(self.deframer.symbols) + 1 == self.deframer.expected_length
 
     def _saved(self, actions: Actions) -> Actions:
@@ -528,7 +528,7 @@ class PlantCore:
             applied_copy=offer.copy_number,
             block=block,
             tag=tag,
-            keyed=bool(self._digits) if self.rules.digits else None,
+            keyed=bool(self._taken) if self.rules.digits else None,
         )
 
     def _measurement(self) -> Measurement:
@@ -559,8 +559,6 @@ class PlantCore:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
-        A cover symbol is decoded as a message symbol is, and dropped: work after a step delays the
-        next one, and a tap would see it.
         """
         record, offer, coin, report = self.record, self._offer, self._tossed, self._said
         assert offer is not None
@@ -571,24 +569,22 @@ class PlantCore:
         verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next, box)
         after, carry = scheme.follow(record.state, verdict.symbol)
         agreed, pad = carry
-        if scheme.from_stream and self._digits:
-            pad = self._digits[-1]
+        if scheme.from_stream and self._taken:
+            pad = self._taken[-1]
             carry = carry._replace(pad=pad)
-        symbol = decrypt(offer.cipher, pad, scheme.alphabet)
-        carried = pad != NO_SYMBOL
-        deframer = self.deframer if carried else self._covers
-        refused = deframer.refused
-        payload = deframer.push(symbol)
-        refusal = deframer.refused > refused
-        partial, symbols = f"{record.partial}{symbol:0{self._digits}x}", ""
-        if len(partial) >= SYMBOLS_AT_ONCE * self._digits:
-            partial, symbols = "", partial
-        stored = record.stored + len(symbols)
-        if not deframer.symbols:
-            partial, symbols, stored = "", "", 0
-        if not carried:
-            symbol, payload, refusal = NO_SYMBOL, None, False
-            partial, symbols, stored = record.partial, "", record.stored
+        symbol, payload, refusal = NO_SYMBOL, None, False
+        partial, symbols, stored = record.partial, "", record.stored
+        if pad != NO_SYMBOL:
+            symbol = decrypt(offer.cipher, pad, scheme.alphabet)
+            refused = self.deframer.refused
+            payload = self.deframer.push(symbol)
+            refusal = self.deframer.refused > refused
+            partial = f"{partial}{symbol:0{self._digits}x}"
+            if len(partial) >= SYMBOLS_AT_ONCE * self._digits:
+                partial, symbols = "", partial
+                stored += len(symbols)
+            if not self.deframer.symbols:
+                partial, symbols, stored = "", "", 0
         contribution = self.keys.count(
             record.transitions,
             record.k - record.applied_k,
@@ -609,7 +605,7 @@ class PlantCore:
             coin,
             u,
             self._truth,
-            position_of(offer) if self._digits else None,
+            position_of(offer) if self._taken else None,
             recovered=payload,
             refused=refusal,
         )
@@ -639,9 +635,9 @@ class PlantCore:
         )
         self._offer, self._tossed, self._said = None, NO_SYMBOL, None
         self.state = TABLE[self.state, "offer applied"].next
-        if self._digits:
+        if self._taken:
             self.keys.used(position_of(offer), self.rules.digits)
-            self._digits = ()
+            self._taken = ()
         self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
         contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
@@ -878,7 +874,7 @@ class PlantCore:
         )
         self._left = True
         self.keys.begin(session)
-        self._digits = ()
+        self._taken = ()
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """The actions of a new session, added to those of ``before``."""
@@ -955,7 +951,6 @@ class PlantCore:
         """Set the status's phase to stopped, unless the plant was refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
-
 
 
 def _logged(text: str, level: Literal["info", "error"] = "info") -> Actions:

@@ -229,6 +229,6 @@ def run_plants(
         )
         phase = number % SLOTS / SLOTS
         core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), files.guarded or core, Offer), files
+        return behind(_channel(config), core, Offer), files
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("plant"))

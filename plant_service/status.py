@@ -5,10 +5,10 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from math import inf, isfinite
-from typing import TYPE_CHECKING, Final, Literal
+from typing import Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
-from protocol.link.keying import Keying
+from protocol.link.distiller import Distiller
 from protocol.link.pacing import HEALTH_S, STATUS_S
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import CountedTransition
@@ -17,9 +17,6 @@ from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer
 from protocol.text import Shown, readable
 from protocol.vectors import Vector
-
-if TYPE_CHECKING:
-    from protocol.link.guarded import Guarded
 
 TAIL: Final = 64
 """Most transitions shown in a status; a whole status has as many."""
@@ -42,7 +39,7 @@ Phase = Literal["greeting", "running", "stopped", "refused"]
 class PlantTelemetry:
     """What a status has beside the record; :meth:`status` puts both together.
 
-    ``phase``, ``detail``, ``late``, ``attack``, ``guard``, ``last_message``, ``message_k`` (the
+    ``phase``, ``detail``, ``late``, ``attack``, ``last_message``, ``message_k`` (the
     step at which it came through) and ``health_at`` are set from outside; ``model`` is what does
     not change.
 
@@ -70,9 +67,7 @@ class PlantTelemetry:
         self._tail: deque[CountedTransition] = deque(maxlen=TAIL)
         self.punctuality = Punctuality()
         self.watch = ReachWatch(scenario.defender.calibration)
-        self.keys_refused = ""
         self.attack = ""
-        self.guard: Guarded | None = None
         self.model = _model(scenario, pace, seeded=seeded)
         self._hidden = 0 if scenario.plant.C is None else scenario.n
         self._old = self._new = 0
@@ -116,7 +111,7 @@ class PlantTelemetry:
         self,
         record: ReceiverRecord,
         deframer: Deframer,
-        keying: Keying,
+        keys: Distiller,
         malformed: int,
         now_s: float,
         *,
@@ -168,8 +163,7 @@ class PlantTelemetry:
             sampled_late_s=self.punctuality.sampled_late_s,
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
-            **keying.status_fields(self.keys_refused),
-            **({} if self.guard is None else self.guard.status().fields()),
+            **keys.status_fields(),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=_before(pictured) if pictured else (),

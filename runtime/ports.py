@@ -16,6 +16,7 @@ from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
 
+
 class Journal(Protocol):
     """What :func:`runtime.perform.perform` writes to."""
 

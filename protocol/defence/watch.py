@@ -33,7 +33,7 @@ class Watch(NamedTuple):
     share: float
     burst: int
 
-    def count(self, before: float, *, watched: bool) -> tuple[float, bool]:
+    def after(self, before: float, *, watched: bool) -> tuple[float, bool]:
         """The sum after one more step, and whether it makes an alarm.
 
         Parameters
@@ -44,6 +44,10 @@ class Watch(NamedTuple):
         """
         if before == NEVER:
             return (0.0 if watched else NEVER), False
-        after = max(0.0, before + (1.0 - self.share if not watched else -self.share))
-        alarm = after > self.burst
-        return (0.0 if alarm else after), alarm
+        total = max(0.0, before + (1.0 - self.share if not watched else -self.share))
+        alarm = total > self.burst
+        return (0.0 if alarm else total), alarm
+
+
+UNWATCHED: Final = Watch(0.5, 0)
+"""Of a loop whose coin is private: no step is ever watched, so none is counted."""

@@ -187,7 +187,9 @@ class Distiller:
         stated = self.schedule.assumption.appearances
         if self.appearances <= stated:
             return ""
-        return f"a message leaves {self.appearances} times, and keys.appearances = {stated} was stated"
+        return (
+            f"a message leaves {self.appearances} times, and keys.appearances = {stated} was stated"
+        )
 
     def copy(self) -> Copy:
         """Number of a step's first copy: 0, or 1 where it leaves too often to count (rule 8)."""

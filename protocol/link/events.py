@@ -125,7 +125,7 @@ class Alarm(NamedTuple):
         if self.reason == "unwatched":
             return f"ALARM at step {self.k}: too many steps had no digit of the key stream"
         if self.reason == "digits refused":
-            return f"ALARM at step {self.k}: the plant denies digits of the key stream that it holds"
+            return f"ALARM at step {self.k}: the plant denies digits of the key stream that it has"
         whose = f"candidate {self.candidate}, which the key stream chose"
         if self.reason == "unexplained":
             whose = f"the nearest of all candidates, {self.candidate}"

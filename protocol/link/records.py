@@ -24,10 +24,10 @@ class SenderRecord(NamedTuple):
     answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
     ``confirmed`` is the newest block whose digits have joined the stream, ``refuted`` says why the
     claim that keys rest on does not hold, and ``unwatched`` is the sum of
-    :class:`protocol.defence.watch.Watch`.
-    ``incarnation`` counts the processes that had this journal. ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm has ended
-    the offers. ``estimate`` is what the last transition left of the box in which the state lies,
-    where some outputs alone are read.
+    :class:`protocol.defence.watch.Watch`. ``incarnation`` counts the processes that had this
+    journal. ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm
+    has ended the offers. ``estimate`` is what the last transition left of the box in which the
+    state lies, where some outputs alone are read.
     """
 
     session: str | None = None
@@ -73,8 +73,8 @@ class ReceiverRecord(NamedTuple):
     the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy
     0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
     counts key blocks that were begun, in all sessions, whatever became of them. ``sensor_seed`` is
-    of the sensors' noise. ``confirmed`` is as the controller's, and ``keyed`` says whether the digits of the last
-    applied offer served. Where some outputs alone are read ``estimate`` is as the controller's, and
+    of the sensors' noise. ``confirmed`` is as the controller's, and ``keyed`` says whether
+    the digits of the last applied offer served. Where some outputs alone are read ``estimate`` is as the controller's, and
     ``true_x`` the simulated state, which no reading tells.
     """
 

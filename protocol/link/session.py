@@ -42,7 +42,7 @@ from protocol.agreement import (
 )
 from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
-from protocol.defence.watch import Watch
+from protocol.defence.watch import UNWATCHED, Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -106,7 +106,7 @@ class Rules:
     schedule: Schedule | None = None
     predicted: bool = False
     keyed: bool = False
-    watch: Watch = Watch(1.0, 0)
+    watch: Watch = UNWATCHED
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
     defence: str = "residual"
@@ -231,7 +231,7 @@ def rules_of(scenario: Scenario) -> Rules:
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
         defence=scenario.defence.words(),
-        test=scenario.defence.test(scenario.readings, scenario.secrecy.candidates),
+        test=scenario.defence.own_test(scenario.readings, scenario.secrecy.candidates),
         outputs=_output_rule(scenario),
     )
 

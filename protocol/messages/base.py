@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from protocol.secret.nonces import NONCE_FORM
 
-SCHEMA: Final = 3
+SCHEMA: Final = 4
 """Version of the wire format; a message of another version is malformed."""
 
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
@@ -28,7 +28,7 @@ class Message(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     topic: ClassVar[str]
-    v: Literal[3] = SCHEMA
+    v: Literal[4] = SCHEMA
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""

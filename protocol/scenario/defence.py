@@ -1,10 +1,12 @@
 """``[defence]``: how the controller tests what it is told, and what it does over an alarm."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
+
+from pydantic import Field
 
 from protocol.defence.alarm_rule import AlarmRule, alarm_rule
-from protocol.defence.words import KEY_WORDS
+from protocol.defence.watch import BLOCKS, Watch
 from protocol.registry import UnknownError, names_a_file
 from protocol.scenario.defender import Calibration
 from protocol.scenario.keys import Keys
@@ -14,38 +16,27 @@ from protocol.scenario.parts import Positive, ScenarioTable
 if TYPE_CHECKING:
     from protocol.defence.base import Defence
 
-CLEAR: Final = "clear"
-"""Messages as they are."""
-
-TESTS: Final = ("residual", "keyed-coin")
-"""The tests that are shipped."""
-
-GUARDS: Final = (CLEAR, "mac", "coding")
-"""What is shipped to guard messages, and nothing."""
-
-
-def _class(name: str) -> "type[Defence]":
-    """A defence's class; loaded where there is one, since it takes numerics."""
-    from protocol.defence.registry import DEFENCES
-
-    return DEFENCES[name]
+RESIDUAL: Final = "residual"
+"""The test that is shipped."""
 
 
 class DefenceTable(ScenarioTable):
-    """The controller's test of each transition, and what guards the messages.
+    """The controller's test of each transition, and where the plant's coin comes from.
 
-    ``residual`` asks whether some candidate explains x(k+1), in every scenario. ``keyed-coin`` asks
-    besides whether the one does that a key has chosen at both ends, as long as there are keys. A
-    class of the user's asks what it likes, beside the residual.
+    The residual test asks whether some candidate explains x(k+1), in every scenario. A class of the
+    user's asks what it likes beside it. Where the coin comes from keys, the controller also asks
+    whether the candidate does that the key stream has chosen.
     """
 
-    kind: str = "residual"
-    """The test: ``residual``, some candidate explains the step; ``keyed-coin``, the one that a
-    distilled key chose; or that of a class of the user's, ``path/to/file.py:Name``."""
-    messages: str = CLEAR
-    """What guards the messages on the field bus: ``clear``, nothing; ``mac``, a one-time tag on
-    each; ``coding``, each measurement turned by a fresh orthogonal matrix; or a class of the
-    user's, ``path/to/file.py:Name``. All but clear take distilled keys."""
+    test: str = RESIDUAL
+    """The test: ``residual``, some candidate explains the step; or that of a class of the user's,
+    ``path/to/file.py:Name``."""
+    coin: Literal["private", "keys"] = "private"
+    """Where the plant's coin comes from: ``private``, its own random draws; ``keys``, digits of the
+    key stream, which the controller knows too."""
+    unwatched: Annotated[float, Field(gt=0, lt=1)] = 0.1
+    """Share of steps that may have no digit of the key stream, in the long run, once there were
+    keys; more make an alarm."""
     on_alarm: Literal["report", "safe"] = "report"
     """What an alarm does beside being told: safe ends the offers for good, and the watchdog sends
     the plant to its safe state."""
@@ -55,49 +46,34 @@ class DefenceTable(ScenarioTable):
     @property
     def keyed(self) -> bool:
         """Whether the plant's coin comes from keys."""
-        return self.kind == "keyed-coin"
+        return self.coin == "keys"
 
-    def test(self, states: int, candidates: int) -> "Defence | None":
-        """The test of the user's; None where it is a shipped one.
-
-        Raises
-        ------
-        UnknownError
-            In one line, when there is no such class.
-        """
-        return None if self.kind in TESTS else _class(self.kind)(states, candidates)
-
-    @property
-    def guards(self) -> bool:
-        """Whether messages on the field bus are guarded."""
-        return self.messages != CLEAR
-
-    def guard(self, states: int, candidates: int) -> "Defence | None":
-        """What guards the messages; None: nothing does.
+    def own_test(self, states: int, candidates: int) -> "Defence | None":
+        """The test of the user's; None where it is the shipped one.
 
         Raises
         ------
         UnknownError
             In one line, when there is no such class.
         """
-        return None if self.messages == CLEAR else _class(self.messages)(states, candidates)
+        if self.test == RESIDUAL:
+            return None
+        from protocol.defence.registry import DEFENCES
+
+        return DEFENCES[self.test](states, candidates)
 
     def words(self) -> str:
-        """The test and what guards the messages."""
-        return self.kind if self.messages == CLEAR else f"{self.kind} + {self.messages}"
+        """The test, and whether the coin is keyed."""
+        return f"{self.test} + keyed coin" if self.keyed else self.test
 
     def shared(self) -> dict[str, object]:
         """What both ends must agree on, for their fingerprint."""
-        coin = {"coin": "keyed"} if self.keyed else {}
-        guard = {} if self.messages == CLEAR else {"messages": self._name(self.messages)}
-        return {**coin, **guard}
+        return {"coin": "keyed"} if self.keyed else {}
 
-    @staticmethod
-    def _name(name: str) -> tuple[str, ...]:
-        from protocol.defence.registry import DEFENCES
-
-        source = DEFENCES.source(name)
-        return (DEFENCES[name].name, source) if source else (name,)
+    def watch(self, keys: Keys | None) -> Watch:
+        """When unwatched steps make an alarm."""
+        schedule = None if keys is None else keys.schedule()
+        return Watch(self.unwatched, 0 if schedule is None else BLOCKS * schedule.begins(1))
 
     def rule(self, calibration: Calibration | None, period_s: float, candidates: int) -> AlarmRule:
         """When failed tests make an alarm: the first one does, unless D_c is a fitted one.
@@ -121,54 +97,36 @@ class DefenceTable(ScenarioTable):
         self, keys: Keys | None, link: Link, states: int, candidates: int
     ) -> Iterator[str]:
         """What the scenario lacks for this, a line each."""
-        for field, name in (("kind", self.kind), ("messages", self.messages)):
-            shipped = TESTS if field == "kind" else (CLEAR,)
-            unfit = () if name in shipped else tuple(self._unfit(field, name, states, candidates))
-            if unfit:
-                yield from unfit
-                continue
-            taken = name not in ("residual", CLEAR) and (field == "messages" or self.keyed)
-            if taken and keys is None:
-                yield f"defence.{field}: {name} takes distilled keys, and there is no table keys"
-            elif taken and keys is not None and keys.schedule() is None:
-                yield (
-                    f"defence.{field}: {name} takes distilled keys, and under keys.eps_E = "
-                    f"{keys.eps_E:g} none is made"
-                )
+        if self.test != RESIDUAL:
+            yield from self._unfit(states, candidates)
+        if self.keyed:
+            yield from needs_keys("defence.coin: 'keys'", keys)
         if self.on_alarm == "safe" and link.watchdog_s is None:
             yield (
                 "defence.on_alarm: safe ends the offers, so that the watchdog bites: expected "
                 "link.watchdog_s beside it"
             )
 
-    @staticmethod
-    def _unfit(field: str, name: str, states: int, candidates: int) -> Iterator[str]:
-        """Why a defence cannot do what ``field`` asks of it."""
+    def _unfit(self, states: int, candidates: int) -> Iterator[str]:
+        """Why the user's test cannot be one."""
         from protocol.defence.registry import DEFENCES
 
-        shipped, own = (
-            (TESTS, "a test without a key of its own")
-            if field == "kind"
-            else (GUARDS, "one that codes or tags")
-        )
-        expected = f"expected {', '.join(shipped)} or {own}, as path/to/file.py:Name"
-        other = f"defence.{field}: got {name!r}, {expected}"
-        if name not in DEFENCES and not names_a_file(name):
-            yield other
+        expected = f"expected {RESIDUAL!r}, or a test of your own as path/to/file.py:Name"
+        if not names_a_file(self.test):
+            yield f"defence.test: got {self.test!r}, {expected}"
             return
         try:
-            made = DEFENCES[name](states, candidates)
+            made = DEFENCES[self.test](states, candidates)
         except UnknownError as error:
-            yield f"defence.{field}: {error}"
+            yield f"defence.test: {error}"
             return
-        words = made.session_words + made.step_words
-        tests, guards = not words and name not in DEFENCES.shipped, made.codes or made.tags
-        if not (tests if field == "kind" else guards):
-            yield other
-        elif field == "messages" and not made.step_words:
-            yield f"defence.messages: {name}: expected one with a fresh key for each message"
-        elif field == "messages" and words > KEY_WORDS:
-            yield (
-                f"defence.messages: {name} takes {words} words of key for a message of {states} "
-                f"states, expected {KEY_WORDS} at most, a key"
-            )
+        if made.session_words + made.step_words:
+            yield f"defence.test: {self.test}: takes keys, {expected} that takes none"
+
+
+def needs_keys(what: str, keys: Keys | None) -> Iterator[str]:
+    """Why something that takes the key stream has none."""
+    if keys is None:
+        yield f"{what} takes distilled keys, expected a table [keys] beside it"
+    elif keys.schedule() is None:
+        yield f"{what} takes distilled keys, and {keys.refusal()}"

@@ -1,9 +1,9 @@
 """`sealed`: every transition carries a message symbol under the next digit of the key stream.
 
 The digit comes from keys that both ends distilled from what an eavesdropper misses
-(:mod:`protocol.secret`). The offer names its position, and c = (m + digit) mod M. Where an offer has
-no digit its symbol is random and carries nothing. What the test of a transition returns is of no
-account, so nothing is agreed by the paper's rule.
+(:mod:`protocol.secret`). The offer names its position, and c = (m + digit) mod M. Where an offer
+has no digit its symbol is random and carries nothing. What the test of a transition returns is of
+no account, so nothing is agreed by the paper's rule.
 """
 
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
