@@ -74,8 +74,8 @@ class ReceiverRecord(NamedTuple):
     0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
     counts key blocks that were begun, in all sessions, whatever became of them. ``sensor_seed`` is
     of the sensors' noise. ``confirmed`` is as the controller's, and ``keyed`` says whether
-    the digits of the last applied offer served. Where some outputs alone are read ``estimate`` is as the controller's, and
-    ``true_x`` the simulated state, which no reading tells.
+    the digits of the last applied offer served. Where some outputs alone are read ``estimate`` is
+    as the controller's, and ``true_x`` the simulated state, which no reading tells.
     """
 
     session: str
