@@ -457,6 +457,7 @@ class Scenario(Brief, ScenarioTable):
             noisy=self.defender.noise is not None,
             C=self.plant.C,
             keys=None if self.keys is None else self.keys.assumption(),
+            digits=self.defence.keyed + SCHEMES[self.secrecy.scheme].from_stream,
         )
 
     def oracle_knowledge(self) -> Knowledge:
