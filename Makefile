@@ -25,7 +25,7 @@ help:
 	@echo "make docs          the documents and the API reference as a site, in build/docs"
 	@echo "make figures       every figure of docs/ from its data"
 	@echo "make paper         paper/paper.pdf from its text and the project's data"
-	@echo "make bench         every benchmark, beside its reference"
+	@echo "make bench         every benchmark"
 	@echo "make campaign      try to break exactly once, for hours (docs/reliability.md)"
 	@echo "make lock          pin the dependencies anew, with hashes"
 

@@ -9,7 +9,6 @@ from math import isfinite
 from typing import Any, Final
 
 import numpy as np
-from pydantic import ValidationError
 
 from attacker_service.attacks import named
 from attacker_service.base import (
@@ -22,6 +21,7 @@ from attacker_service.base import (
     SensorAttack,
 )
 from attacker_service.holdings import Coins, Offers
+from attacker_service.sieve import Sieve
 from protocol.arrays import Array
 from protocol.link.events import AttackBegan
 from protocol.messages import FIELD
@@ -54,8 +54,8 @@ class Attacker:
         Every parameter, as it is traced.
     failed : str
         Why it is over; empty while it is not.
-    malformed : int
-        Messages on the bus that were none; they cost it nothing.
+    sieve : Sieve
+        Through which its messages go first: junk on the bus costs it nothing, and is counted.
 
     Raises
     ------
@@ -67,7 +67,7 @@ class Attacker:
         if scenario.plant.C is not None:
             raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         self.failed = ""
-        self.malformed = 0
+        self.sieve = Sieve(scenario)
         self._onset = attack.onset
         try:
             self._make(scenario, attack, np.random.default_rng(seed))
@@ -112,7 +112,7 @@ class Attacker:
     def reading(self, k: int, x: Vector, heard: Iterable[BusMessage]) -> Vector:
         """What is reported in place of the true x(k), shape (n,)."""
         for topic, payload in heard:
-            self._hear(topic, payload)
+            self._hear(k, topic, payload)
         attack, true = self._attack, np.asarray(x)
         if not isinstance(attack, SensorAttack):
             return x
@@ -142,17 +142,18 @@ class Attacker:
 
         return self._checked(k, [u], lambda: [apply()])[0]
 
-    def _hear(self, topic: str, payload: bytes) -> None:
+    def _hear(self, k: int, topic: str, payload: bytes) -> None:
         if self._offers is None or self.failed:
             return
-        try:
-            message = TYPES[topic].model_validate_json(payload)
-        except ValidationError:
-            self.malformed += 1
+        message = self.sieve.beside_the_plant(TYPES[topic], payload)
+        if message is None:
             return
         self._offers.hear(message)
         if self._coins is not None:
-            self._coins.hear(message)
+            try:
+                self._coins.hear(message)
+            except Exception as error:  # her eavesdropper's: it is no reason to stop the plant
+                self._over(k, _line_of(error))
 
     def _observation(self, attack: SensorAttack, k: int, true: Array, shown: Array) -> Observation:
         offer = None if self._offers is None else self._offers.at(k - 1)

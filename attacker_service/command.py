@@ -70,6 +70,7 @@ def run_attacker(options: AttackerOptions) -> int:
             ZenohBus(listen=[options.controller_side]) as controller,
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
+            attacker.sieve.tell()
     except TransportError as error:
         raise UsageError(str(error)) from None
     return DONE

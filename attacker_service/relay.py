@@ -9,8 +9,7 @@ import threading
 from collections.abc import Callable, Sequence
 from typing import Final, NamedTuple, Protocol, TypeVar
 
-from pydantic import ValidationError
-
+from attacker_service.sieve import Sieve
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.topics import key_of
 from protocol.vectors import Vector
@@ -41,6 +40,10 @@ class Asked(Protocol):
     def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
         """The x(k) that the controller gets."""
 
+    @property
+    def sieve(self) -> Sieve:
+        """What its messages go through first."""
+
 
 class Rewriter:
     """The messages of one loop as an attack sends them on.
@@ -57,14 +60,11 @@ class Rewriter:
         self._candidates: dict[tuple[str, int], tuple[Vector, ...]] = {}
 
     def rewritten(self, kind: type[FieldMessage], payload: bytes) -> bytes:
-        """The message as it goes on; what is none goes on as it came."""
-        try:
-            message = kind.model_validate_json(payload)
-        except ValidationError:
-            return payload
+        """The message as it goes on; what is none of the loop's goes on as it came."""
+        message = self._attacker.sieve.read(kind, payload)
         if isinstance(message, Measurement):
             return self._measurement(message).wire()
-        return self._offer(message).wire()
+        return payload if message is None else self._offer(message).wire()
 
     def _offer(self, offer: Offer) -> Offer:
         at = offer.session, offer.k

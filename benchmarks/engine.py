@@ -1,4 +1,4 @@
-"""The engine beside the plain loop and beside the services' scalar functions, in one run."""
+"""The engine beside the services' scalar functions, in one run."""
 
 import cProfile
 import pstats
@@ -7,14 +7,9 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-import numpy as np
-
-from benchmarks.reference_loop import plain_run
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from controller_service.sets.design import Design
 from plant_service.plant import Disturbances, LinearModel
-from protocol.agreement import NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from protocol.streams import COIN, DISTURBANCE, Stream
@@ -26,7 +21,6 @@ from wyner.sweeps.code import ROOT
 SEED: Final = 1
 ROUNDS: Final = 5
 RUNS, STEPS = 4096, 200
-PLAIN_STEPS: Final = 60
 SCALAR_STEPS: Final = 4000
 ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
 INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
@@ -112,27 +106,21 @@ def measure(
     runs: int = RUNS,
     steps: int = STEPS,
     scalar_steps: int = SCALAR_STEPS,
-    plain_steps: int = PLAIN_STEPS,
     *,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Alternate the three ways for some rounds; medians, and the ratio of the medians.
+    """Alternate the two ways for some rounds; medians, and the ratio of the medians.
 
     ``steps_per_second`` counts seconds of processor time: steps a second a core, whoever else uses
-    the machine. ``ratio`` is against the plain way by the same clock, ``wall_ratio`` by the wall's.
+    the machine. ``ratio`` is by the same clock, ``wall_ratio`` by the wall's.
     ``progress`` is told a line a round.
     """
     say = progress or (lambda _line: None)
     scenario = shipped("sustained")
-    design: Design = cached_design(scenario)
-    law = make_law(scenario, design)
+    law = make_law(scenario, cached_design(scenario))
     ways: dict[str, tuple[int, Callable[[], object]]] = {
         "engine": (runs * steps, lambda: engine_run(scenario, law, runs, steps)),
         "scalar": (scalar_steps, lambda: scalar_run(scenario, law, scalar_steps)),
-        "plain": (
-            plain_steps,
-            lambda: plain_run(scenario, design, seed=SEED, run=0, steps=plain_steps),
-        ),
     }
     engine_run(scenario, law, runs, steps)
     wall: dict[str, list[float]] = {name: [] for name in ways}
@@ -142,14 +130,10 @@ def measure(
             seconds, processor = timed(call)
             wall[name].append(count / seconds)
             cpu[name].append(count / processor)
-        ratio = cpu["engine"][-1] / cpu["plain"][-1]
+        ratio = cpu["engine"][-1] / cpu["scalar"][-1]
         say(f"round {i + 1} of {rounds}: {cpu['engine'][-1]:.0f} steps/s, ratio {ratio:.0f}")
     rate = {name: statistics.median(values) for name, values in cpu.items()}
     wall_rate = {name: statistics.median(values) for name, values in wall.items()}
-    plain = plain_run(scenario, design, seed=SEED, run=0, steps=200).symbols
-    ours = simulate_runs(scenario, law, seed=SEED, runs=range(1), steps=200)
-    possible = ours.largest[:, 0] <= scenario.secrecy.alpha
-    verdicts = np.where(possible, ours.symbol[:, 0], NO_SYMBOL)
     return {
         "scenario": scenario.name,
         "seed": SEED,
@@ -159,14 +143,10 @@ def measure(
         "steps_per_second": rate["engine"],
         "spread": [min(cpu["engine"]), max(cpu["engine"])],
         "wall_steps_per_second": wall_rate["engine"],
-        "ratio": rate["engine"] / rate["plain"],
-        "ratios": [e / p for e, p in zip(cpu["engine"], cpu["plain"], strict=True)],
-        "wall_ratio": wall_rate["engine"] / wall_rate["plain"],
-        "plain_steps_per_second": rate["plain"],
-        "plain_spread": [min(cpu["plain"]), max(cpu["plain"])],
+        "ratio": rate["engine"] / rate["scalar"],
+        "ratios": [e / s for e, s in zip(cpu["engine"], cpu["scalar"], strict=True)],
+        "wall_ratio": wall_rate["engine"] / wall_rate["scalar"],
         "scalar_steps_per_second": rate["scalar"],
-        "ratio_to_scalar": rate["engine"] / rate["scalar"],
-        "same_verdicts_as_plain": float((np.array(plain) == verdicts).mean()),
         "paper_sweep_seconds": statistics.median(paper_sweep() for _ in range(rounds)),
         "parts": where(lambda: engine_run(scenario, law, runs, steps), rounds),
     }
@@ -175,18 +155,13 @@ def measure(
 def render(r: dict[str, Any]) -> str:
     """The figures in lines for people."""
     low, high = r["spread"]
-    plow, phigh = r["plain_spread"]
     lines = [
         f"engine, {r['scenario']}, {r['runs']} runs of {r['steps']} steps: "
         f"{r['steps_per_second']:.3g} steps/s a core [{low:.3g}, {high:.3g}]; by the wall clock "
         f"{r['wall_steps_per_second']:.3g}",
-        f"plain loop, two OSQP solves and four linear programs a step: "
-        f"{r['plain_steps_per_second']:.3g} steps/s [{plow:.3g}, {phigh:.3g}]; same verdicts on "
-        f"{100 * r['same_verdicts_as_plain']:.1f} % of 200 steps",
+        f"the services' scalar functions: {r['scalar_steps_per_second']:.3g} steps/s",
         f"ratio {r['ratio']:.0f} (medians of {r['rounds']} alternating rounds, processor time; by "
         f"the wall clock {r['wall_ratio']:.0f})",
-        f"the services' scalar functions: {r['scalar_steps_per_second']:.3g} steps/s, ratio "
-        f"{r['ratio_to_scalar']:.0f}",
         f"the paper's sweep, 14 alphas, 3 initial states, 20 runs of 50 steps: "
         f"{r['paper_sweep_seconds']:.3f} s",
         "where an engine step's time goes:",

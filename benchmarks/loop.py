@@ -1,11 +1,4 @@
-"""How fast the loop runs in lock-step, beside bare Zenoh round trips of the same payloads.
-
-Rounds alternate in one run, because machines are noisy: one round of the three real services
-(controller, plant, and the tap attached) on loopback, then one of two bare processes that pass a
-recorded Measurement and a recorded Offer back and forth over the same transport, with a third
-process subscribed to both. What a step costs beside the transport is timed part by part in one
-process, on the same scenario.
-"""
+"""How fast the loop runs in lock-step: the three real services on loopback, the tap attached."""
 
 import json
 import statistics
@@ -20,14 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from benchmarks.bare import bare_round
-from protocol.messages import Measurement, Offer
+from protocol.messages import Measurement
 from runtime.addresses import free_endpoints
 from runtime.errors import Failure
 from runtime.run_folder import CAPTURE
-
-TARGET_RATIO: Final = 0.65
-"""Control steps a second should be at least this part of the bare round trips a second."""
 
 SCENARIO: Final = (
     Path(__file__).resolve().parent.parent / "runtime" / "scenarios" / "sustained.toml"
@@ -50,11 +39,9 @@ SERVICES: Final = ("controller", "plant", "tap")
 
 @dataclass(frozen=True, slots=True)
 class LoopRound:
-    """One round of the services: speed, the messages it carried, and what the processes took."""
+    """One round of the services: speed, and what the processes took."""
 
     steps_per_second: float
-    measurement: bytes
-    offer: bytes
     startup_s: dict[str, float]
     rss_mib: dict[str, float]
 
@@ -190,30 +177,16 @@ def loop_round(scenario: Path, steps: int) -> LoopRound:
             startup = {n: s.startup_s or 0.0 for n, s in services.items()}
         # Read once the tap has ended: while it runs the capture is a batch behind.
         first_seen: dict[int, int] = {}
-        newest: dict[str, dict[int, bytes]] = {Measurement.topic: {}, Offer.topic: {}}
         for line in (folder / CAPTURE).read_bytes().splitlines()[1:]:
             record = json.loads(line)
-            if record["event"] != "field":
-                continue
-            message = record["message"]
-            if record["topic"] == Measurement.topic:
-                first_seen.setdefault(message["k"], record["t_ns"])
-            body = json.dumps(message, separators=(",", ":")).encode()
-            newest[record["topic"]][message["k"]] = body
+            if record["event"] == "field" and record["topic"] == Measurement.topic:
+                first_seen.setdefault(record["message"]["k"], record["t_ns"])
     begin = min((k for k in first_seen if k >= WARM_UP * steps), default=steps)
     end = max(first_seen, default=0)
-    both = newest[Measurement.topic].keys() & newest[Offer.topic].keys()
-    if end <= begin or not both:
+    if end <= begin:
         raise Failure(f"the tap's capture shows {len(first_seen)} of {steps} steps")
     seconds = (first_seen[end] - first_seen[begin]) / 1e9
-    sample = max(both)
-    return LoopRound(
-        steps_per_second=(end - begin) / seconds,
-        measurement=newest[Measurement.topic][sample],
-        offer=newest[Offer.topic][sample],
-        startup_s=startup,
-        rss_mib=rss,
-    )
+    return LoopRound((end - begin) / seconds, startup, rss)
 
 
 # --- the whole -----------------------------------------------------------------------------------
@@ -226,14 +199,13 @@ def measure(
     scenario: str | Path = SCENARIO,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Measure the loop beside bare round trips.
+    """Measure the loop.
 
     Parameters
     ----------
     rounds : int
-        Pairs of one loop round and one bare round.
     steps : int
-        Steps, and round trips, in each.
+        Of each round.
     scenario : str or Path
         A scenario file.
     progress : callable, optional
@@ -242,15 +214,9 @@ def measure(
     Returns
     -------
     dict
-        ``steps_per_second`` and ``bare_round_trips_per_second`` (medians over rounds; the bare
-        processes block on a channel as the services do, and ``queue_round_trips_per_second`` has
-        those that wait for a queue which a callback fills), ``ratio``
-        (of the two), ``target_ratio``, ``rounds`` (each round's two figures and their ratio),
-        ``spread`` (smallest and largest of each figure), ``parts`` (microseconds a step, see
-        :func:`benchmarks.loop_parts.measure_parts`, with the transport's round trip and
-        the rest that is not accounted for), ``while_waiting`` (the parts that each service does
-        while its partner works), ``step_us``, ``startup_s`` and ``rss_mib`` by
-        service (medians), ``steps``, ``eavesdroppers``, ``scenario``.
+        ``steps_per_second`` (median over rounds), ``rounds`` (each round's), ``spread`` (smallest
+        and largest), ``startup_s`` and ``rss_mib`` by service (medians), ``steps``,
+        ``eavesdroppers``, ``scenario``.
 
     Raises
     ------
@@ -259,53 +225,17 @@ def measure(
     protocol.scenario.ScenarioError
         When the scenario cannot be used.
     """
-    from benchmarks.loop_parts import WHILE_WAITING, measure_parts
-
     path = Path(scenario)
     say = progress or (lambda _line: None)
     loops: list[LoopRound] = []
-    bare: list[float] = []
-    queued: list[float] = []
     for i in range(rounds):
         loops.append(loop_round(path, steps))
-        messages = loops[-1].measurement, loops[-1].offer
-        bare.append(bare_round(*messages, steps, "channel"))
-        queued.append(bare_round(*messages, steps, "queue"))
-        say(
-            f"round {i + 1} of {rounds}: {loops[-1].steps_per_second:.0f} steps/s, "
-            f"bare {bare[-1]:.0f} round trips/s"
-        )
+        say(f"round {i + 1} of {rounds}: {loops[-1].steps_per_second:.0f} steps/s")
     speed = [one.steps_per_second for one in loops]
-    ratios = [a / b for a, b in zip(speed, bare, strict=True)]
-    steps_per_second = statistics.median(speed)
-    bare_per_second = statistics.median(bare)
-    every = measure_parts(path, steps, steps_per_second, 0.5 / bare_per_second)
-    parts = {name: us for name, us in every.items() if not name.startswith(WHILE_WAITING)}
-    waiting = {
-        name.removeprefix(WHILE_WAITING): us for name, us in every.items() if name not in parts
-    }
-    parts["transport: bare round trip"] = 1e6 / bare_per_second
-    step_us = 1e6 / steps_per_second
-    parts["rest: processes waking and sharing cores"] = step_us - sum(parts.values())
     return {
-        "ratio": steps_per_second / bare_per_second,
-        "target_ratio": TARGET_RATIO,
-        "steps_per_second": steps_per_second,
-        "bare_round_trips_per_second": bare_per_second,
-        "queue_round_trips_per_second": statistics.median(queued),
-        "rounds": [
-            {"steps_per_second": a, "bare_round_trips_per_second": b, "ratio": r}
-            for a, b, r in zip(speed, bare, ratios, strict=True)
-        ],
-        "spread": {
-            "steps_per_second": [min(speed), max(speed)],
-            "bare_round_trips_per_second": [min(bare), max(bare)],
-            "queue_round_trips_per_second": [min(queued), max(queued)],
-            "ratio": [min(ratios), max(ratios)],
-        },
-        "step_us": step_us,
-        "parts": parts,
-        "while_waiting": waiting,
+        "steps_per_second": statistics.median(speed),
+        "rounds": speed,
+        "spread": [min(speed), max(speed)],
         "startup_s": _medians([one.startup_s for one in loops]),
         "rss_mib": _medians([one.rss_mib for one in loops]),
         "steps": steps,
@@ -319,31 +249,14 @@ def _medians(rounds: Sequence[dict[str, float]]) -> dict[str, float]:
 
 
 def render(result: dict[str, Any]) -> str:
-    """The result of :func:`measure` as a table for people."""
-    spread = result["spread"]
-    verdict = "reached" if result["ratio"] >= result["target_ratio"] else "MISSED"
-
-    def row(name: str, key: str, form: str) -> str:
-        low, high = spread[key]
-        return f"{name:<28}{result[key]:>10{form}}   ({low:{form}} to {high:{form}})"
-
+    """The result of :func:`measure` for people."""
+    low, high = result["spread"]
     lines = [
-        f"lock-step, {result['scenario']}, {len(result['rounds'])} alternating rounds of "
+        f"lock-step, {result['scenario']}, {len(result['rounds'])} rounds of "
         f"{result['steps']} steps, tap attached ({', '.join(result['eavesdroppers'])})",
-        "",
-        f"{'':<28}{'median':>10}   (smallest to largest)",
-        row("control steps a second", "steps_per_second", ".0f"),
-        row("bare round trips a second", "bare_round_trips_per_second", ".0f"),
-        row("  and on a queue", "queue_round_trips_per_second", ".0f"),
-        row("ratio", "ratio", ".2f"),
-        f"target {result['target_ratio']}: {verdict}",
-        "",
-        f"where {result['step_us']:.0f} microseconds a step go (medians)",
+        f"control steps a second {result['steps_per_second']:.0f}   ({low:.0f} to {high:.0f})",
+        "start-up, until the first word (s; target 2), and memory afterwards (MiB)",
     ]
-    lines += [f"  {name:<44}{us:>8.1f}" for name, us in result["parts"].items()]
-    lines += ["", "and while the partner works, not holding up the step"]
-    lines += [f"  {name:<44}{us:>8.1f}" for name, us in result["while_waiting"].items()]
-    lines += ["", "start-up, until the first word (s; target 2), and memory afterwards (MiB)"]
     for name, seconds in result["startup_s"].items():
         memory = result["rss_mib"].get(name)
         lines.append(f"  {name:<12}{seconds:>6.2f}{'' if memory is None else f'{memory:>8.0f}'}")

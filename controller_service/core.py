@@ -41,10 +41,11 @@ from protocol.messages import (
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
-from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.nonces import Contribution, NonceSource
 from protocol.secret.stream import NOWHERE, Part, Position
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
 
 GREETING_S: Final = 0.1

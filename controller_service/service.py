@@ -16,8 +16,9 @@ from protocol.link.peer import Peer
 from protocol.link.session import rules_of
 from protocol.messages import Measurement
 from protocol.scenario import Scenario
-from protocol.streams import CIPHER, symbols
+from protocol.streams import CIPHER
 from runtime.bus import Bus
+from runtime.chance import symbols
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
 from runtime.fleet import STATUS_S as FLEET_STATUS_S

@@ -75,6 +75,7 @@ class AttackedPlant:
 
     def close(self) -> str:
         """As the plant."""
+        self._attacker.sieve.tell()
         return self._plant.close()
 
     def overheard(self, bus: Bus, loop: str) -> Bus:

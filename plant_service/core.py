@@ -48,9 +48,10 @@ from protocol.messages import (
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
-from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.nonces import Contribution, NonceSource
 from protocol.secret.stream import Part
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
 
 HELLO_S: Final = 0.1

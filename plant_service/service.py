@@ -19,8 +19,9 @@ from protocol.link.pacing import STATUS_S, Pacing
 from protocol.link.peer import Peer
 from protocol.messages import Offer
 from protocol.scenario import Attack
-from protocol.streams import COIN, SENSOR, Stream, noise, symbols
+from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
+from runtime.chance import noise, symbols
 from runtime.end_service import EndConfig, EndService
 from runtime.errors import UsageError
 from runtime.files import read_regular, write_atomically

@@ -43,6 +43,7 @@ class Registry(Generic[T]):
     def __init__(self, what: str) -> None:
         self.what = what
         self._entries: dict[str, T] = {}
+        self._loading: set[str] = set()
         self._own: Callable[[str, OwnClass], T] | None = None
 
     def take_own(self, entry: Callable[[str, "OwnClass"], T]) -> None:
@@ -109,8 +110,17 @@ class Registry(Generic[T]):
 
     def _all(self) -> dict[str, T]:
         modules = _PROVIDERS.get(self.what, [])
-        while modules:
-            import_module(modules.pop(0))
+        while (module := next((m for m in modules if m not in self._loading), None)) is not None:
+            before = dict(self._entries)
+            self._loading.add(module)
+            try:
+                import_module(module)
+            except BaseException:  # it stays, and the next look-up fails with the same cause
+                self._entries = before
+                raise
+            finally:
+                self._loading.discard(module)
+            modules.remove(module)
         return self._entries
 
 
@@ -199,7 +209,7 @@ class OwnClass(NamedTuple):
     sha256: str
 
 
-_OWN: dict[tuple[Path, str], OwnClass] = {}
+_OWN: dict[Path, tuple[ModuleType, str]] = {}
 
 
 def names_a_file(name: str) -> bool:
@@ -220,11 +230,11 @@ def own_class(name: str) -> OwnClass:
         When there is no such file, or it cannot be loaded.
     """
     where, _, class_name = name.rpartition(":")
-    key = Path(where).resolve(), class_name
-    if key not in _OWN:
-        module, sha256 = module_at(where)
-        _OWN[key] = OwnClass(class_name, getattr(module, class_name, None), sha256)
-    return _OWN[key]
+    path = Path(where).resolve()
+    if path not in _OWN:
+        _OWN[path] = module_at(where)
+    module, sha256 = _OWN[path]
+    return OwnClass(class_name, getattr(module, class_name, None), sha256)
 
 
 def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
@@ -256,8 +266,11 @@ def _run_file(path: Path) -> tuple[ModuleType, str]:
     """The module, and the SHA-256 (hex) of the bytes that ran."""
     if not path.is_file():
         raise FileNotFoundError(path)
+    where = path.resolve()
     stem = re.sub(r"\W", "_", path.stem)
-    spec = spec_from_file_location(f"own_{stem}", path.resolve(), loader=_OnceRead(path))
+    digest = hashlib.sha256(str(where).encode(errors="surrogateescape")).hexdigest()
+    name = f"own_{stem}_{digest[:8]}"  # two files may have one stem
+    spec = spec_from_file_location(name, where, loader=_OnceRead(name, where))
     assert spec is not None
     assert isinstance(spec.loader, _OnceRead)
     module = module_from_spec(spec)
@@ -269,10 +282,9 @@ def _run_file(path: Path) -> tuple[ModuleType, str]:
 class _OnceRead(SourceFileLoader):
     """Runs the text that it has read, and no compiled one of a file that has changed since."""
 
-    def __init__(self, path: Path) -> None:
-        where = path.resolve()
-        super().__init__(f"own_{path.stem}", str(where))
-        self.text = where.read_bytes()
+    def __init__(self, name: str, path: Path) -> None:
+        super().__init__(name, str(path))
+        self.text = path.read_bytes()
 
     def get_code(self, fullname: str) -> CodeType:  # noqa: ARG002
         return self.source_to_code(self.text, self.path)

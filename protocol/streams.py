@@ -1,11 +1,10 @@
-"""Where random symbols come from: the operating system live, seeded streams in experiments.
+"""Seeded streams of random numbers, for experiments; what is drawn live is the shell's matter.
 
 Draws are indexed, so that a process that was killed and a vectorised engine both find the numbers
 where they belong: the disturbance of step k is draw k, the coin and the random cipher symbol of
 transition j are draws j. Every kind takes the same number of draws whatever the automaton's state.
 """
 
-import secrets
 from typing import TYPE_CHECKING, Final, Protocol
 
 if TYPE_CHECKING:
@@ -58,16 +57,6 @@ class SymbolSource(Protocol):
         """A symbol in range(size)."""
 
 
-class SystemSymbols:
-    """Symbols from the operating system's generator; the index is not used."""
-
-    def symbol(self, transition: int, size: int) -> int:  # noqa: ARG002
-        """A fresh uniform symbol in range(size)."""
-        if 256 % size == 0:  # one byte is exactly uniform; randbelow draws until it has a fit
-            return secrets.token_bytes(1)[0] % size
-        return secrets.randbelow(size)
-
-
 class SeededSymbols:
     """Symbols of a seeded stream, for experiments only."""
 
@@ -77,15 +66,3 @@ class SeededSymbols:
     def symbol(self, transition: int, size: int) -> int:
         """Symbol number ``transition`` of the stream, in range(size)."""
         return int(self._stream.at(transition)[0] * size)
-
-
-def symbols(seed: int | None, stream: int) -> SymbolSource:
-    """The system's symbols, or a seeded stream's where a seed is given."""
-    return SystemSymbols() if seed is None else SeededSymbols(seed, stream)
-
-
-def noise(seed: int | None, width: int) -> Stream:
-    """Uniform numbers for the simulated disturbance; not secret, so a random seed will do."""
-    return Stream(
-        int.from_bytes(secrets.token_bytes(16)) if seed is None else seed, DISTURBANCE, width=width
-    )

@@ -4,8 +4,9 @@
 imports this package too, never does.
 """
 
-# Each says which laws, services and plants it brings; none of them loads more than that. They come
-# before anything of Python's library: loading `protocol` sees to signals first.
+# Ctrl-C comes before anything of Python's library. Then each says which laws, services and plants
+# it brings; none of them loads more than that.
+import runtime.early as _early  # noqa: F401, I001
 import controller_service as _controller_service  # noqa: F401
 import plant_service as _plant_service  # noqa: F401
 import tap_service as _tap_service  # noqa: F401

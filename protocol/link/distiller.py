@@ -22,7 +22,6 @@ from protocol.secret.nonces import (
     Copy,
     NonceSource,
     contribution_of,
-    fresh_nonce,
 )
 from protocol.secret.stream import NOWHERE, Part, Position, Stream
 
@@ -104,7 +103,7 @@ class Distiller:
     """
 
     def __init__(
-        self, schedule: Schedule | None, size: int, fresh: NonceSource = fresh_nonce
+        self, schedule: Schedule | None, size: int, fresh: NonceSource
     ) -> None:
         self.schedule = schedule
         self.made = self.lost = 0

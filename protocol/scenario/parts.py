@@ -15,6 +15,16 @@ class ScenarioTable(BaseModel):
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
+    def __hash__(self) -> int:
+        """Of all values, also of those that hold names or lists of a user's choice."""
+        return hash((type(self), *map(_hashable, self.__dict__.values())))
+
+
+def _hashable(value: object) -> object:
+    if isinstance(value, dict):
+        return frozenset((name, _hashable(part)) for name, part in value.items())
+    return tuple(map(_hashable, value)) if isinstance(value, list) else value
+
 
 def check_matrix(matrix: FiniteMatrix) -> FiniteMatrix:
     """The matrix, or ValueError where it is empty or ragged."""

@@ -10,8 +10,7 @@ Each end names the copy that it took of the other's message (``heard`` in an off
 nonces count.
 """
 
-import secrets
-from binascii import a2b_base64, b2a_base64
+from binascii import a2b_base64
 from collections.abc import Callable
 from typing import Final, Literal, NamedTuple
 
@@ -27,11 +26,7 @@ NONCE_FORM: Final = rf"^([A-Za-z0-9+/]{{{-(-NONCE_BYTES // 3) * 4 - 1}}}=)?$"
 """A nonce in base64; empty where the scenario makes no keys."""
 
 NonceSource = Callable[[], str]
-
-
-def fresh_nonce() -> str:
-    """A nonce from the operating system's generator, in base64."""
-    return b2a_base64(secrets.token_bytes(NONCE_BYTES), newline=False).decode()
+"""Gives a fresh nonce in base64 each time (:func:`runtime.chance.fresh_nonce`)."""
 
 
 def as_bytes(nonce: str) -> bytes:

@@ -11,10 +11,12 @@ from plant_service.adapters.base import stepped
 from plant_service.adapters.ode import Ode
 from plant_service.adapters.registry import open_plant
 from protocol.integration import runge_kutta_step
-from protocol.scenario import Scenario
+from protocol.link.session import rules_of
+from protocol.scenario import Scenario, parse_scenario
 from runtime.scenario_file import load_scenario
 from runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
+from tests.support.recorded_loop import RecordedLoop
 
 
 def test_runge_kutta_is_of_fourth_order() -> None:
@@ -341,3 +343,29 @@ def test_the_seed_reaches_an_environment_that_draws_from_the_shared_generators(
         readings.append(plant.sample())
         plant.close()
     assert readings[0] == readings[1] != readings[2]
+
+
+def test_tables_of_free_names_make_a_live_plant(
+    tmp_path: Path, fmu: tuple[Path, str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`plant.arguments` and `plant.start`: the loop's rules are looked up by their scenario."""
+    pytest.importorskip("gymnasium")
+    more = '\n[plant.arguments]\ng = 10.0\nrender_mode = "rgb_array"\n'
+    loop = RecordedLoop(tmp_path / "run", b"", "gymnasium-pendulum", more=more)
+    loop.run(lambda: loop.transitions >= 20)
+    loop.stop()
+    assert loop.wrong() == []
+    monkeypatch.syspath_prepend(tmp_path)
+    scenario = environment(tmp_path, "Own")
+    given: dict[str, object] = dict(zip(("file", "sha256"), map(str, fmu), strict=True))
+    given |= {"kind": "fmu", "inputs": ["u"], "outputs": ["place"]}
+    data = scenario.model_dump(exclude_unset=True)
+    del data["plant"]["id"]
+    for start in ({"place": 3.0}, {"place": 3.0, "speed": 1.0}):
+        data["plant"] |= given | {"start": start}
+        told = parse_scenario(data, "own")
+        assert hash(told) == hash(told.model_copy())
+        assert rules_of(told).fingerprint == told.fingerprint()
+        plant = open_plant(told)
+        assert plant.start(None)[0] == 3.0
+        plant.close()

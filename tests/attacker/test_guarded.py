@@ -60,6 +60,7 @@ class Loose:
 
     def __init__(self, attacker: Attacker) -> None:
         self._attacker = attacker
+        self.sieve = attacker.sieve
         self.loose = False
         self.onset = -1
         """Step of the first offer that it rewrote."""

@@ -10,13 +10,13 @@ from typing import Any, TypeVar
 import pytest
 
 from attacker_service.attacker import Attacker
-from attacker_service.relay import Relay
+from attacker_service.relay import Relay, Rewriter
 from plant_service.attacked import AttackedPlant
 from plant_service.plant import Disturbances, LinearModel
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Attack, Scenario, attack_of
-from protocol.streams import noise
 from protocol.topics import DEFAULT_LOOP, key_of
+from runtime.chance import noise
 from runtime.errors import UsageError
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.scenario_file import attack_option, scenario_of
@@ -191,3 +191,57 @@ def test_a_relay_rewrites_both_ways_and_a_repeated_message_alike(scenario: Scena
     assert passed.on(m) == said
     later = m.model_copy(update={"k": 4, "x": (0.0, 0.0)})
     assert passed.on(later).x_after == said.x, "the same state is said alike"
+
+
+JUNK = (
+    b"",
+    b"{",
+    b"\xff" * 100,
+    b"[" * 70_000,
+    b'{"schema":2,"session":"%s","k":1,"candidates":[[1]],"cipher":0}' % (b"0" * 16),
+)
+
+
+@pytest.mark.parametrize("kind", ["ghost", "replay"])
+def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind: str) -> None:
+    """Nor does another session's offer, or one of another shape."""
+    table = {"kind": kind, "onset": 3}
+    if kind == "ghost":
+        table["knows"] = ["model", "bus"]
+    said: list[list[tuple[float, ...]]] = []
+    for junk in ((), JUNK):
+        plant = attacked(scenario, Attack.model_validate(table))
+        for k in range(8):
+            m = Measurement(session="0" * 16, k=k, x=(1.0, 1.0), applied_k=-1, x_after=())
+            us = ((0.0,), (1.0,), (2.0,), (3.0,))
+            offer = Offer(session="0" * 16, k=k, candidates=us, cipher=0)
+            other = offer.model_copy(update={"session": "f" * 16, "candidates": ((9.0,),) * 4})
+            wide = offer.model_copy(update={"candidates": ((1.0, 2.0),) * 4})
+            plant.heard.append(("measurement", m.wire()))
+            if junk:
+                plant.heard += [("offer", other.wire()), ("offer", wide.wire())]
+                plant.heard += [(topic, j) for topic in ("offer", "measurement") for j in junk]
+            plant.heard.append(("offer", offer.wire()))
+            one = _one(plant, k)
+            assert plant.truth is not None
+            assert not plant.truth.failed
+            said.append([one]) if k == 0 else said[-1].append(one)
+        assert plant._attacker.sieve.ignored == (12 * 8 if junk else 0)
+        assert plant.truth is not None
+        assert one != plant.truth.x_next, "she goes on"
+        plant.close()
+    assert said[0] == said[1]
+
+
+def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
+    attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
+    attacker = Attacker(scenario, attack, 1)
+    rewriter = Rewriter(attacker)
+    junk = [*JUNK, Offer(session="0" * 16, k=2, candidates=((1.0, 2.0),), cipher=0).wire()]
+    for kind in (Measurement, Offer):
+        for payload in junk:
+            assert rewriter.rewritten(kind, payload) == payload, "it goes on as it came"
+    offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
+    got = Offer.model_validate_json(rewriter.rewritten(Offer, offer.wire()))
+    assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
+    assert attacker.sieve.ignored == 12

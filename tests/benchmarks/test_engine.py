@@ -11,7 +11,7 @@ from benchmarks.engine import PARTS, measure, render
 
 pytestmark = pytest.mark.long
 
-QUICK: dict[str, Any] = {"rounds": 2, "runs": 40, "steps": 20, "scalar_steps": 40, "plain_steps": 3}
+QUICK: dict[str, Any] = {"rounds": 2, "runs": 40, "steps": 20, "scalar_steps": 40}
 
 
 @pytest.fixture(scope="module")
@@ -19,14 +19,10 @@ def result() -> dict[str, Any]:
     return measure(**QUICK)
 
 
-def test_the_ratios_are_those_of_the_rates(result: dict[str, Any]) -> None:
-    assert result["ratio"] == result["steps_per_second"] / result["plain_steps_per_second"] > 0
-    assert result["ratio_to_scalar"] == (
-        result["steps_per_second"] / result["scalar_steps_per_second"]
-    )
+def test_the_ratio_is_that_of_the_rates(result: dict[str, Any]) -> None:
+    assert result["ratio"] == result["steps_per_second"] / result["scalar_steps_per_second"] > 0
     low, high = result["spread"]
     assert 0 < low <= result["steps_per_second"] <= high
-    assert result["same_verdicts_as_plain"] == 1.0
     assert (result["rounds"], result["runs"], result["steps"]) == (2, 40, 20)
 
 

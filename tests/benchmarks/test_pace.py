@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import fleet, overload, pace
+from benchmarks import fleet, pace
 from benchmarks.__main__ import BENCHMARKS, main
 from protocol.messages import LATENCY_BOUNDS_S
 from tests.support.patience import PATIENCE_S
@@ -113,19 +113,6 @@ def test_a_rate_that_missed_a_step_is_not_run_to_its_end() -> None:
     row = pace.run_at(5000, 60_000, until_missed=True)
     assert row["missed"] > 0
     assert 0 < row["steps"] < 60_000
-
-
-@pytest.mark.long
-@pytest.mark.integration
-def test_a_small_overload_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(overload, "SETTLE_S", 1.0)
-    result = overload.measure(loops=10, seconds=1.0, pace="x40", recover_s=0.5, calm_s=1.0)
-    assert result["made"] + result["missed"] == result["asked"]
-    assert result["least"] <= result["median"] <= result["most"]
-    assert 10 * result["least"] <= result["made"] <= 10 * result["most"]
-    assert result["stay"] == 1
-    assert 0 <= result["missed_after"] <= result["steps_after"]
-    assert "9 loops left" in overload.render(result)
 
 
 def test_what_the_taps_lack_is_no_offer_of_a_missed_step(tmp_path: Path) -> None:

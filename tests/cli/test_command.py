@@ -360,10 +360,10 @@ def test_the_command_sees_to_ctrl_c_before_it_loads_anything_else() -> None:
         "for name in ('typing', 'enum', 'functools'): sys.modules.pop(name, None)\n"
         "sys.meta_path.insert(0, Note())\n"
         "import wyner.__main__\n"
-        "print(*seen[: seen.index('protocol') + 1])\n"
+        "print(*seen[: seen.index('runtime.early') + 1])\n"
     )
     done = python("-c", code)
-    assert done.stdout == b"wyner controller_service protocol\n"
+    assert done.stdout == b"wyner runtime runtime.early\n"
 
 
 def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:

@@ -13,6 +13,7 @@ from protocol.link.keying import Keying
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Stored, schedule_of
 from protocol.secret.bound import Assumption
+from runtime.chance import fresh_nonce
 from runtime.services import Look
 from wyner.cli.healthy import MAX_AGE_S, advances
 from wyner.cli.main import main
@@ -53,7 +54,7 @@ def test_a_loop_that_counts_transitions_is_healthy(
 def test_a_loop_that_makes_no_keys_any_more_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    keying = Keying(schedule_of(Assumption(0.5)))
+    keying = Keying(schedule_of(Assumption(0.5)), fresh_nonce)
     keying.begin("0" * 16)
     told = []
     for number, keys in ((0, 5), (1, 0)):

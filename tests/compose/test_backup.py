@@ -3,6 +3,7 @@
 import sqlite3
 import subprocess
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -65,7 +66,7 @@ def test_a_copy_made_while_paused_is_a_whole_database(system: Composition, tmp_p
             system.compose("cp", f"{service}:{RUN}/{service}", str(tmp_path / service))
         finally:
             system.compose("unpause", service)
-        with sqlite3.connect(tmp_path / service / "journal.sqlite3") as journal:
+        with closing(sqlite3.connect(tmp_path / service / "journal.sqlite3")) as journal, journal:
             assert journal.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
             assert journal.execute("SELECT count(*) FROM record").fetchall() == [(1,)]
         journal.close()

@@ -8,8 +8,6 @@ import numpy as np
 import pytest
 from scipy.optimize import linprog
 
-from benchmarks.exact_sets import exact_sets
-from benchmarks.sets import relative_errors
 from controller_service.laws.registry import cached_design
 from controller_service.sets.alphabet import choose_alphabet, larger_disturbance
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
@@ -18,6 +16,7 @@ from controller_service.sets.terminal import feedback_gain, terminal_set
 from protocol.convex import corners
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
+from tests.support.exact_sets import exact_sets, relative_errors
 from tests.support.size import size
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"

@@ -168,8 +168,10 @@ SHELL = {
     "time",
     "datetime",
     "zenoh",
+    "_signal",
+    "secrets",
 }
-"""Threads, processes, sockets, files and clocks: what the protocol has none of."""
+"""Threads, processes, sockets, files, clocks, chance: what the protocol has none of."""
 
 
 SECRET_WORD = re.compile(r"(^|_)(tag|mac|proof)(_of)?$")
@@ -218,6 +220,50 @@ def test_the_protocol_is_pure() -> None:
             calls = [n for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Call)]
             opened = [n for n in calls if isinstance(n.func, ast.Name) and n.func.id == "open"]
             assert not opened, name_of(path)
+            drawn = [ast.unparse(n) for n in calls if DRAWS.fullmatch(ast.unparse(n))]
+            assert not drawn, (name_of(path), drawn)
+
+
+DRAWS = re.compile(
+    r"(np\.random\.|random\.)?(default_rng|SeedSequence|Random|SystemRandom|PCG64)\(\)"
+    r"|random\.(?!Random\().*|(uuid\.)?uuid[14]\(.*\)",
+    re.DOTALL,
+)
+"""Calls that ask the operating system for randomness, or a generator that everybody shares."""
+
+
+def test_what_the_protocol_may_not_draw_is_seen() -> None:
+    for call in ("random.random()", "np.random.default_rng()", "uuid.uuid4()", "random.Random()"):
+        assert DRAWS.fullmatch(call), call
+    for call in ("random.Random(seed)", "np.random.SeedSequence(seed)", "random(3)"):
+        assert not DRAWS.fullmatch(call), call
+
+
+def test_the_protocol_leaves_the_process_that_imports_it_as_it_was() -> None:
+    """Also where that process is one of the programs: no signal, no randomness, no environment."""
+    code = (
+        "import importlib, json, os, secrets, signal, sys\n"
+        "sys.argv[0] = 'wyner'\n"
+        "import numpy, pydantic, uuid\n"
+        "import pathlib, random, statistics, tempfile\n"
+        "def state():\n"
+        "    at = [repr(signal.getsignal(n)) for n in sorted(signal.valid_signals())]\n"
+        "    return at, dict(os.environ), os.getcwd(), list(sys.path), random.getstate()\n"
+        "def drawn(*_): raise SystemExit('it draws')\n"
+        "before, os.urandom, secrets.token_bytes = state(), drawn, drawn\n"
+        "for name in json.loads(sys.argv[1]): importlib.import_module(name)\n"
+        "assert state() == before\n"
+    )
+    names = json.dumps([name_of(path) for path in inside("protocol")])
+    done = subprocess.run(
+        [sys.executable, "-c", code, names],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_the_rooms_of_the_protocol_stand_on_one_another() -> None:

@@ -33,10 +33,11 @@ from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
-from protocol.secret.nonces import Contribution, fresh_nonce
+from protocol.secret.nonces import Contribution
 from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
 from tests.support.controller_in_hand import PERIOD_S, Zeros
 from tests.support.end_in_hand import EndInHand, fields, kept

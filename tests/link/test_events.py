@@ -25,6 +25,7 @@ from protocol.messages import SendCommand
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.tasks import Broken, Done
+from runtime.chance import fresh_nonce
 
 S = "1" * 16
 STEP: dict[str, Any] = {"session": S, "k": 3, "x": (1.0,), "u": (2.0,), "x_next": (3.5,)}
@@ -192,8 +193,8 @@ def test_what_is_told_of_a_block(
     done: Done, events: tuple[Event, ...], notices: tuple[Notice, ...]
 ) -> None:
     assert key_events(done) == events
-    assert key_notices(done, Keying(SCHEDULE)) == notices
+    assert key_notices(done, Keying(SCHEDULE, fresh_nonce)) == notices
 
 
 def test_without_a_schedule_nothing_is_claimed() -> None:
-    assert key_notices(STORED, Keying(None)) == ()
+    assert key_notices(STORED, Keying(None, fresh_nonce)) == ()

@@ -16,8 +16,9 @@ from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Contribution, as_bytes, fresh_nonce
+from protocol.secret.nonces import Contribution, as_bytes
 from protocol.secret.tasks import Broken
+from runtime.chance import fresh_nonce
 from tests.support.controller_in_hand import PERIOD_S, OneMessage, Zeros
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import ScriptedLine
@@ -41,7 +42,7 @@ def said(block: int, tag: str) -> Measurement:
 
 def counting(until: int) -> Keying:
     """An end that has counted transitions 0 to ``until - 1``."""
-    keying = Keying(SCHEDULE)
+    keying = Keying(SCHEDULE, fresh_nonce)
     keying.begin(S)
     for j in range(until):
         keying.count(j, 1, offer(), 0, NONCES[1])
@@ -62,7 +63,7 @@ def stored(keying: Keying, number: int = 0) -> Stored:
 
 
 def test_without_keys_everything_is_constant() -> None:
-    keying = Keying(None)
+    keying = Keying(None, fresh_nonce)
     keying.begin(S, 3, TAG)
     assert not keying.on
     assert keying.no_tag == keying.nonce() == ""
@@ -127,7 +128,7 @@ def test_a_sessions_first_transition_is_in_no_block() -> None:
 
 def test_keys_go_on_where_a_message_leaves_as_often_as_was_stated() -> None:
     for stated, times in ((1, "1 time "), (2, "2 times ")):
-        keying = Keying(Schedule(Assumption(0.1, appearances=stated), 2, 4))
+        keying = Keying(Schedule(Assumption(0.1, appearances=stated), 2, 4), fresh_nonce)
         stops = appeared(keying, S, 3, 5)
         goes_on = appeared(keying, S, 4, stated)
         assert [n.level for n in (*stops.notices, *goes_on.notices)] == ["error", "info"]
@@ -136,7 +137,7 @@ def test_keys_go_on_where_a_message_leaves_as_often_as_was_stated() -> None:
             (Appearances(S, 3, 5),),
             (Appearances(S, 4, stated),),
         )
-    assert appeared(Keying(None), S, 3, 5) == Actions()
+    assert appeared(Keying(None, fresh_nonce), S, 3, 5) == Actions()
 
 
 # --- words ----------------------------------------------------------------------------------------
@@ -162,7 +163,7 @@ def test_the_partners_word_confirms_a_block_or_differs() -> None:
 
 def test_what_was_read_back_goes_on_where_it_was() -> None:
     contributions = [Contribution(j, 1, as_bytes(NONCES[0]), None) for j in (3, 4, 5)]
-    keying = Keying(SCHEDULE)
+    keying = Keying(SCHEDULE, fresh_nonce)
     keying.begin(S, 0, TAG, contributions)
     assert keying.announcement() == (0, TAG)
     keying.count(6, 1, offer(), 0, NONCES[1])

@@ -49,10 +49,11 @@ from protocol.schemes.switched import Switched
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
-from protocol.secret.nonces import Contribution, fresh_nonce
+from protocol.secret.nonces import Contribution
 from protocol.secret.records import Key
 from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
 from tests.support.end_in_hand import EndInHand, fields, kept
 from tests.support.line_ends import line_rules

@@ -15,8 +15,9 @@ from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Contribution, fresh_nonce
+from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand

@@ -22,8 +22,8 @@ from protocol.messages import (
     SendCommand,
     SendReply,
 )
-from protocol.secret.nonces import fresh_nonce
 from protocol.topics import BASE, check_loop, key_of
+from runtime.chance import fresh_nonce
 from tests.support.rehearsal import Rehearsal
 
 ALL = (*FIELD, *MANAGEMENT, *ADVERSARY)

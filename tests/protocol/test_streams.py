@@ -5,18 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.streams import (
-    BLOCK,
-    CIPHER,
-    COIN,
-    DISTURBANCE,
-    SeededSymbols,
-    Stream,
-    SystemSymbols,
-    generator,
-    noise,
-    symbols,
-)
+from protocol.streams import BLOCK, CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream, generator
+from runtime.chance import SystemSymbols, noise, symbols
 
 ROWS = 3 * BLOCK + 5
 

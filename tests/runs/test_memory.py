@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.check import make_run
 from runtime.recording import TRACE_FORMAT, TRACE_VERSION, LineWriter, dumps
 from runtime.run_folder import BELIEFS, GUESSES
+from tests.support.long_run import make_run
 from wyner.runs.run import Run
 
 pytestmark = pytest.mark.long

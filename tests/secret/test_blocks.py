@@ -22,7 +22,8 @@ from protocol.secret.blocks import (
     schedule_of,
 )
 from protocol.secret.bound import Assumption
-from protocol.secret.nonces import Contribution, contribution_of, fresh_nonce
+from protocol.secret.nonces import Contribution, contribution_of
+from runtime.chance import fresh_nonce
 from runtime.keys.key_maker import KeyMaker
 from runtime.keys.store import KeyStore
 from tests.support.giving import deliver, deliver_named

@@ -5,7 +5,7 @@ import random
 import sqlite3
 import subprocess
 import sys
-from contextlib import suppress
+from contextlib import closing, suppress
 from functools import partial
 from pathlib import Path
 
@@ -408,7 +408,7 @@ def test_a_key_is_delivered_once_through_kill_9(tmp_path: Path) -> None:
             process.kill()
             given += [line.strip() for line in process.stdout if line.endswith("\n")]
     assert len(given) == len(set(given)) >= 120
-    with sqlite3.connect(path) as db:
+    with closing(sqlite3.connect(path)) as db, db:
         (buried,) = db.execute("SELECT COUNT(*) FROM key WHERE state = 'delivered'").fetchone()
     db.close()
     assert len(given) <= buried <= len(given) + 3  # killed between the burial and the word

@@ -15,7 +15,6 @@ import numpy as np
 import pytest
 from pydantic_core import to_json
 
-from benchmarks.reference_loop import plain_run
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
@@ -25,6 +24,7 @@ from protocol.schemes.switched import MESSAGE, TEST
 from runtime.recording import TraceReader, TraceWriter
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
+from tests.support.plain_loop import plain_run
 from tests.support.size import size
 from wyner.runs.run import Run
 from wyner.runs.score.replay import Replay

@@ -15,9 +15,10 @@ from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.blocks import BlockResult
-from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.nonces import Contribution, NonceSource
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
 
 PERIOD_S = 0.1

@@ -20,10 +20,11 @@ from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
 from protocol.schemes.switched import Switched
-from protocol.secret.nonces import NonceSource, fresh_nonce
+from protocol.secret.nonces import NonceSource
 from protocol.secret.records import Key
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import CrashPoint
 

@@ -20,9 +20,10 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
-from protocol.secret.nonces import Contribution, NonceSource, fresh_nonce
+from protocol.secret.nonces import Contribution, NonceSource
 from protocol.secret.tasks import Task
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 
 STEP_S = 1e5
 """A step is so long that nothing in it takes any of its time."""

@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from protocol.secret.records import Side, StoreError
-from runtime.files import open_regular, read_regular, write_atomically
 from runtime.keys.store import KeyStore
+
+from runtime.files import open_regular, read_regular, write_atomically
 from runtime.recording import CONTINUED, decode
 from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
 from wyner.runs.evidence_files import evidence_below

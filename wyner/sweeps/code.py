@@ -35,7 +35,7 @@ _NAMES_A_MODULE: Final = re.compile(r"[a-z_]\w*(\.\w+)+(:\w+)?")
 _NAMES_A_FILE: Final = re.compile(r"[\w-]+(\.\w+)+")
 
 
-LOOP: Final = "wyner.sweeps.running"
+LOOP: Final = f"{__package__}.running"
 """What simulates a sweep's runs."""
 
 TAPS: Final = frozenset(("tap_service", "wyner.simulate.engine.taps"))

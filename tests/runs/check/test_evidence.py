@@ -5,6 +5,7 @@ import os
 import shutil
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -56,7 +57,7 @@ def truncated(path: Path) -> None:
 def one_record_changed(path: Path) -> None:
     """A digit in the middle of a text; in a key store the end that its last key serves."""
     if path.suffix == ".sqlite3" and "keys" in path.name:
-        with sqlite3.connect(path) as db:
+        with closing(sqlite3.connect(path)) as db, db:
             row = "place = (SELECT MAX(place) FROM key)"
             assert db.execute(f"UPDATE key SET own = 1 - own WHERE {row}").rowcount == 1
         return

@@ -3,6 +3,7 @@
 import json
 import sqlite3
 from collections.abc import Callable
+from contextlib import closing
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -135,10 +136,10 @@ def test_what_is_wrong_fails_its_check(wrong: str, copied: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.integration
 def test_stores_that_differ_fail(copied: Path) -> None:
-    with sqlite3.connect(copied / PLANT_KEYS) as db:
+    with closing(sqlite3.connect(copied / PLANT_KEYS)) as db, db:
         db.execute("UPDATE key SET own = 1")
     db.close()
-    with sqlite3.connect(copied / CONTROLLER_KEYS) as db:
+    with closing(sqlite3.connect(copied / CONTROLLER_KEYS)) as db, db:
         db.execute("UPDATE key SET id = 'another' || place WHERE place < 3")
         db.execute("UPDATE key SET body = zeroblob(32) WHERE place = 5")
     db.close()

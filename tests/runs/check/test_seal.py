@@ -12,7 +12,6 @@ from typing import Any
 
 import pytest
 
-from benchmarks.check import make_run
 from protocol.secret.records import BlockRow
 from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
@@ -37,6 +36,7 @@ from runtime.scenario_file import load_scenario
 from tests.runs.check.mutants import ALTERATIONS
 from tests.support.checked_runs import failed
 from tests.support.giving import deliver
+from tests.support.long_run import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence

@@ -10,7 +10,7 @@ import pytest
 
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
-from protocol.secret.nonces import fresh_nonce
+from runtime.chance import fresh_nonce
 from runtime.logs import logger
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE

@@ -16,8 +16,8 @@ from plant_service.core import PlantCore
 from plant_service.plant import Coin
 from protocol.link.pacing import Pacing
 from protocol.link.session import CountedTransition, Rules, Truth
-from protocol.streams import SystemSymbols
 from protocol.vectors import Vector
+from runtime.chance import SystemSymbols
 from runtime.journal import ControllerJournal, JournalError, PlantJournal
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
 

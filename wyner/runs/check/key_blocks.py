@@ -6,9 +6,10 @@ from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Final
 
-from protocol.secret.blocks import Schedule
 from protocol.secret.records import Side, StoreError
 from runtime.keys.store import KeyStore
+
+from protocol.secret.blocks import Schedule
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage

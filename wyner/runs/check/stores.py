@@ -7,6 +7,7 @@ from typing import Any, Final
 from protocol.secret.records import Side, key_id
 from runtime.keys.store import TOMBSTONES, KeyStore
 from runtime.keys.store_file import check_of
+
 from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.evidence import Evidence, Part
 from wyner.runs.check.key_blocks import FILES, TracedBlocks, open_store

@@ -11,13 +11,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from protocol.secret.records import StoreError
+from runtime.keys.store import KeyStore
+
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.records import StoreError
 from protocol.statistics import COUNTED, POOLED
-from runtime.keys.store import KeyStore
 from runtime.recording import TraceError
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tap_service.capture.reading import CaptureError

@@ -1,4 +1,4 @@
-"""The plain way to run the loop, as the paper's own toolbox does: the benchmark's reference.
+"""The plain way to run the loop, as the paper's own toolbox does: another road to the same runs.
 
 One step solves both programs by OSQP, set up afresh on all rows of the target, and asks four linear
 programs whether x(k+1) is in each candidate's Reach^c and Reach^e (remark 3 of the paper). The
@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import osqp
 from scipy.optimize import linprog
-from scipy.sparse import csc_matrix, eye, triu, vstack
+from scipy.sparse import csc_matrix, eye, vstack
 
 from controller_service.sets.design import Design, input_interval
 from protocol.agreement import NO_SYMBOL
@@ -49,7 +49,7 @@ def solve(P: Array, q: Array, G: Array, b: Array, low: float, high: float) -> Ar
     m = len(q)
     solver = osqp.OSQP()
     solver.setup(
-        P=csc_matrix(triu(P)),
+        P=csc_matrix(np.triu(P)),
         q=q,
         A=vstack([csc_matrix(G), eye(m)], format="csc"),
         l=np.concatenate([np.full(len(b), -np.inf), np.full(m, low)]),

@@ -13,6 +13,14 @@ from collections.abc import Iterator, Sequence
 from fractions import Fraction
 from functools import cmp_to_key
 from math import gcd, lcm
+from typing import Final
+
+import numpy as np
+
+from protocol.arrays import Array
+
+UNBOUNDED: Final = 1e6
+"""Reported as the relative error of a set that has become unbounded."""
 
 Row = tuple[int, int, int]
 Numbers = Sequence[Sequence[float]]
@@ -148,3 +156,24 @@ def support(rows: Sequence[Row], direction: tuple[Fraction, Fraction]) -> Fracti
     d = (int(direction[0] * scale), int(direction[1] * scale), 0)
     a, c = _neighbours(rows, d)
     return Fraction(cross(d, c) * a[2] + cross(a, d) * c[2], cross(a, c)) / scale
+
+
+def relative_errors(H: Array, h: Array, exact: list[Row]) -> tuple[float, float]:
+    """Largest and smallest of (our support - exact support) / exact support; above 0 is unsound.
+
+    Both sets' facets are looked at: ours against the exact support, and the exact set's normals
+    against ours, so a facet that is missing shows.
+    """
+    errors = [
+        float(Fraction(b) / support(exact, (Fraction(p), Fraction(q))) - 1)
+        for (p, q), b in zip(H.tolist(), h.tolist(), strict=True)
+    ]
+    order = np.argsort(np.arctan2(H[:, 1], H[:, 0]))
+    own = [whole(Fraction(H[j, 0]), Fraction(H[j, 1]), Fraction(h[j])) for j in order]
+    for a1, a2, b in exact:
+        try:
+            reach = support(own, (Fraction(a1), Fraction(a2)))
+        except ValueError:
+            return UNBOUNDED, min(errors)
+        errors.append(float(reach / b - 1))
+    return max(errors), min(errors)

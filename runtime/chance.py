@@ -1,0 +1,37 @@
+"""What the operating system's generator draws live: symbols, nonces, the noise of a simulation.
+
+The protocol is handed all that is drawn (:mod:`protocol.streams`) and draws nothing itself.
+"""
+
+import secrets
+from binascii import b2a_base64
+
+from protocol.secret.nonces import NONCE_BYTES
+from protocol.streams import DISTURBANCE, SeededSymbols, Stream, SymbolSource
+
+
+def fresh_nonce() -> str:
+    """A nonce from the operating system's generator, in base64."""
+    return b2a_base64(secrets.token_bytes(NONCE_BYTES), newline=False).decode()
+
+
+class SystemSymbols:
+    """Symbols from the operating system's generator; the index is not used."""
+
+    def symbol(self, transition: int, size: int) -> int:  # noqa: ARG002
+        """A fresh uniform symbol in range(size)."""
+        if 256 % size == 0:  # one byte is exactly uniform; randbelow draws until it has a fit
+            return secrets.token_bytes(1)[0] % size
+        return secrets.randbelow(size)
+
+
+def symbols(seed: int | None, stream: int) -> SymbolSource:
+    """The system's symbols, or a seeded stream's where a seed is given."""
+    return SystemSymbols() if seed is None else SeededSymbols(seed, stream)
+
+
+def noise(seed: int | None, width: int) -> Stream:
+    """Uniform numbers for the simulated disturbance; not secret, so a random seed will do."""
+    return Stream(
+        int.from_bytes(secrets.token_bytes(16)) if seed is None else seed, DISTURBANCE, width=width
+    )
