@@ -651,7 +651,7 @@ class ControllerCore:
                 judged.carry,
                 before.message_symbol if judged.carry.pad != NO_SYMBOL else NO_SYMBOL,
                 contribution,
-                digits=position_of(applied) if judged.served else None,
+                keyed=bool(judged.served),
                 expected=judged.expected,
                 delivered=delivered,
             )
@@ -679,7 +679,7 @@ class ControllerCore:
         ended = self.keys.ended()
         self._blocks_differ = any(block.what == "unequal" for block in ended)
         actions = Actions(
-            (*events, *ended),
+            (*ended, *events),
             notices=(*notices, *block_notices(self.keys, ended)),
             tasks=self.keys.tasks(),
         )

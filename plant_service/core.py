@@ -606,7 +606,7 @@ class PlantCore:
             coin,
             u,
             self._truth,
-            position_of(offer) if self._taken else None,
+            bool(self._taken),
             recovered=payload,
             refused=refusal,
         )
@@ -667,7 +667,7 @@ class PlantCore:
         """``actions``, and what has become of key blocks."""
         ended = self.keys.ended()
         actions = actions._replace(
-            events=(*actions.events, *ended),
+            events=(*ended, *actions.events),
             tasks=self.keys.tasks(),
             notices=(*actions.notices, *block_notices(self.keys, ended)),
         )

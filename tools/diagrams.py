@@ -25,12 +25,12 @@ from protocol.link.events import (
     SessionBegan,
     Timing,
 )
-from protocol.link.key_events import Appearances, BlockStored
+from protocol.link.distiller import BlockEnded
+from protocol.link.key_events import Appearances
 from protocol.link.session import CountedTransition
 from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message, SendCommand
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
-from protocol.secret.blocks import BlockResult
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
@@ -173,8 +173,7 @@ EVENTS: Final[tuple[tuple[str, Callable[..., Any], Any], ...]] = (
     ("both", Forged.as_event, Forged),
     ("controller", SendCommand.as_event, SendCommand),
     ("plant", Timing.as_event, Timing),
-    ("both", BlockStored.as_event, BlockStored),
-    ("both", BlockResult.as_event, BlockResult),
+    ("both", BlockEnded.as_event, BlockEnded),
     ("both", Appearances.as_event, Appearances),
 )
 """What a trace holds: who writes it, what makes the line, and what says what it is."""

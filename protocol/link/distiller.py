@@ -25,8 +25,6 @@ from protocol.secret.nonces import (
 )
 from protocol.secret.stream import NOWHERE, Part, Position, Stream
 
-Side = Literal["controller", "plant"]
-
 UNCONFIRMED: Final = 2
 """Most blocks that are extracted and not confirmed: the one announced, and the next, whose tag is
 compared with that of a partner that is further on."""

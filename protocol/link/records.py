@@ -1,6 +1,6 @@
 """What each end must not forget, as its journal keeps it."""
 
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Estimate
@@ -11,6 +11,10 @@ from protocol.vectors import Vector
 
 INITIAL_ID: Final = "initial"
 """Identifier of the message that a controller is started with; no command may take it."""
+
+
+Side = Literal["controller", "plant"]
+"""The two ends of a loop."""
 
 
 class SenderRecord(NamedTuple):

@@ -281,7 +281,7 @@ class CountedTransition(NamedTuple):
     ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
     b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
     ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the
-    key stream of the digits that served, None where none did. Only the controller has ``expected``,
+    key stream that the offer names, None where it names none; ``keyed`` says whether they served. Only the controller has ``expected``,
     the candidate that its own digit chose: -1 where the transition is unwatched. A
     frame that it completed is ``delivered`` (controller), ``recovered`` or ``refused`` (plant).
     """
@@ -303,10 +303,11 @@ class CountedTransition(NamedTuple):
     tested: bool
     counts: int = 0
     predictions: tuple[Vector, ...] = ()
+    digits: Position | None = None
     coin: int = NO_SYMBOL
     u: Vector = ()
     truth: Truth | None = None
-    digits: Position | None = None
+    keyed: bool = False
     expected: int = NO_SYMBOL
     delivered: SendCommand | None = None
     recovered: bytes | None = None
@@ -327,14 +328,14 @@ class CountedTransition(NamedTuple):
         coin: int = NO_SYMBOL,
         u: Vector = (),
         truth: Truth | None = None,
-        digits: Position | None = None,
+        keyed: bool = False,
         expected: int = NO_SYMBOL,
         delivered: SendCommand | None = None,
         recovered: bytes | None = None,
         refused: bool = False,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
-        carried = carry.pad != NO_SYMBOL
+        carried, position = carry.pad != NO_SYMBOL, position_of(offer)
         return cls(  # by place, which takes half the time: both ends do it in each step
             offer.session,
             record.transitions,
@@ -353,10 +354,11 @@ class CountedTransition(NamedTuple):
             scheme.tests(record.state),
             0 if contribution is None else contribution.counts,
             offer.predictions,
+            None if position == NOWHERE else position,
             coin,
             u,
             truth,
-            digits,
+            keyed,
             expected,
             delivered,
             recovered,
@@ -421,6 +423,7 @@ class CountedTransition(NamedTuple):
             event["u"] = self.u
         if self.digits is not None:
             event["digits"] = self.digits
+            event["keyed"] = self.keyed
         if self.expected != NO_SYMBOL:
             event["expected"] = self.expected
         return event if self.truth is None else event | self.truth.fields()

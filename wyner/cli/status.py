@@ -118,14 +118,12 @@ def _claim(run_dir: Path) -> tuple[str, float]:
 
 
 def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
-    """What all blocks that were begun may cost, and what no end can tell of its key store."""
+    """What all blocks that were begun may cost."""
     if not plant.key_blocks_begun or plant.keys_refused:
         return []
     return [
         f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
         f"{distance:.2g} from perfect keys at most",
-        "stores      what one end gives is marked at the other first; put back together, both may "
-        "give keys twice",
     ]
 
 
@@ -133,7 +131,6 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
     late = max(plant.sampled_late_s, default=0.0)
     acted = max(plant.actuated_after_s, default=0.0)
     keys = plant.keys_refused or claim
-    waiting = max(plant.key_blocks_waiting, controller.key_blocks_waiting)
     return [
         f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
         f"messages, {plant.agreements} keys agreed",
@@ -143,32 +140,18 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         f"measurement at most, {plant.overruns} overruns",
         f"keys        {plant.keys_made} made at the plant, {controller.keys_made} at the controller"
         + (f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else "")
-        + (f", blocks that wait for the other end: {waiting}" if waiting else "")
         + (f"; {keys}" if keys else ""),
         *_lines_of_coin(controller),
-        *_lines_of_guard(plant, controller),
         *_lines_of_appearances(plant, controller, claim),
     ]
 
 
 def _lines_of_coin(controller: "ControllerStatus") -> list[str]:
     """How many steps a key watched, where the coin is keyed."""
-    if not controller.defence.startswith("keyed-coin"):
+    if not controller.watched + controller.unwatched:
         return []
-    left = f"{controller.coin_keys} keys left for it"
+    left = f"{controller.digits_left} digits left"
     return [f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, {left}"]
-
-
-def _lines_of_guard(plant: "PlantStatus", controller: "ControllerStatus") -> list[str]:
-    """How many messages were under a key, where they are guarded."""
-    _, _, guard = controller.defence.partition(" + ")
-    if not guard:
-        return []
-    heard = f"{controller.guarded} measurements under a key, {controller.unguarded} plain"
-    if plant.guarded + plant.unguarded:
-        heard += f"; {plant.guarded} offers, {plant.unguarded} plain"
-    left = f"keys for {plant.guard_ahead} steps to come"
-    return [f"{guard:<11} {heard}; {left}"]
 
 
 def _lines_of_appearances(
