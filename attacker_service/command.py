@@ -52,6 +52,8 @@ def run_attacker(options: AttackerOptions) -> int:
     from attacker_service.attacker import Attacker
     from attacker_service.relay import Relay
     from runtime.bus import TransportError
+    from runtime.link_watchdog import watched
+    from runtime.logs import logger
     from runtime.scenario_file import attack_option, scenario_of
     from runtime.signals import stop_on_signals
     from runtime.zenoh_bus import ZenohBus
@@ -68,6 +70,7 @@ def run_attacker(options: AttackerOptions) -> int:
             stop_on_signals() as stopping,
             ZenohBus(listen=[options.plant_side]) as plant,
             ZenohBus(listen=[options.controller_side]) as controller,
+            watched(stopping, logger("attacker"), plant, controller),
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
             attacker.sieve.tell()

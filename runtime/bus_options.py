@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from protocol.topics import DEFAULT_LOOP, check_loop
 from runtime.collection import freeze_startup
 from runtime.errors import UsageError
+from runtime.logs import logger
 from runtime.options import add_bounds_arguments, add_check_argument, add_fleet_arguments
 from runtime.services import SERVICES, bus_names
 from runtime.signals import stop_on_signals
@@ -196,12 +197,15 @@ def noted(metrics: str | None, bus: "Bus") -> "Iterator[Bus]":
 def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading.Event, Bus, Bus]]":
     """The event that signals set, and the open buses field and management of a service.
 
+    They are opened again where a freeze or a silence has left them dead.
+
     Raises
     ------
     UsageError
         When a bus cannot be opened.
     """
     from runtime.bus import TransportError
+    from runtime.link_watchdog import watched
     from runtime.zenoh_bus import open_bus
 
     try:
@@ -209,6 +213,7 @@ def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading
             stop_on_signals() as stopping,
             open_bus(endpoints_of(options, service, "field")) as field,
             open_bus(endpoints_of(options, service, "management")) as management,
+            watched(stopping, logger(service), field, management, listens=field),
         ):
             freeze_startup()
             with noted(options.metrics, management) as management_or_noted:

@@ -14,6 +14,7 @@ from typing import Final
 
 from protocol.text import printable
 from runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError
+from runtime.hanging import leave
 from runtime.services import SERVICES
 
 ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
@@ -61,8 +62,13 @@ def entered(command: Callable[[], int]) -> int:
     """Run a process's command; returns the exit code.
 
     Being told to end, or losing the terminal, is Ctrl-C: whatever a command holds open it gives
-    back, the screen above all. A service stops on these signals in its own way.
+    back, the screen above all. A service stops on these signals in its own way. Where something
+    does not let go the process ends here.
     """
+    return leave(_signalled(command))
+
+
+def _signalled(command: Callable[[], int]) -> int:
     over = False
 
     def interrupt(_signal: int, _frame: object) -> None:

@@ -7,6 +7,8 @@ importing :mod:`protocol` stays cheap.
 import json
 import os
 import re
+import secrets
+import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
@@ -17,6 +19,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from runtime.addresses import Addresses, TlsFiles, appearances, check_endpoint, is_group
 from runtime.bus import Bus, ChannelClosed, Deliver, TransportError
+from runtime.hanging import within
 from runtime.zenoh_settings import ONE_THREAD, settings_of
 
 if TYPE_CHECKING:
@@ -36,6 +39,18 @@ YOUNG_NS: Final = 1_000_000
 
 AGES: Final = 4096
 """Messages after which the smallest age expires; it holds for one or two such spans."""
+
+CLOSE_S: Final = 2.0
+"""Seconds that closing waits: Zenoh waits for partners that are frozen, and has waited for ever."""
+
+REOPEN_S: Final = 20.0
+"""Seconds in which a session must be open again."""
+
+AGAIN_S: Final = 0.1
+"""Seconds between two attempts to open it."""
+
+SESSION_S: Final = 0.5
+"""Seconds between two looks of a waiting channel at whether its bus has been closed."""
 
 _JSON: Final = "application/json"
 
@@ -69,34 +84,54 @@ class ZenohPublisher:
     microseconds of processor time, with one 18. A put to an undeclared key costs 9 more.
     """
 
-    def __init__(self, session: "zenoh.Session", key: str, *, many: bool) -> None:
+    def __init__(self, bus: "ZenohBus", key: str, *, many: bool) -> None:
         import zenoh
 
         # Every message names its key a second time: see `ZenohBus.subscribe`.
-        settings: dict[str, Any] = {
+        self._settings: dict[str, Any] = {
             "encoding": zenoh.Encoding(f"{_JSON};{key}"),
             # BLOCK held a put for 5 s while a partner was frozen.
             "congestion_control": zenoh.CongestionControl.DROP,
             "express": not many,
             "allowed_destination": zenoh.Locality.REMOTE,
         }
-        self._session = session
+        self._bus = bus
         self._key = key
+        self._many = many
         self._refused = zenoh.ZError
-        self._put: Callable[[bytes], object]
-        if many:
-            self._declared = None
-            self._put = partial(session.put, zenoh.KeyExpr(key), **settings)
+        self._session: zenoh.Session | None = None
+        self._declared: zenoh.Publisher | None = None
+        self._put: Callable[[bytes], object] = self._lost
+
+    def attach(self, session: "zenoh.Session") -> None:
+        """Publish on this session from now on."""
+        import zenoh
+
+        self._session = session
+        if self._many:
+            self._put = partial(session.put, zenoh.KeyExpr(self._key), **self._settings)
         else:
-            self._declared = session.declare_publisher(key, **settings)
+            self._declared = session.declare_publisher(self._key, **self._settings)
             self._put = self._declared.put
+
+    def detach(self) -> None:
+        """Publish nowhere until it is attached again."""
+        self._put = self._lost
+        self._session = self._declared = None
 
     @property
     def matched(self) -> bool:
         """Whether somebody listens to the key at this moment; what is put before is gone."""
+        if self._session is None:
+            return False
         asked = self._declared or self._session.declare_publisher(self._key)
         status: Any = asked.matching_status  # the stub says bool, wrongly
         return bool(status.matching)
+
+    def _lost(self, _payload: bytes) -> None:
+        """There is no session now; where there will be one the message is as lost as any other."""
+        if self._bus.closed:
+            raise TransportError(f"key {self._key}: the bus is closed")
 
     def put(self, payload: bytes) -> None:
         """Send ``payload`` to whoever is connected and ready; it never waits.
@@ -109,20 +144,43 @@ class ZenohPublisher:
         try:
             self._put(payload)
         except self._refused as error:
-            raise TransportError(f"key {self._key}: {_reason(error)}") from None
+            if self._bus.closed:
+                raise TransportError(f"key {self._key}: {_reason(error)}") from None
 
 
 class ZenohChannel:
     """A `Channel` over Zenoh: the waiting thread is woken by the transport, and by nobody else."""
 
-    def __init__(self, subscriber: Any) -> None:
+    def __init__(self, bus: "ZenohBus", key_expr: str, capacity: int) -> None:
         import zenoh
 
-        self._subscriber = subscriber
-        self._handler = subscriber.handler
-        self._key = str(subscriber.key_expr)
-        self._encoding = f"{_JSON};{self._key}"
+        self._bus = bus
+        self._key = key_expr
+        self._capacity = capacity
+        self._encoding = f"{_JSON};{key_expr}"
         self._ended = zenoh.ZError
+        self._subscriber: Any = None
+        self._handler: Any = None
+        self._closed = False
+        self._attached = threading.Event()
+
+    def attach(self, session: "zenoh.Session") -> None:
+        """Take messages from this session from now on."""
+        import zenoh
+
+        self._subscriber = session.declare_subscriber(
+            self._bus.spelling(self._key),
+            zenoh.handlers.RingChannel(self._capacity),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+        self._handler = self._subscriber.handler
+        self._attached.set()
+
+    def detach(self) -> Any:
+        """Its session ends; returns what is to be undeclared, which wakes the thread that waits."""
+        self._attached.clear()
+        subscriber, self._subscriber = self._subscriber, None
+        return subscriber
 
     def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
         """All that wait; with ``wait`` at least one, or an empty list where that one was dropped.
@@ -136,6 +194,7 @@ class ZenohChannel:
         try:
             sample = self._handler.recv() if wait else self._handler.try_recv()
             while sample is not None:
+                self._bus.received += 1
                 if str(sample.encoding) == self._encoding:  # of a wildcard it never is
                     taken.append((self._key, _bounded(sample)))
                 elif _named_alike(sample, key := str(sample.key_expr)):
@@ -143,13 +202,48 @@ class ZenohChannel:
                 sample = self._handler.try_recv()
         except self._ended:
             if not taken:
-                raise ChannelClosed from None
+                self._await_session(wait=wait)
         return taken
 
+    def _await_session(self, *, wait: bool) -> None:
+        """The session has ended: wait for the next one.
+
+        Raises
+        ------
+        ChannelClosed
+            When there will be none.
+        """
+        while not (self._closed or self._bus.closed):
+            if self._attached.wait(SESSION_S) or not wait:
+                return
+        raise ChannelClosed
+
     def close(self) -> None:
-        """End the subscription."""
-        with suppress(self._ended):
-            self._subscriber.undeclare()
+        """End the subscription, within :data:`CLOSE_S`."""
+        self._closed = True
+        self._bus.end(self)
+
+
+class _Subscription:
+    """Messages that a callback takes, from one session after the other."""
+
+    def __init__(self, bus: "ZenohBus", key_expr: str, receive: "Callable[[zenoh.Sample], None]"):
+        self._bus = bus
+        self._key_expr = key_expr
+        self._receive = receive
+
+    def attach(self, session: "zenoh.Session") -> None:
+        """Take messages from this session from now on."""
+        import zenoh
+
+        session.declare_subscriber(
+            self._bus.spelling(self._key_expr),
+            zenoh.handlers.Callback(self._receive, indirect=False),
+            allowed_origin=zenoh.Locality.REMOTE,
+        )
+
+    def detach(self) -> None:
+        """Its session ends, and the subscription with it."""
 
 
 def _keep_thread_state() -> None:
@@ -228,12 +322,50 @@ class ZenohBus(Bus):
         self._refused = zenoh.ZError
         self._client = client
         self._groups = sum(map(is_group, listen))
-        endpoints = Addresses(tuple(listen), tuple(connect), client, tls, scouting)
-        settings = settings_of(endpoints) | dict(extra or {})
+        self._endpoints = (*listen, *connect)
+        self._settings = settings_of(
+            Addresses(tuple(listen), tuple(connect), client, tls, scouting)
+        ) | dict(extra or {})
+        self._parts: list[ZenohPublisher | ZenohChannel | _Subscription] = []
+        self._changing = threading.Lock()
+        self._closing = threading.Event()
+        self.received = 0
         until = time.monotonic() + patience_s if client else -inf
-        self._session = _open(settings, (*listen, *connect), retry_until=until)
+        self._session = _open(self._settings, self._endpoints, retry_until=until)
         self._links: tuple[tuple[str, str], ...] = ()
         self._appearances = self._count()
+
+    @property
+    def closed(self) -> bool:
+        """Whether it has been closed."""
+        return self._closing.is_set()
+
+    @property
+    def name(self) -> str:
+        """Where it listens and connects."""
+        return ", ".join(self._endpoints) or "zenoh"
+
+    def links(self) -> frozenset[tuple[str, str]]:
+        """The links that are open, by their two locators; a multicast group's are to each other."""
+        try:
+            return frozenset((x.src, x.dst) for x in self._session.info.links())
+        except self._refused:  # closed
+            return frozenset()
+
+    def spelling(self, key_expr: str) -> str:
+        """``key_expr``, in a multicast group as no other session there spells it.
+
+        Zenoh 1.10 says a subscription again to the group each time that another session says the
+        same one. Two that have it in common answer each other for ever, with 8,000 frames a second,
+        and of five hardly a message gets through. An empty wildcard in places that are drawn
+        changes the name, and nothing that it fits.
+        """
+        if not self._groups:
+            return key_expr
+        return "/".join(
+            chunk if "*" in chunk else "".join(one + secrets.choice(("", "$*")) for one in chunk)
+            for chunk in key_expr.split("/")
+        )
 
     def _count(self) -> int:
         return appearances(self._links, self._groups, routed=self._client)
@@ -255,6 +387,32 @@ class ZenohBus(Bus):
             self._appearances = self._count()
         return self._appearances
 
+    def _attach(self, part: "ZenohPublisher | ZenohChannel | _Subscription", key: str) -> None:
+        """Put a part on the session, and on each one that takes its place."""
+        try:
+            with self._changing:
+                part.attach(self._session)
+                self._parts.append(part)
+        except self._refused as error:
+            raise TransportError(f"key {key!r}: {_reason(error)}") from None
+
+    def end(self, channel: ZenohChannel) -> None:
+        """End a channel alone, within :data:`CLOSE_S`."""
+
+        def undeclare() -> None:
+            with self._changing:
+                if channel in self._parts:
+                    self._parts.remove(channel)
+                    self._undeclare([channel.detach()])
+
+        within(CLOSE_S, undeclare)
+
+    def _undeclare(self, subscribers: "Sequence[Any]") -> None:
+        for subscriber in subscribers:
+            if subscriber is not None:
+                with suppress(self._refused):
+                    subscriber.undeclare()
+
     def publisher(self, key: str, *, many: bool = False) -> ZenohPublisher:
         """A publisher on one key: congestion control DROP, remote subscribers only.
 
@@ -263,12 +421,9 @@ class ZenohBus(Bus):
         TransportError
             When ``key`` is no key.
         """
-        import zenoh
-
-        try:
-            return ZenohPublisher(self._session, key, many=many)
-        except zenoh.ZError as error:
-            raise TransportError(f"key {key!r}: {_reason(error)}") from None
+        publisher = ZenohPublisher(self, key, many=many)
+        self._attach(publisher, key)
+        return publisher
 
     def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
         """Call ``deliver`` on Zenoh's thread with every message of others that fits.
@@ -298,6 +453,7 @@ class ZenohBus(Bus):
             if (thread := get_ident()) not in threads:
                 threads.add(thread)
                 _keep_thread_state()
+            self.received += 1
             key = str(sample.key_expr)
             if not _named_alike(sample, key):
                 return
@@ -307,14 +463,7 @@ class ZenohBus(Bus):
             if patient and nap.due(time.time_ns() - t_ns):
                 time.sleep(NAP_S)
 
-        try:
-            self._session.declare_subscriber(
-                key_expr,
-                zenoh.handlers.Callback(receive, indirect=False),
-                allowed_origin=zenoh.Locality.REMOTE,
-            )
-        except zenoh.ZError as error:
-            raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None
+        self._attach(_Subscription(self, key_expr, receive), key_expr)
 
     def channel(self, key_expr: str, capacity: int) -> ZenohChannel:
         """The messages of others that fit, on a ring of Zenoh's own; keys are checked as ever.
@@ -324,22 +473,66 @@ class ZenohBus(Bus):
         TransportError
             When ``key_expr`` is no key expression.
         """
-        import zenoh
+        channel = ZenohChannel(self, key_expr, capacity)
+        self._attach(channel, key_expr)
+        return channel
 
-        try:
-            return ZenohChannel(
-                self._session.declare_subscriber(
-                    key_expr,
-                    zenoh.handlers.RingChannel(capacity),
-                    allowed_origin=zenoh.Locality.REMOTE,
-                )
-            )
-        except zenoh.ZError as error:
-            raise TransportError(f"key {key_expr!r}: {_reason(error)}") from None
+    def reopen(self) -> bool:
+        """End the session and open another in its place, with all that is on it; whether it is.
+
+        It is another peer to all others, so that nothing is left of what they knew of the one
+        before. It waits until that can be: for the port, or for a client's router. Messages are
+        lost meanwhile.
+
+        Raises
+        ------
+        TransportError
+            When it cannot be within :data:`REOPEN_S`, as where the session before does not end.
+        """
+        with self._changing:
+            if not within(CLOSE_S, self._detach()):
+                raise TransportError(f"{self.name}: the session does not end: start this again")
+            within(CLOSE_S, partial(_close_session, self._session))
+            until = time.monotonic() + REOPEN_S
+            while not self._closing.is_set():
+                try:
+                    session = _open(self._settings, self._endpoints, retry_until=-inf)
+                except TransportError:
+                    if time.monotonic() > until and not self._client:
+                        raise
+                    time.sleep(AGAIN_S)
+                    continue
+                self._session = session
+                for part in self._parts:
+                    part.attach(session)
+                return True
+        return False
+
+    def _detach(self) -> Callable[[], None]:
+        """Take every part off the session; what is left to be done wakes the threads that wait."""
+        subscribers: list[Any] = [part.detach() for part in self._parts]
+        return partial(self._undeclare, subscribers)
 
     def close(self) -> None:
-        """Close the session; an attempt to connect that is under way can hold this up for 1 s."""
-        session: Any = self._session  # its stub leaves close() untyped
+        """Close the session, within :data:`CLOSE_S`; closing twice is allowed.
+
+        An attempt to connect that is under way can hold this up for 1 s. Where the session does not
+        close it is left, and the process ends all the same (:func:`runtime.hanging.leave`).
+        """
+        self._closing.set()
+
+        def close() -> None:
+            with self._changing:
+                self._detach()()
+                _close_session(self._session)
+
+        within(CLOSE_S, close)
+
+
+def _close_session(session: Any) -> None:  # its stub leaves close() untyped
+    import zenoh
+
+    with suppress(zenoh.ZError):  # after ten seconds it says that it takes too long
         session.close()
 
 

@@ -169,14 +169,18 @@ def run_taps(
     runtime.bus.TransportError
         When a bus cannot be opened.
     """
+    from runtime.link_watchdog import watched
     from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
         stopping = stack.enter_context(stop_on_signals())
         field_bus = stack.enter_context(open_bus(field))
-        adversary_bus = stack.enter_context(note(stack.enter_context(open_bus(adversary))))
+        told_on = stack.enter_context(open_bus(adversary))
+        adversary_bus = stack.enter_context(note(told_on))
         taps = TapFleet(fleet, config_of)
         taps.attach(field_bus, adversary_bus)
+        log = logger("tap")
+        stack.enter_context(watched(stopping, log, field_bus, told_on, listens=field_bus))
         os.nice(NICENESS)
         freeze_startup()
         taps.run(stopping)

@@ -89,6 +89,7 @@ def run_tap(config: TapConfig, note: Note) -> int:
     runtime.bus.TransportError
         When a bus cannot be opened; nothing has started in either case.
     """
+    from runtime.link_watchdog import watched
     from runtime.zenoh_bus import open_bus
 
     with ExitStack() as stack:
@@ -97,10 +98,12 @@ def run_tap(config: TapConfig, note: Note) -> int:
         # tap goes on, and what is said then must be heard.
         made = Made.of(config)
         field_bus = stack.enter_context(open_bus(config.field))
-        adversary_bus = stack.enter_context(note(stack.enter_context(open_bus(config.adversary))))
+        told_on = stack.enter_context(open_bus(config.adversary))
+        adversary_bus = stack.enter_context(note(told_on))
         service = TapService(config, made)
         stack.callback(service.close)
         service.attach(field_bus, adversary_bus)
+        stack.enter_context(watched(stopping, service.log, field_bus, told_on, listens=field_bus))
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
         os.nice(NICENESS)

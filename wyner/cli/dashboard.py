@@ -26,6 +26,8 @@ def run(args: argparse.Namespace) -> int:
     from protocol.text import printable
     from runtime.bus import TransportError
     from runtime.errors import DONE, INTERRUPTED, UsageError
+    from runtime.link_watchdog import watched
+    from runtime.logs import logger
     from runtime.signals import stop_on_signals
     from runtime.zenoh_bus import open_bus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
@@ -56,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
             stop_on_signals() as stopping,
             open_bus(management) as management_bus,
             open_bus(adversary) as adversary_bus,
+            watched(stopping, logger("dashboard"), management_bus, adversary_bus),
         ):
             source = BusSource(management_bus, adversary_bus, loop)
             if args.headless or not has_screen():

@@ -100,7 +100,8 @@ def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
     from runtime.addresses import TlsFiles, check_endpoint
     from runtime.bus import TransportError
-    from runtime.zenoh_bus import log_access, open_router
+    from runtime.link_watchdog import watched
+    from runtime.zenoh_bus import ZenohBus, log_access, open_router
     from wyner.deployment.access import access_control
     from wyner.deployment.denials import denials_told
 
@@ -115,16 +116,18 @@ def run(args: argparse.Namespace) -> int:
             if args.guard:
                 stack.enter_context(denials_told(RateLimitedLog(log)))
                 log_access()
+            routers: list[ZenohBus] = []
             for bus, endpoints in listens.items():
                 tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None
                 rules = access_control(bus) if bus in args.guard else None
-                stack.enter_context(open_router(endpoints, tls, rules))
+                routers.append(stack.enter_context(open_router(endpoints, tls, rules)))
                 log.info(
                     "%s at %s, %s",
                     bus,
                     ", ".join(endpoints),
                     "guarded by certificate" if rules else "open to whoever connects",
                 )
+            stack.enter_context(watched(stopping, log, *routers))
             stopping.wait()
             log.info("stopping")
     except TransportError as error:
