@@ -96,7 +96,7 @@ def open_core(
     loaded = journal.load()
     record, offer, report = loaded.record, loaded.offer, loaded.measurement
     u = () if offer is None else offer.candidates[loaded.coin]
-    attacker = None if attack is None else Attacker(scenario, attack, seed)
+    attacker = None if attack is None else _attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
     if observer is not None and sensors is None:  # a step is made again with the same d

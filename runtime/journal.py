@@ -126,7 +126,7 @@ class Journal(ABC, Generic[R]):
             if path is not None:
                 make_folder(path.parent)
                 os.close(open_private(path, os.O_RDWR | os.O_CREAT))  # SQLite takes over its mode
-            self._db = sqlite3.connect(
+            self.db = sqlite3.connect(
                 path or ":memory:", isolation_level=None, timeout=2.0, check_same_thread=False
             )
         except (OSError, sqlite3.Error) as error:
@@ -135,17 +135,17 @@ class Journal(ABC, Generic[R]):
             self._open({"kind": self.kind, "version": str(JOURNAL_VERSION), "scenario": scenario})
             self.load()
         except (sqlite3.Error, UnicodeDecodeError) as error:
-            self._db.close()
+            self.db.close()
             locked = "locked" in str(error)
             reason = "another process is using it" if locked else f"not a journal: {error}"
             raise JournalError(f"{path}: {reason}") from None
         except JournalError:
-            self._db.close()
+            self.db.close()
             raise
 
     def _open(self, expected: dict[str, str]) -> None:
         """Open the tables, or make them; the boot of the machine is on the disk on return."""
-        db, boot = self._db, _boot()
+        db, boot = self.db, _boot()
         db.execute(f"PRAGMA page_size={PAGE_BYTES}")
         db.execute("PRAGMA locking_mode=EXCLUSIVE")
         db.execute("PRAGMA journal_mode=WAL")
@@ -175,7 +175,7 @@ class Journal(ABC, Generic[R]):
         """Write a row, with its check."""
         marks = ", ".join("?" * (len(values) + 1))
         statement = f"INSERT OR REPLACE INTO {table} VALUES ({marks})"
-        self._db.execute(statement, (*values, check_of(*values)))
+        self.db.execute(statement, (*values, check_of(*values)))
 
     def _get(self, table: str, where: str = "TRUE", *values: Any) -> list[list[Any]]:
         """The rows of a table for which ``where`` holds, in order of their first column.
@@ -187,7 +187,7 @@ class Journal(ABC, Generic[R]):
         """
         try:
             statement = f"SELECT * FROM {table} WHERE {where} ORDER BY 1"
-            found = self._db.execute(statement, values).fetchall()
+            found = self.db.execute(statement, values).fetchall()
         except (sqlite3.Error, UnicodeDecodeError) as error:
             raise JournalError(f"{self.path}: {error}") from None
         for *row, check in found:
@@ -227,7 +227,7 @@ class Journal(ABC, Generic[R]):
     def save(self, actions: Actions) -> None:
         """Save the record, the step that follows it, and what comes along, in one transaction."""
         assert actions.record is not None
-        execute = self._db.execute
+        execute = self.db.execute
         try:
             if actions.durable:
                 execute("PRAGMA synchronous=FULL")
@@ -253,20 +253,20 @@ class Journal(ABC, Generic[R]):
             actions.coin,
             b"" if measurement is None else measurement.wire(),
         )
-        self._db.execute(_STEP, (*step, check_of(*step)))
+        self.db.execute(_STEP, (*step, check_of(*step)))
         if self._saved is None or record.session != self._saved.session:
             for table in self.of_session:
-                self._db.execute(f"DELETE FROM {table}")
+                self.db.execute(f"DELETE FROM {table}")
         for row in actions.rows.contributions:
             self._put("row", *row)
         for over in actions.rows.obsolete_rows:
-            self._db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
+            self.db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
         for part in actions.rows.parts:
             if part.digits:
                 self._put("stream", part.block * KEYS_AT_MOST + part.number, *part)
             else:
                 place = part.block * KEYS_AT_MOST + part.number
-                self._db.execute("DELETE FROM stream WHERE place = ?", (place,))
+                self.db.execute("DELETE FROM stream WHERE place = ?", (place,))
         self._write_more(actions)
 
     @abstractmethod
@@ -276,15 +276,15 @@ class Journal(ABC, Generic[R]):
     def forget(self) -> None:
         """Lose all that was saved; for simulations."""
         for table in self.tables:
-            self._db.execute(f"DELETE FROM {table.split()[0]}")
+            self.db.execute(f"DELETE FROM {table.split()[0]}")
         self._saved = None
         self.load()
 
     def close(self) -> None:
         """Close the file, which is then whole on the disk; it can be opened again."""
         with suppress(sqlite3.Error):
-            self._db.execute("UPDATE meta SET value = '' WHERE name = 'boot'")
-        self._db.close()
+            self.db.execute("UPDATE meta SET value = '' WHERE name = 'boot'")
+        self.db.close()
 
     def __enter__(self) -> Self:
         return self
@@ -329,7 +329,7 @@ class ControllerJournal(Journal[SenderRecord]):
         for number in range(delivered, record.message):
             for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
                 self._put("outbox", number, identifier, crc, None)
-            self._db.execute(
+            self.db.execute(
                 "DELETE FROM outbox WHERE number = ? AND id <> ?", (number - REMEMBERED, INITIAL_ID)
             )
 
@@ -384,7 +384,7 @@ class PlantJournal(Journal[ReceiverRecord]):
         record = actions.record
         assert isinstance(record, ReceiverRecord)
         if self._saved is not None and record.stored < self._saved.stored:
-            self._db.execute("DELETE FROM frame")
+            self.db.execute("DELETE FROM frame")
         if actions.symbols:
             self._put("frame", record.stored, actions.symbols)
         if actions.received is not None:

@@ -109,8 +109,11 @@ class LoopPorts(BusPorts):
         self.files, self.tell_health, self._extract = files, tell_health, extract
 
     def save(self, actions: Actions) -> None:
-        """Write to the journal. What it has on the disk, the trace has there before."""
-        if actions.durable:
+        """Write to the journal.
+
+        The trace is on the disk before a save that is, and before one that counts a message whole.
+        """
+        if actions.durable or actions.received is not None:
             self.files.trace.sync()
         self.files.journal.save(actions)
 

@@ -1,6 +1,7 @@
 """Short forms of the campaigns: enough to know that they work, and to see what breaks at once."""
 
 import json
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable
@@ -11,7 +12,7 @@ import pytest
 from protocol.secret.records import Side
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
-from tests.campaigns import exhaustive, fuzz, live, schedules
+from tests.campaigns import exhaustive, fuzz, live, power, schedules
 from tests.secret.test_guarded_link import WRONG_GUARDS
 from tests.secret.test_keyed_coin import WRONG
 
@@ -23,6 +24,12 @@ def test_seeded_schedules_break_nothing_and_go_on_where_they_stopped(tmp_path: P
         done = json.loads(results.read_text())
         assert done["schedules"] == count
     assert done["keys"] > 0
+
+
+@pytest.mark.long
+@pytest.mark.skipif(shutil.which("strace") is None, reason="strace records writes and syncs")
+def test_a_power_failure_loses_no_message_that_was_acknowledged() -> None:
+    assert power.main(["--images", "12", "--of-a-run", "12"]) == 0
 
 
 @pytest.mark.long

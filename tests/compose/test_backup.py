@@ -68,5 +68,5 @@ def test_a_copy_made_while_paused_is_a_whole_database(system: Composition, tmp_p
             system.compose("unpause", service)
         with closing(sqlite3.connect(tmp_path / service / "journal.sqlite3")) as journal, journal:
             assert journal.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
-            assert journal.execute("SELECT count(*) FROM record").fetchall() == [(1,)]
+            assert journal.execute("SELECT count(*) FROM step").fetchall() == [(1,)]
         journal.close()

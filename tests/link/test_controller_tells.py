@@ -12,7 +12,7 @@ from controller_service.core import GREETING_S, STALE, STALE_S, ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.link.coins import BATCH, LACKING_S
-from protocol.link.events import Alarm, SessionBegan
+from protocol.link.events import FELL_BACK, Alarm, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
@@ -343,6 +343,20 @@ def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> N
     actions = end.core.wake(0.001)
     assert told(actions)["delivered"] == 1
     assert actions.health is not None
+
+
+def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_session() -> None:
+    answer = Offer(session=S, k=4, candidates=((1.5,), (-1.5,)), cipher=0)
+    end = Told(measurement=measurement(), offer=answer, fell_back=True)
+    end.does(end.core.start(0.0))
+    events = [event for actions in end.all for event in actions.events]
+    assert [type(event) for event in events] == [CountedTransition, SessionBegan]
+    assert events[1] == SessionBegan(None, FELL_BACK)
+    assert end.core.record.session is None
+    assert S in end.core.record.ended
+    fresh = Told(record=None, fell_back=True)
+    fresh.does(fresh.core.start(0.0))
+    assert [event for actions in fresh.all for event in actions.events] == []
 
 
 # --- phases ---------------------------------------------------------------------------------------

@@ -21,6 +21,7 @@ from plant_service.core import (
 )
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
 from protocol.link.events import (
+    FELL_BACK,
     NEW_JOURNAL,
     AttackBegan,
     Interrupted,
@@ -262,6 +263,24 @@ def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() ->
     end.machine.x_next = (2.0,)
     end.core.receive(ControllerHello, hello().wire(), 1.0)
     assert [type(e) for e in end.events] == [SessionBegan, CountedTransition, Interrupted]
+
+
+def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew() -> None:
+    end = Told(offer=OFFER, tossed=0, report=REPORT, fell_back=True)
+    end.does(end.core.start(0.0))
+    last = end.all[-1]
+    assert kept(last) == Actions(record=end.core.record)
+    assert [type(m) for m in last.publish] == [PlantHello]
+    assert (end.core.record.session, end.core.record.k) == (NEW, 4)
+    resumed, counted, began = end.events
+    assert isinstance(counted, CountedTransition)
+    assert (resumed.session, counted.session) == (S, S)
+    assert began == SessionBegan(NEW, FELL_BACK)
+    acting = Machine(acts=True, device=True)
+    dead = Told(machine=acting, offer=OFFER, tossed=0, back=(9.0,), fell_back=True)
+    dead.does(dead.core.start(0.0))
+    assert [type(e) for e in dead.events] == [SessionBegan, Interrupted, SessionBegan]
+    assert dead.core.record.session == NEW
 
 
 # --- when a status is due, and what it says -------------------------------------------------------

@@ -93,7 +93,7 @@ class CopiedPlantJournal(_Copied, PlantJournal):
 
 def contents(journal: ControllerJournal | PlantJournal) -> tuple[tuple[Any, ...], ...]:
     """All rows of a journal, table by table."""
-    db = journal._db
+    db = journal.db
     names = [table.split()[0] for table in journal.tables]
     return tuple([tuple(db.execute(f"SELECT * FROM {name}")) for name in names])
 
@@ -106,6 +106,6 @@ def fill(
     for table, some in zip(journal.tables, rows, strict=True):
         if some:
             marks = ", ".join("?" * len(some[0]))
-            journal._db.executemany(f"INSERT INTO {table.split()[0]} VALUES ({marks})", some)
+            journal.db.executemany(f"INSERT INTO {table.split()[0]} VALUES ({marks})", some)
     journal.load()
     return journal
