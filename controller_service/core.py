@@ -803,9 +803,7 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(
-        self, what: Literal["does not follow", "blocks differ", "keys gone"], why: str
-    ) -> Actions:
+    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()

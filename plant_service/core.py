@@ -364,14 +364,6 @@ class PlantCore:
         """A key block is extracted, or none can be any more."""
         return extraction_done(self.keys, block)
 
-    def end_session(self, why: str) -> Actions:
-        """Keys that its messages are under are gone: no offer can be read."""
-        if self._finished:
-            return NOTHING_TO_DO
-        self.state = TABLE[self.state, "keys gone"].next
-        self._begin_session()
-        return self._anew(why, Notice(f"{why}; new session {self.record.session}", "error"))
-
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keys, self.record.session, self.record.k, count)

@@ -440,8 +440,6 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #                twice has its report twice
 #   alarm        the transition's test failed (controller): session, j, k, reading (x_next),
 #                coin_key and candidate (whose prediction expected is), gauge
-#   forged       a message of the partner's was refused (either): session, k, message (its topic),
-#                why
 #   block        a key block was stored (either): session, number, keys
 #   judged       the partner's word on it is on disk (either): session, number, what
 #                ("confirmed" | "unequal")

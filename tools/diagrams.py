@@ -19,7 +19,6 @@ from protocol.link import plant_session as plants
 from protocol.link.events import (
     Alarm,
     AttackBegan,
-    Forged,
     Interrupted,
     Missed,
     SessionBegan,
@@ -170,7 +169,6 @@ EVENTS: Final[tuple[tuple[str, Callable[..., Any], Any], ...]] = (
     ("both", SessionBegan.as_event, SessionBegan),
     ("plant", AttackBegan.as_event, AttackBegan),
     ("controller", Alarm.as_event, Alarm),
-    ("both", Forged.as_event, Forged),
     ("controller", SendCommand.as_event, SendCommand),
     ("plant", Timing.as_event, Timing),
     ("both", BlockEnded.as_event, BlockEnded),

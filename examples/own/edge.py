@@ -1,6 +1,6 @@
 """An alarm where a reading comes near the edge of D_c."""
 
-from protocol.defence.base import Defence
+from wyner.simulate.engine.defences import Defence
 
 
 class Edge(Defence):

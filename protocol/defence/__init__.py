@@ -1,1 +1,1 @@
-"""Defences: what both ends do to a step under keys that they share, a file each."""
+"""The defence of a loop: when a test of the controller's that fails becomes an alarm."""

@@ -38,7 +38,6 @@ Heard = Literal[
     "session elsewhere",
     "does not follow",
     "blocks differ",
-    "keys gone",
 ]
 
 HEARD: Final[dict[Heard, str]] = {
@@ -65,7 +64,6 @@ HEARD: Final[dict[Heard, str]] = {
     "session elsewhere": "A measurement of the session for which it stepped back.",
     "does not follow": "A measurement that the journal rules out: one end's journal was put back.",
     "blocks differ": "A key block differs from the plant's.",
-    "keys gone": "Keys that guard the plant's messages are gone (rule 13).",
 }
 
 Answer = Literal[
@@ -127,7 +125,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("greeting", "session elsewhere"): Row("nothing", "greeting"),
     ("greeting", "does not follow"): Row("nothing", "greeting"),
     ("greeting", "blocks differ"): Row("end and greet", "greeting"),
-    ("greeting", "keys gone"): Row("end and greet", "greeting"),
     ("serving", "to anyone"): Row("greet", "serving"),
     ("serving", "to anyone, of a later incarnation"): Row("catch up and greet", "serving"),
     ("serving", "asked, session fits"): Row("serve", "serving"),
@@ -145,7 +142,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("serving", "session elsewhere"): Row("nothing", "serving"),
     ("serving", "does not follow"): Row("end and greet", "greeting"),
     ("serving", "blocks differ"): Row("end and greet", "greeting"),
-    ("serving", "keys gone"): Row("end and greet", "greeting"),
     ("elsewhere", "to anyone"): Row("greet", "greeting"),
     ("elsewhere", "to anyone, of a later incarnation"): Row("catch up and greet", "greeting"),
     ("elsewhere", "asked, session fits"): Row("serve", "serving"),
@@ -163,7 +159,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("elsewhere", "session elsewhere"): Row("nothing", "elsewhere"),
     ("elsewhere", "does not follow"): Row("nothing", "elsewhere"),
     ("elsewhere", "blocks differ"): Row("end and greet", "elsewhere"),
-    ("elsewhere", "keys gone"): Row("end and greet", "elsewhere"),
     **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
 }
 """(state, what was heard) to the answer and the next state. Some pairs cannot occur: there is no

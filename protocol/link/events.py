@@ -136,27 +136,6 @@ class Alarm(NamedTuple):
         )
 
 
-class Forged(NamedTuple):
-    """A message that its key shows to be no message of the partner's; it was refused.
-
-    ``message`` is its topic, ``why`` what gave it away. A step's is told once, however often it
-    comes.
-    """
-
-    session: str
-    k: int
-    message: str
-    why: str
-
-    def as_event(self) -> dict[str, Any]:
-        """As a line of a trace."""
-        return {"event": "forged", **self._asdict()}
-
-    def sentence(self) -> str:
-        """As a line of the log."""
-        return f"ALARM at step {self.k}: {self.message} refused: {self.why}"
-
-
 class Timing(NamedTuple):
     """How punctual a plant was, of its last steps: (median, 99th percentile, largest), seconds.
 

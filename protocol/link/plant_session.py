@@ -38,7 +38,6 @@ Heard = Literal[
     "silence",
     "offer applied",
     "blocks differ",
-    "keys gone",
 ]
 
 HEARD: Final[dict[Heard, str]] = {
@@ -59,7 +58,6 @@ HEARD: Final[dict[Heard, str]] = {
     "silence": "The controller has not answered for two seconds.",
     "offer applied": "An offer was applied and counted.",
     "blocks differ": "A key block differs from the controller's.",
-    "keys gone": "Keys that guard the controller's messages are gone (rule 13).",
 }
 
 Answer = Literal[
@@ -100,7 +98,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("looking", "silence"): Row("nothing", "looking"),
     ("looking", "offer applied"): Row("nothing", "returned"),
     ("looking", "blocks differ"): Row("begin anew", "looking"),
-    ("looking", "keys gone"): Row("begin anew", "looking"),
     ("returned", "greeting of the one asked"): Row("nothing", "returned"),
     ("returned", "greeting of a former incarnation"): Row("nothing", "returned"),
     ("returned", "greeting in the session"): Row("ask", "asked"),
@@ -115,7 +112,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("returned", "silence"): Row("nothing", "looking"),
     ("returned", "offer applied"): Row("nothing", "returned"),
     ("returned", "blocks differ"): Row("begin anew", "returned"),
-    ("returned", "keys gone"): Row("begin anew", "returned"),
     ("asked", "greeting of the one asked"): Row("ask", "asked"),
     ("asked", "greeting of a former incarnation"): Row("say whose", "asked"),
     ("asked", "greeting in the session"): Row("ask", "asked"),
@@ -130,7 +126,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("asked", "silence"): Row("nothing", "unanswered"),
     ("asked", "offer applied"): Row("nothing", "asked"),
     ("asked", "blocks differ"): Row("begin anew", "asked"),
-    ("asked", "keys gone"): Row("begin anew", "asked"),
     ("unanswered", "greeting of the one asked"): Row("ask", "asked"),
     ("unanswered", "greeting of a former incarnation"): Row("say whose", "unanswered"),
     ("unanswered", "greeting in the session"): Row("ask", "asked"),
@@ -145,7 +140,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("unanswered", "silence"): Row("nothing", "unanswered"),
     ("unanswered", "offer applied"): Row("nothing", "asked"),
     ("unanswered", "blocks differ"): Row("begin anew", "unanswered"),
-    ("unanswered", "keys gone"): Row("begin anew", "unanswered"),
     ("accepted", "greeting of the one asked"): Row("ask", "accepted"),
     ("accepted", "greeting of a former incarnation"): Row("say whose", "accepted"),
     ("accepted", "greeting in the session"): Row("ask", "asked"),
@@ -160,7 +154,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("accepted", "silence"): Row("nothing", "silent"),
     ("accepted", "offer applied"): Row("nothing", "accepted"),
     ("accepted", "blocks differ"): Row("begin anew", "asked"),
-    ("accepted", "keys gone"): Row("begin anew", "asked"),
     ("silent", "greeting of the one asked"): Row("ask", "accepted"),
     ("silent", "greeting of a former incarnation"): Row("say whose", "silent"),
     ("silent", "greeting in the session"): Row("ask", "asked"),
@@ -175,7 +168,6 @@ TABLE: Final[dict[tuple[State, Heard], Row]] = {
     ("silent", "silence"): Row("nothing", "silent"),
     ("silent", "offer applied"): Row("nothing", "accepted"),
     ("silent", "blocks differ"): Row("begin anew", "unanswered"),
-    ("silent", "keys gone"): Row("begin anew", "unanswered"),
     **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
 }
 """(state, what was heard) to the answer and the next state."""

@@ -30,7 +30,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 import base64
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, Final, Literal, NamedTuple, Self
+from typing import Any, Final, Literal, NamedTuple, Self
 
 from protocol.agreement import (
     INSIDE,
@@ -55,9 +55,6 @@ from protocol.secret.key_digits import fails
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOWHERE, Position
 from protocol.vectors import Vector
-
-if TYPE_CHECKING:
-    from protocol.defence.base import Defence
 
 SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""
@@ -88,9 +85,7 @@ class Rules:
     alarm_rule : AlarmRule
         When failed tests make an alarm.
     defence : str
-        The test and what guards the messages, in words.
-    test : Defence, optional
-        A test of the user's, beside the residual.
+        The test, ``residual`` or ``keyed-coin``.
     halts : bool
         An alarm ends the offers.
     outputs : OutputRule, optional
@@ -110,7 +105,6 @@ class Rules:
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
     defence: str = "residual"
-    test: "Defence | None" = None
     outputs: OutputRule | None = None
 
     @property
@@ -147,9 +141,8 @@ class Rules:
         expected : int
             The candidate that a key chose; -1: none did.
         """
-        if verdict.unexplained or (expected != NO_SYMBOL and fails(verdict.gauges, expected)):
-            return True
-        return self.test is not None and self.test.fails(verdict.gauges)
+        keyed = expected != NO_SYMBOL
+        return verdict.unexplained or (keyed and fails(verdict.gauges, expected))
 
     def box(self, estimate: Estimate | None, missed: int, reading: Vector) -> Box | None:
         """Where the state lies; None where it is read as it is.

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Self
 
-from pydantic import Field, StringConstraints
+from pydantic import Field
 
 from protocol.messages.base import (
     BlockNumber,
@@ -15,10 +15,6 @@ from protocol.messages.base import (
     Tag,
 )
 from protocol.vectors import FiniteVector
-
-Slot = Annotated[str, StringConstraints(pattern=r"^([0-9]{1,16}/[0-9]{0,9})?$")]
-Mac = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{8}$")]
-Bits = Annotated[int, Field(ge=0, lt=2**64)]
 
 
 class StepMessage(Message):
@@ -48,12 +44,6 @@ class StepMessage(Message):
             made = self.__pydantic_serializer__.to_json(self, exclude_none=True)
             self.__dict__["_bytes"] = made
         return made
-
-    def travelling_as(self, payload: bytes) -> Self:
-        """This message, with other bytes on the wire: those that a defence makes of it."""
-        copy = self.model_copy()
-        copy.__dict__["_bytes"] = payload
-        return copy
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""

@@ -273,11 +273,6 @@ class PlantStatus(_Status):
     key_blocks_begun : int
         Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
         whatever became of it.
-    guarded, unguarded, guard_ahead : int
-        Messages of the partner's that were under a key, and plain ones, where messages are
-        guarded; and the steps to come for which this end holds keys to send under.
-    forged, forged_k : int
-        Messages that were refused as forgeries, and the step of the last one (-1: none).
     appearances : int
         How often a message leaves this end on the field bus.
     pictured_k, pictured_x, pictured_candidates, pictured_x_next, pictured_gauges, pictured_symbol
@@ -332,11 +327,6 @@ class PlantStatus(_Status):
     digits_left: Count = 0
     key_blocks_begun: Count = 0
     appearances: Count = 1
-    guarded: Count = 0
-    unguarded: Count = 0
-    guard_ahead: Count = 0
-    forged: Count = 0
-    forged_k: Annotated[int, Field(ge=-1)] = -1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -373,10 +363,6 @@ class PlantStatus(_Status):
         ):
             raise ValueError("expected vectors that fit together")
         return self
-
-    def alarm_sentence(self) -> str:
-        """The offers that were refused as forgeries, in words; empty where there is none."""
-        return _forgeries(self.forged, self.forged_k, "offers") if self.forged else ""
 
 
 class ControllerStatus(_Status):
@@ -436,16 +422,9 @@ class ControllerStatus(_Status):
     key_blocks_lost: Count = 0
     digits_left: Count = 0
     appearances: Count = 1
-    guarded: Count = 0
-    unguarded: Count = 0
-    guard_ahead: Count = 0
-    forged: Count = 0
-    forged_k: Annotated[int, Field(ge=-1)] = -1
 
     def alarm_sentence(self) -> str:
         """The alarms and the last one, in words; empty where there is none."""
-        if self.forged and self.forged_k > self.alarm_k:
-            return _forgeries(self.forged, self.forged_k, "measurements")
         if not self.alarms:
             return ""
         read, expected = (
@@ -455,10 +434,6 @@ class ControllerStatus(_Status):
             f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
             f"({expected})"
         )
-
-
-def _forgeries(count: int, k: int, what: str) -> str:
-    return f"ALARMS: {count} {what} refused as forgeries, the last at step {k}"
 
 
 Status = PlantStatus | ControllerStatus

@@ -93,9 +93,7 @@ class DefenceTable(ScenarioTable):
             candidates,
         )
 
-    def problems(
-        self, keys: Keys | None, link: Link, states: int, candidates: int
-    ) -> Iterator[str]:
+    def problems(self, keys: Keys | None, link: Link) -> Iterator[str]:
         """What the scenario lacks for this, a line each."""
         if self.test != RESIDUAL:
             yield from self._unfit(states, candidates)

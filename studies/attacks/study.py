@@ -19,7 +19,6 @@ from attacker_service.base import UNKNOWN, Attack, Model
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array, Flags
-from protocol.defence.registry import make_defence
 from protocol.scenario import Scenario
 from protocol.secret.bound import Assumption
 from studies import DATA
@@ -31,6 +30,7 @@ from tap_service import eavesdroppers
 from tap_service.inference.key_solver import bits_held
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.attacks import ONSET, Attacked, Keys, attack_runs
+from wyner.simulate.engine.defences import make_defence
 from wyner.simulate.engine.taps import transcript
 from wyner.sweeps.code import code_version
 

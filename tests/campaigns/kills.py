@@ -9,9 +9,7 @@ set so, and lives on a machine of its own as far as the monotonic clock goes: in
 (needs root, too). With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays. With ``--watched`` the
-coin is keyed and the loop is in lock-step: no honest step may alarm. With ``--guarded`` messages
-are tagged in every other run and coded in the others: none may be refused, and no slot of a key
-may serve two.
+coin is keyed and the loop is in lock-step: no honest step may alarm.
 """
 
 import argparse
@@ -48,7 +46,6 @@ KINDS: Final = {
     "tls": "campaign-tls.json",
     "keys": "campaign-kills-keys.json",
     "watched": "campaign-kills-watched.json",
-    "guarded": "campaign-kills-guarded.json",
 }
 """Kinds of campaign, and where their results go."""
 
@@ -119,8 +116,7 @@ def one_run(
     bytes_a_kill = RELAYED_BYTES_A_KILL if keys else BYTES_A_KILL
     text = plain_text(draw, min(200, bytes_a_kill * kills))
     watched = kind == "watched"
-    guard = ("mac", "coding")[seed % 2] if kind == "guarded" else None
-    pace = "fast" if watched else RELAYED_PACE if keys else "x20" if guard else draw.choice(PACES)
+    pace = "fast" if watched else RELAYED_PACE if keys else draw.choice(PACES)
     relay = RELAY if keys else None
     loop = LiveLoop(
         folder,
@@ -131,7 +127,6 @@ def one_run(
         relay=relay,
         boots=draw if kind == "apart" else None,
         scenario="watched" if watched else "keys",
-        guard=guard,
     )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
@@ -162,7 +157,6 @@ def main(argv: list[str] | None = None) -> int:
         ("tls", "a router that asks for certificates"),
         ("keys", "a relay"),
         ("watched", "the coin is keyed"),
-        ("guarded", "messages are tagged or coded"),
     ):
         kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
     parser.set_defaults(kind="kills")

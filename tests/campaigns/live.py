@@ -203,8 +203,6 @@ class LiveLoop:
         Every process has a wall clock and a monotonic clock of its own.
     scenario : str
         A shipped one that makes keys.
-    guard : str, optional
-        What guards the messages.
     """
 
     def __init__(
@@ -218,7 +216,6 @@ class LiveLoop:
         relay: tuple[float, float, float] | None = None,
         boots: random.Random | None = None,
         scenario: str = "keys",
-        guard: str | None = None,
     ) -> None:
         for module in PRELOADED:
             __import__(module)
@@ -229,8 +226,6 @@ class LiveLoop:
         file = self.run_dir / SCENARIO
         tables = tomllib.loads(scenario_file_of(scenario).read_text())
         tables["keys"]["eps_E"] = 0.5  # short blocks, so that some close between two deaths
-        if guard is not None:
-            tables["defence"] = {**tables.get("defence", {}), "messages": guard}
         file.write_text(as_toml(tables))
         knowledge = folder / "knowledge.json"
         knowledge.write_text(scenario_of(str(file)).knowledge().model_dump_json())

@@ -3,9 +3,8 @@
 Each seed draws its own faults: loss, repetition, delay, deaths and lost journals. One in eight
 makes keys too; an eighth of these key the coin, and take ten times as long. In half of all the
 plant acts: a device with a deadline, or a simulation in lock-step that nobody can put back. With
-``--networks`` each has a network table besides; with ``--guarded`` each makes keys, and its
-messages are tagged or coded. Both endpoints, their journals and the shell are those of the
-services. Goes on where it stopped.
+``--networks`` each has a network table besides. Both endpoints, their journals and the shell are
+those of the services. Goes on where it stopped.
 """
 
 import argparse
@@ -16,7 +15,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
-from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -26,8 +24,8 @@ from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
-from protocol.link import coins, guarded
-from protocol.link.events import Alarm, Event, Forged, Interrupted, Missed
+from protocol.link import coins
+from protocol.link.events import Alarm, Event, Interrupted, Missed
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Network, Scenario, parse_scenario
@@ -39,7 +37,7 @@ from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint
 from tests.support.line_ends import disowned
-from tests.support.once import Copies, Digits, Slots
+from tests.support.once import Copies, Digits
 from tests.support.safety import violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
@@ -49,7 +47,7 @@ from wyner.sweeps.code import code_version
 SAVED_S: Final = 60.0
 """Seconds after which what was found is saved, and told."""
 
-COUNTED: Final = ("schedules", "acting", "cut", "keys", "watched", "guarded")
+COUNTED: Final = ("schedules", "acting", "cut", "keys", "watched")
 PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
 """Steps of a schedule; an eighth of them have the last two."""
@@ -63,20 +61,12 @@ WATCHED_STEPS: Final = 96
 DIGITS: Final = 5
 """Of a key there, so that keys change all the time."""
 
-SOON: Final[dict[str, Any]] = {"AHEAD": 8, "MARGIN": 2, "UNOPENED": 16}
-"""How far a guard there looks ahead, so that its keys change all the time."""
-
-WELL_S: Final = 20.0
-"""The longest time to the next agreed symbol where all is well."""
-
 SMALL_BLOCKS: Final = Keys(eps_E=0.99, eps_sec=1e-3)
 """Blocks of 2, 4, 8 ... transitions, so that some are confirmed within a schedule."""
 
 
 @cache
-def loop(
-    *, keyed: bool, acts: bool, watched: bool = False, messages: str = "clear"
-) -> tuple[Scenario, CandidateLaw]:
+def loop(*, keyed: bool, acts: bool, watched: bool = False) -> tuple[Scenario, CandidateLaw]:
     """The paper's loop, with keys or without, and what they serve; a plant that acts or not."""
     scenario, law = law_of("sustained")
     if acts:
@@ -90,8 +80,7 @@ def loop(
         }
         scenario = parse_scenario(tables, "acting")
     tables = {"keys": SMALL_BLOCKS} if keyed else {}
-    kind = "keyed-coin" if watched else "residual"
-    defence = {"defence": DefenceTable(kind=kind, messages=messages)}
+    defence = {"defence": DefenceTable(kind="keyed-coin" if watched else "residual")}
     return scenario.model_copy(update={**tables, **defence}), law
 
 
@@ -211,16 +200,8 @@ class Watched(Simulation):
         self._device = device
         self.cut = 0
         """Steps that a session's end cut short."""
-        self._agreed = 0
-        self.digits, self.slots = Digits(), Slots()
+        self.digits = Digits()
         super().__init__(*args, **kwargs)
-
-    def agrees_again(self) -> bool:
-        """Whether a symbol is agreed, once the world is well from now on."""
-        self._faults = replace(self._faults, until_s=self.now_s)
-        agreed = self._agreed
-        self.run(seconds=self.now_s + WELL_S, until=lambda: self._agreed > agreed)
-        return self._agreed > agreed
 
     def _new_plant(self, incarnations: int) -> PlantCore:
         if self._device is not None:
@@ -231,7 +212,6 @@ class Watched(Simulation):
         """Look at a message of the loop, and send it."""
         if isinstance(message, Measurement | Offer) and self.scenario.keys is not None:
             self._copies.left(message)
-            self.slots.left(type(message), message.wire())
         super().send(to, message)
         if isinstance(message, Offer) and self._device is not None and self.chance(MISLED):
             self.after(self.random.random() * 0.2, self._end_the_session)
@@ -248,11 +228,8 @@ class Watched(Simulation):
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
         assert not isinstance(event, Alarm), "an honest step made an alarm"
-        assert not isinstance(event, Forged), "an honest message was refused"
-        if isinstance(event, CountedTransition):
-            self._agreed += event.coin == NO_SYMBOL and event.symbol != NO_SYMBOL
-            if self.scenario.defence.keyed:
-                self.digits.counted(event)
+        if isinstance(event, CountedTransition) and self.scenario.defence.keyed:
+            self.digits.counted(event)
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
@@ -270,13 +247,12 @@ class Outcome(NamedTuple):
     """What came of a schedule.
 
     ``keys`` that both ends have confirmed, steps that a session's end ``cut`` short, steps that a
-    key ``watched``, messages that were ``guarded``, and what was ``wrong``.
+    key ``watched``, and what was ``wrong``.
     """
 
     keys: int = 0
     cut: int = 0
     watched: int = 0
-    guarded: int = 0
     wrong: tuple[str, ...] = ()
 
 
@@ -290,22 +266,13 @@ def watched(seed: int) -> bool:
     return seed % 8 == 0 and seed // 16 % 8 == 1
 
 
-def messages_of(seed: int) -> str:
-    """What guards the messages of a seed, where some do: tags and codes in turn, for each plant."""
-    return ("mac", "coding")[seed // 2 % 2]
-
-
-def outcome_of(seed: int, *, networks: bool = False, guards: bool = False) -> Outcome:
-    """What comes of the schedule of a seed, with a network table or a guard where asked."""
+def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
+    """What comes of the schedule of a seed, with a network table where asked."""
     faults, step_s, steps, keyed = faults_of(seed)
-    messages, spends = "clear", watched(seed)
-    if guards:
-        # time passes in lock-step too, so that keys come: every message takes some
-        faults = replace(faults, delay_s=0.1 if faults.delay_s > 0.1 else 0.02)
-        keyed, messages, spends = True, messages_of(seed), seed % 2 == 1
-    if spends or guards:
+    spends = watched(seed)
+    if spends:
         steps = WATCHED_STEPS
-    scenario, law = loop(keyed=keyed, acts=acts(seed), watched=spends, messages=messages)
+    scenario, law = loop(keyed=keyed, acts=acts(seed), watched=spends)
     if networks:
         scenario = scenario.model_copy(update={"network": network_of(seed)})
     device = Acting(scenario, seed) if acts(seed) else None
@@ -325,30 +292,27 @@ def outcome_of(seed: int, *, networks: bool = False, guards: bool = False) -> Ou
             device=device,
             own=own,
         )
-        with _changing() if spends or guards else nullcontext():
-            history = link.run(steps=steps, seconds=200.0 if networks else 40.0 if guards else 20.0)
+        with _changing() if spends else nullcontext():
+            history = link.run(steps=steps, seconds=200.0 if networks else 20.0)
             stuck = link.k < steps
-            if guards and not stuck:
-                stuck = not link.agrees_again()
     except AssertionError as error:
         return Outcome(wrong=(f"{type(error).__name__}: {error}",))
     lines = list(violations(history, PAYLOADS))
     if stuck and not lines:
         lines.append(f"{link.k} of {steps} steps, then none: the processes have long been well")
     if not keyed:
-        return Outcome(0, link.cut, 0, 0, tuple(lines))
+        return Outcome(0, link.cut, 0, tuple(lines))
     mine, theirs = (link.stores[side] for side in ("controller", "plant"))
-    lines += differing(mine, theirs, spent=spends or guards)
+    lines += differing(mine, theirs, spent=spends)
     shared = {name for name, state in theirs.ids() if state == "confirmed"}
     keys = sum(name in shared for name, state in mine.ids() if state == "confirmed")
-    counted = keys, link.cut, len(link.digits.watched), len(link.slots.served)
-    return Outcome(*counted, tuple(lines))
+    return Outcome(keys, link.cut, len(link.digits.watched), tuple(lines))
 
 
 @contextmanager
 def _changing() -> Iterator[None]:
-    """Keys of a coin and of a guard change all the time."""
-    with patch.object(coins, "digits", _short), patch.multiple(guarded, **SOON):
+    """Keys of a coin change all the time."""
+    with patch.object(coins, "digits", _short):
         yield
 
 
@@ -386,7 +350,6 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=float("inf"))
     parser.add_argument("--results", type=Path, default=Path("campaign-schedules.json"))
     parser.add_argument("--networks", action="store_true", help="a network table for each seed")
-    parser.add_argument("--guarded", action="store_true", help="tagged or coded messages in each")
     args = parser.parse_args(argv)
     done = json.loads(args.results.read_text()) if args.results.exists() else {}
     done = {**dict.fromkeys(COUNTED, 0), "broken": [], "versions": {}, **done}
@@ -399,11 +362,10 @@ def main(argv: list[str] | None = None) -> int:
         loop(keyed=True, acts=made)
     gc.freeze()  # what is loaded stays: searching it for garbage took an eighth of the time
     for seed in range(first, args.count):
-        outcome = outcome_of(seed, networks=args.networks, guards=args.guarded)
+        outcome = outcome_of(seed, networks=args.networks)
         done["keys"] += outcome.keys
         done["cut"] += outcome.cut
         done["watched"] += outcome.watched
-        done["guarded"] += outcome.guarded
         done["acting"] += acts(seed)
         if outcome.wrong:
             done["broken"].append([seed, *outcome.wrong])

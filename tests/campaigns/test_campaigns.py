@@ -50,23 +50,6 @@ def test_schedules_watch_steps_with_a_keyed_coin() -> None:
     assert sum(outcome.watched for outcome in found) > 100
 
 
-@pytest.mark.long
-def test_guarded_schedules_break_nothing() -> None:
-    late = 8610  # a repeat that needs keys which have served
-    found = [schedules.outcome_of(seed, guards=True) for seed in (*range(16), late)]
-    assert not [outcome.wrong for outcome in found if outcome.wrong]
-    assert sum(outcome.guarded for outcome in found) > 400
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("wrong", WRONG_GUARDS)
-def test_guarded_schedules_find_a_wrong_guard(
-    wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    wrong(monkeypatch)
-    assert any(schedules.outcome_of(seed, guards=True).wrong for seed in range(40))
-
-
 def test_schedules_with_a_network_table_break_nothing(tmp_path: Path) -> None:
     results = tmp_path / "results.json"
     assert schedules.main(["--networks", "--count", "60", "--results", str(results)]) == 0

@@ -87,7 +87,7 @@ class Traffic:
 
 
 def _watched(run_dir: Path, counts: Counter[str]) -> list[str]:
-    """Steps that a key watched, and what honest steps and messages must not do."""
+    """Steps that a key watched, and what honest steps must not do."""
     told: Counter[str] = Counter()
 
     def note(event: dict[str, Any]) -> None:
@@ -95,13 +95,8 @@ def _watched(run_dir: Path, counts: Counter[str]) -> list[str]:
         told["watched"] += event.get("expected", -1) != -1 and event["event"] == "transition"
 
     Run.load(run_dir).feed("controller", note)
-    Run.load(run_dir).feed("plant", lambda event: told.update(forged=event["event"] == "forged"))
     counts["watched"] = told["watched"]
-    return [
-        f"{told[event]} honest {what}"
-        for event, what in (("alarm", "steps made an alarm"), ("forged", "messages were refused"))
-        if told[event]
-    ]
+    return [f"{told['alarm']} honest steps made an alarm"] if told["alarm"] else []
 
 
 def _recovered(run_dir: Path, expected: list[str], counts: Counter[str]) -> list[str]:

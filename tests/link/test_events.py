@@ -10,7 +10,6 @@ from protocol.link.events import (
     Alarm,
     AttackBegan,
     Event,
-    Forged,
     Interrupted,
     Missed,
     SessionBegan,
@@ -157,12 +156,6 @@ def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(key: s
     words = alarm.sentence()
     assert all(said in words for said in ("31", "0.125, -4", "0.5, 2.25", "6.5", " 3"))
     assert ("k7" in words, "all candidates" in words) == (bool(key), not key)
-
-
-def test_a_forgery_is_told_with_its_step_its_direction_and_what_gave_it_away() -> None:
-    forged = Forged(S, 31, "offer", "it has no tag")
-    assert forged.as_event() == {"event": "forged", **forged._asdict()}
-    assert all(said in forged.sentence() for said in ("31", "offer", "it has no tag"))
 
 
 # --- key blocks -----------------------------------------------------------------------------------

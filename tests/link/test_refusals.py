@@ -305,7 +305,7 @@ def test_a_difference_of_key_blocks_ends_the_session() -> None:
     )
     sender.core.start(0.0)
     sender.heard_plant(hello(transitions=3, applied_k=1))
-    sender.core.key_task_done(Stored(S, 0, "b" * 32, keys=5), 0.0)
+    sender.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0)
     ended = sender.hear_of_blocks(told)
     assert ended == Done(
         save=True,
@@ -426,7 +426,7 @@ def test_a_difference_of_key_blocks_begins_a_session() -> None:
     assert receiver.heard_controller(reply("accepted"), NEW) == "accepted"
     for k in (3, 4, 5):
         receiver.applied(OFFER.model_copy(update={"k": k, "nonce": fresh_nonce()}), 0, (1.5,))
-    receiver.carry_out(receiver.core.key_task_done(Stored(S, 0, "b" * 32, keys=5), 0.0))
+    receiver.carry_out(receiver.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
     differs = {"k": 6, "nonce": fresh_nonce(), "block": 0, "tag": "c" * 32}
     receiver.applied(OFFER.model_copy(update=differs), 0, (1.5,))
     assert not receiver.accepted

@@ -7,7 +7,7 @@ import pytest
 
 from controller_service.core import ControllerCore
 from plant_service.status import PlantTelemetry
-from protocol.link.events import Missed, SessionBegan, Timing
+from protocol.link.events import Missed, Timing
 from protocol.link.peer import Actions
 from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
@@ -93,7 +93,7 @@ def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
     assert [n.subject for actions in said for n in actions.notices] == ["refusals"] * halted
 
 
-def test_a_controller_that_was_halted_offers_nothing_more_in_this_life_and_the_next() -> None:
+def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> None:
     record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3, offer=None)
     hello = PlantHello(
         instance=P,
@@ -250,14 +250,6 @@ def test_a_missed_step_is_told_with_what_it_really_came_to() -> None:
     receiver.missed((0.0,), (0.0,))
     (missed,) = [event for event in receiver.events if isinstance(event, Missed)]
     assert missed.truth == line.truth
-
-
-def test_a_plant_whose_keys_are_gone_begins_a_new_session_and_says_why() -> None:
-    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT))
-    (line,) = receiver.core.end_session("the keys are gone").notices
-    assert line.level == "error"
-    assert line.text.startswith("the keys are gone; new session ")
-    assert receiver.record.session != S
 
 
 def test_a_plant_that_cannot_be_closed_says_why() -> None:

@@ -71,12 +71,11 @@ def test_the_field_bus_has_these_messages_with_these_fields_only() -> None:
     assert {kind.__name__: set(kind.model_fields) for kind in FIELD} == {
         "Measurement": {
             *("v", "session", "k", "x", "applied_k", "x_after", "applied_copy", "applied_key"),
-            *("guard", "after", "rest", "mac"),
             *OF_KEYS,
         },
         "Offer": {
             *("v", "session", "k", "candidates", "cipher", "predictions", "heard"),
-            *("coin_key", "coin_from", "coin_last", "guard", "mac"),
+            *("coin_key", "coin_from", "coin_last"),
             *OF_KEYS,
         },
     }

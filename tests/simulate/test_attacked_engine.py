@@ -13,11 +13,6 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import INSIDE, Gauge, predict
 from protocol.arrays import Array
-from protocol.defence.base import Defence
-from protocol.defence.coding import Coding, StaticCoding
-from protocol.defence.keyed_coin import KeyedCoin
-from protocol.defence.mac import Mac
-from protocol.defence.registry import DEFENCES, make_defence
 from protocol.registry import UnknownError
 from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
@@ -25,6 +20,15 @@ from studies.attacks.learner import rotation_learner
 from studies.signalling import changed
 from tests.support.size import size
 from wyner.simulate.engine.attacks import Attacked, Keys, Kind, attack_runs
+from wyner.simulate.engine.defences import (
+    DEFENCES,
+    Coding,
+    Defence,
+    KeyedCoin,
+    Mac,
+    StaticCoding,
+    make_defence,
+)
 from wyner.simulate.engine.loop import SimulationError
 
 pytestmark = pytest.mark.slow
@@ -260,7 +264,7 @@ def test_a_plant_that_the_engine_cannot_step_is_one_line() -> None:
 TOY = '''
 """Alarms where x(k+1) is nearer to the edge of D_c than a disturbance of this plant ever comes."""
 
-from protocol.defence.base import Defence
+from wyner.simulate.engine.defences import Defence
 
 
 class Suspicious(Defence):

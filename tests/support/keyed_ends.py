@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.events import Alarm, Event, Forged
+from protocol.link.events import Alarm, Event
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import BlockResult, Schedule
@@ -13,7 +13,7 @@ from protocol.secret.records import Key, Side, TooFewKeys, UnknownKeys
 from tests.support.giving import deliver, deliver_named
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
-from tests.support.once import Copies, Digits, Slots
+from tests.support.once import Copies, Digits
 from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
@@ -32,18 +32,12 @@ class KeyedEnds(LineEnds):
     ----------
     given : list of Key
         By the servers.
-    slots : Slots
-        What was sent under each slot of a key.
-    tampers : bool
-        Whether messages may be refused as forged.
     """
 
     def __init__(self, rules: Rules, **more: Any) -> None:
         self.copies, self.digits = Copies(), Digits()
         self.counted: dict[Name, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
         self.given: list[Key] = []
-        self.slots = Slots()
-        self.tampers = False
         super().__init__(rules, **more)
 
     @property
@@ -75,13 +69,11 @@ class KeyedEnds(LineEnds):
         said = message.kind.model_validate_json(message.payload)
         assert isinstance(said, Measurement | Offer)
         self.copies.left(said)
-        self.slots.left(*message)
 
     def traced(self, side: Name, event: Event) -> None:
         if isinstance(event, BlockResult):
             assert event.what == "confirmed", "the ends hold different blocks"
         assert not isinstance(event, Alarm), "an honest step made an alarm"
-        assert self.tampers or not isinstance(event, Forged), "an honest message was refused"
         if isinstance(event, CountedTransition):
             assert (event.coin == NO_SYMBOL) == (side == "controller")
             self.digits.counted(event)

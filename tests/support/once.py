@@ -1,9 +1,8 @@
-"""What may happen once, as an onlooker sees it: copy 0, nonces, digits and slots of keys."""
+"""What may happen once, as an onlooker sees it: copy 0, nonces and digits of keys."""
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.guard import ANEW
 from protocol.link.session import CountedTransition
-from protocol.messages import Measurement, Message, Offer
+from protocol.messages import Measurement, Offer
 
 
 class Copies:
@@ -23,32 +22,6 @@ class Copies:
         self._nonces.add(message.nonce)
         assert len(message.nonce) == 44, "a nonce has another form"
         assert len(message.tag) == 32, "a tag has another form"
-
-
-class Slots:
-    """All guarded messages of a loop, as they leave (rule 13).
-
-    Attributes
-    ----------
-    served : dict
-        What left under each slot, without what a copy has anew; by direction, session, and batch
-        and slot.
-    """
-
-    def __init__(self) -> None:
-        self.served: dict[tuple[str, str, str], bytes] = {}
-
-    def left(self, kind: type[Message], payload: bytes) -> None:
-        """Look at one, and raise AssertionError where its slot has served another."""
-        if kind not in (Measurement, Offer):
-            return
-        said = kind.model_validate_json(payload)
-        assert isinstance(said, Measurement | Offer)
-        if not said.guard or said.guard.endswith("/"):  # a farewell is the same in all
-            return
-        plain = ANEW.sub(b"", payload, 1)
-        first = self.served.setdefault((kind.topic, said.session, said.guard), plain)
-        assert first == plain, "a slot served two messages"
 
 
 class Digits:

@@ -98,8 +98,7 @@ class RecordedLoop(TwoEnds):
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
         header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
-        defence = self.scenario.defence
-        if defence.keyed or defence.messages != "clear":
+        if self.scenario.defence.keyed:
             self.asks = "always" if self._pace.factor is None else "timed"
         self._clear_alarm = False
         for side in SIDES:
@@ -133,7 +132,7 @@ class RecordedLoop(TwoEnds):
             self.folder,
             scale=self._pace.scale,
         )
-        peer = behind(channel, files.guarded or core, Offer if side == "plant" else Measurement)
+        peer = behind(channel, core, Offer if side == "plant" else Measurement)
         publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
         tasks: deque[Task] = deque()
         key_maker = None if files.key_maker is None else files.key_maker.open()

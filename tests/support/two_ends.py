@@ -10,7 +10,6 @@ class                  the ends are                    who needs it
 :class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
                        in memory, or on disk
 `KeyedEnds`            these with key stores, coin     what must happen once, at each event
-                       and guard
 `RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
 =====================  ==============================  ========================================
 """
@@ -25,7 +24,6 @@ from typing import Any, Final, Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
-from protocol.defence.base import Defence
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -98,8 +96,8 @@ class MortalPorts(CrashingPorts):
 class Alive:
     """One end's process.
 
-    ``peer`` is the ``endpoint``, or that with its messages guarded. ``tasks`` wait for the key
-    maker, and what is ``done`` for the end, as they do in a service.
+    ``peer`` is the ``endpoint``. ``tasks`` wait for the key maker, and what is ``done`` for the
+    end, as they do in a service.
     """
 
     endpoint: ControllerCore | PlantCore
@@ -358,8 +356,6 @@ class LineEnds(TwoEnds):
         The journals are files, and each process finds a copy of them.
     acts : bool
         The plant is a device: its step is begun, and read when it ends.
-    guard : Defence, optional
-        What guards the messages.
     steps : int, optional
         The plant's last step.
     fresh : SymbolSource, optional
@@ -381,13 +377,12 @@ class LineEnds(TwoEnds):
         *,
         on_disk: bool = False,
         acts: bool = False,
-        guard: Defence | None = None,
         steps: int | None = None,
         fresh: SymbolSource | None = None,
         rivals: Sequence[bytes] | None = None,
     ) -> None:
         super().__init__()
-        self.rules, self.guard = rules, guard
+        self.rules = rules
         self.period_s, self.steps = period_s, steps
         self.fresh = fresh or Covers()
         self.names = 0
@@ -395,7 +390,7 @@ class LineEnds(TwoEnds):
         self.stores: dict[Side, KeyStore] = {}
         if rules.schedule is not None:
             self.stores = {side: KeyStore(None, side) for side in SIDES}
-        if rules.keyed or guard is not None:
+        if rules.keyed:
             self.asks = "always"
         self._payloads: dict[Name, Sequence[bytes]] = {"controller": payloads}
         self.journals: dict[Name, ControllerJournal | PlantJournal] = {

@@ -49,7 +49,8 @@ def run(args: argparse.Namespace) -> int:
         ),
     ]
     warnings += _warnings_of_taps(run_dir)
-    warnings += filter(None, (controller.alarm_sentence(), plant.alarm_sentence()))
+    if alarms := controller.alarm_sentence():
+        warnings.append(alarms)
     if controller.unexplained:
         warnings.append(f"{controller.unexplained} transitions that no candidate explains")
     if controller.keys_stopped and not plant.keys_stopped:

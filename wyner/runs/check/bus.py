@@ -188,8 +188,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
     before = steps.find(session, seen.k - 1)
     if here is None and before is not None:
         here = before.x_next
-    coded = "rest" in m  # its states open under a key, and other checks look at that
-    if here is not None and not coded and steps.of_state(m["x"]) != here:
+    if here is not None and steps.of_state(m["x"]) != here:
         unlike.append("x")
     last = step.last_applied if step is not None else steps.newest(session)
     if m["applied_k"] != last:
@@ -198,7 +197,7 @@ def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> lis
     applied = steps.find(session, last)
     after = m["x_after"]
     if (applied is None) != (after == []) or (
-        applied is not None and not coded and steps.of_state(after) != applied.x_next
+        applied is not None and steps.of_state(after) != applied.x_next
     ):
         unlike.append("x_after")
     return unlike

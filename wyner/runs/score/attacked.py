@@ -23,9 +23,8 @@ class AttackCounts:
         Why the attack itself was over before the run.
     off : dict of int to float
         The distance at x(k), from the onset on.
-    alarms, refused : list of int
-        Steps of the readings over which the controller alarmed or that it refused, and of offers
-        that the plant refused as forgeries, in order.
+    alarms : list of int
+        Steps of the readings over which the controller alarmed, in order.
     shown : float, optional
         The largest component of the last state that the controller was shown.
     watched, unwatched : int
@@ -36,7 +35,6 @@ class AttackCounts:
     failed: str = ""
     off: dict[int, float] = field(default_factory=dict)
     alarms: list[int] = field(default_factory=list)
-    refused: list[int] = field(default_factory=list)
     watched: int = 0
     unwatched: int = 0
     shown: float | None = None
@@ -52,16 +50,12 @@ class AttackCounts:
             self.off[event["k"] + 1] = max(abs(a - b) for a, b in pairs)
         elif self.attack is not None and event["event"] == "transition":
             self._sent[event["k"] + 1] = event["x_next"]
-        if event["event"] == "forged":
-            self.refused.append(event["k"])
         self.failed = event.get("attack_failed") or self.failed
 
     def controller(self, event: dict[str, Any]) -> None:
         """Take an event of the controller's trace."""
         if event["event"] == "alarm":
             self.alarms.append(event["k"] + 1)
-        if event["event"] == "forged":
-            self.alarms.append(event["k"])
         if event["event"] == "transition" and self.attack is not None:
             self.shown = max(map(abs, event["x_next"]))
             late = event["k"] + 1 >= self.attack["onset"]
@@ -82,7 +76,7 @@ class AttackCounts:
         if self.attack is None:
             return None
         onset = self.attack["onset"]
-        alarms = sorted((*self.alarms, *self.refused))
+        alarms = sorted(self.alarms)
         alarm = next((k for k in alarms if k >= onset), -1)
         return {
             **self.attack,

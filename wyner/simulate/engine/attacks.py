@@ -23,9 +23,8 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
 from protocol.arrays import Array, Counts, Flags, Integers
 from protocol.brief import Brief
-from protocol.defence.base import Defence, Wire, Words
-from protocol.defence.residual import Residual
 from protocol.scenario import Scenario
+from wyner.simulate.engine.defences import Defence, Residual, Wire, Words
 from wyner.simulate.engine.draws import disturbances
 from wyner.simulate.engine.loop import SimulationError
 

@@ -1,0 +1,124 @@
+"""Who rewrites the bus is never seen: both ends are the services', and time is virtual."""
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from attacker_service.attacker import Attacker
+from attacker_service.relay import Rewriter
+from protocol.scenario import attack_of, parse_scenario
+from protocol.scenario.reading import ScenarioError
+from runtime.recording import TraceReader
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.scenario_file import scenario_of
+from tests.support.recorded_loop import RecordedLoop
+from wyner.runs.resolve import Resolved
+
+pytestmark = pytest.mark.slow
+
+LOOK = 5
+"""Steps in a row that are watched before an attack begins."""
+
+KEYED = '\n[defence]\nkind = "keyed-coin"\n'
+
+
+def told(folder: Path, onset: int = 0) -> dict[str, Any]:
+    """Alarms, and how far the plant was from what was read."""
+    lines = {
+        side: list(Resolved(TraceReader(folder / name).lines()))
+        for side, name in (("plant", PLANT_TRACE), ("controller", CONTROLLER_TRACE))
+    }
+    steps = [e for e in lines["plant"] if e["event"] == "transition"]
+    read = {e["k"] + 1: e["x_next"] for e in lines["controller"] if e["event"] == "transition"}
+    away = [
+        max(abs(a - b) for a, b in zip(e["x_next"], read[e["k"] + 1], strict=True))
+        for e in steps
+        if e["k"] + 1 in read
+    ]
+    return {
+        "alarms": [e["k"] + 1 for e in lines["controller"] if e["event"] == "alarm"],
+        "last": max(e["k"] for e in steps),
+        "away": max(away, default=0.0),
+        "onset": onset,
+        "sessions": len({e["session"] for e in lines["plant"] if e["event"] == "session"}),
+        "watched": sum(
+            e["event"] == "transition" and e.get("expected", -1) >= 0 for e in lines["controller"]
+        ),
+        "spoofed": sum(e.get("true_x_next", e["x_next"]) != e["x_next"] for e in steps),
+    }
+
+
+def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
+    attack = attack_of("covert@1")
+    loop = RecordedLoop(tmp_path, name="keys", more=KEYED, pace="realtime")
+
+    def steps(number: int) -> int:
+        """Steps of the next so many that a key chose the input of."""
+        watched = 0
+        for _ in range(number):
+            loop.run(partial(is_at, loop.plant.record.k + 1))
+            watched += loop.plant.record.keyed
+        return watched
+
+    def is_at(k: int) -> bool:
+        return loop.plant.record.k >= k
+
+    while steps(LOOK) < LOOK:
+        assert loop.plant.record.k < 5000, "keys never come"
+    onset = loop.plant.record.k
+    attacker = Attacker(loop.scenario, attack, None)
+    loop.relay = Rewriter(attacker)
+    assert steps(60) == 60
+    assert attacker.failed == ""
+    loop.stop()
+    found = told(tmp_path, onset)
+    assert not found["alarms"]
+    assert found["away"] > 4
+    assert found["watched"] >= 60
+
+
+def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: Path) -> None:
+    """It rewrites what leaves; a message that is lost after it moves nothing, as it reckons."""
+    attack = attack_of("covert@50")
+    loop = RecordedLoop(tmp_path, name="network", pace="realtime", attack=attack)
+    attacker = Attacker(loop.scenario, attack, None)
+    loop.relay = Rewriter(attacker)
+    loop.run(lambda: loop.plant.record.k >= 200)
+    assert attacker.failed == ""
+    loop.stop()
+    found = told(tmp_path)
+    missed = [e for e in TraceReader(tmp_path / PLANT_TRACE).lines() if e["event"] == "missed"]
+    assert len(missed) > 5
+    assert not found["alarms"]
+    assert found["away"] > 4
+    assert loop.wrong() == []
+
+
+# --- what cannot be -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("keys", [None, {"eps_E": 0.0}])
+def test_keys_that_cannot_be_made_are_one_line(keys: dict[str, float] | None) -> None:
+    defence = {"defence": {"kind": "keyed-coin"}}
+    tables = scenario_of("packed").model_dump(exclude_unset=True) | defence
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(tables if keys is None else tables | {"keys": keys}, "x")
+    assert len(caught.value.problems) == 1
+    assert "keyed-coin takes distilled keys" in caught.value.problems[0]
+
+
+@pytest.mark.parametrize(
+    ("defence", "line"),
+    [
+        ({"kind": "mac"}, 'defence.kind: got "mac", expected'),
+        ({"messages": "mac"}, 'defence.messages: got "mac", no such field'),
+    ],
+)
+def test_a_defence_that_cannot_be_is_one_line(defence: dict[str, str], line: str) -> None:
+    tables = scenario_of("keys").model_dump(exclude_unset=True)
+    with pytest.raises(ScenarioError) as caught:
+        parse_scenario(tables | {"defence": defence}, "x")
+    assert len(caught.value.problems) == 1
+    assert caught.value.problems[0].removeprefix("x: ").startswith(line), caught.value.problems
