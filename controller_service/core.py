@@ -337,19 +337,6 @@ class ControllerCore:
         """A key block is extracted, or none can be any more."""
         return extraction_done(self.keys, block)
 
-    def halt(self) -> Actions:
-        """A message was forged: where an alarm ends the offers, so does this."""
-        if not self.rules.halts or self.record.halted:
-            return NOTHING_TO_DO
-        self.record = self.record._replace(halted=True)
-        if self._telemetry is not None:
-            self._telemetry.phase = "alarmed"
-        return self._saved(Actions(notices=(self._refusal(HALTED),)))
-
-    def end_session(self, why: str) -> Actions:
-        """Keys that its messages are under are gone: nothing that the plant says can be read."""
-        return self._end_session("keys gone", f"{why}; session ended")
-
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keys, self.record.session, self.record.k, count)

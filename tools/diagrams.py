@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import (
     Alarm,
     AttackBegan,
@@ -24,7 +25,6 @@ from protocol.link.events import (
     SessionBegan,
     Timing,
 )
-from protocol.link.distiller import BlockEnded
 from protocol.link.key_events import Appearances
 from protocol.link.session import CountedTransition
 from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message, SendCommand

@@ -100,9 +100,7 @@ class Distiller:
         Times that a message leaves this end, as its host has counted last.
     """
 
-    def __init__(
-        self, schedule: Schedule | None, size: int, fresh: NonceSource
-    ) -> None:
+    def __init__(self, schedule: Schedule | None, size: int, fresh: NonceSource) -> None:
         self.schedule = schedule
         self.made = self.lost = 0
         self.last = (0, 0)

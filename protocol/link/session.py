@@ -84,8 +84,6 @@ class Rules:
         When unwatched steps make an alarm, where the coin is keyed.
     alarm_rule : AlarmRule
         When failed tests make an alarm.
-    defence : str
-        The test, ``residual`` or ``keyed-coin``.
     halts : bool
         An alarm ends the offers.
     outputs : OutputRule, optional
@@ -104,7 +102,6 @@ class Rules:
     watch: Watch = UNWATCHED
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
-    defence: str = "residual"
     outputs: OutputRule | None = None
 
     @property
@@ -223,8 +220,6 @@ def rules_of(scenario: Scenario) -> Rules:
         watch=scenario.watch,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
-        defence=scenario.defence.words(),
-        test=scenario.defence.own_test(scenario.readings, scenario.secrecy.candidates),
         outputs=_output_rule(scenario),
     )
 
@@ -273,10 +268,11 @@ class CountedTransition(NamedTuple):
     copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
     ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
     b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
-    ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the
-    key stream that the offer names, None where it names none; ``keyed`` says whether they served. Only the controller has ``expected``,
-    the candidate that its own digit chose: -1 where the transition is unwatched. A
-    frame that it completed is ``delivered`` (controller), ``recovered`` or ``refused`` (plant).
+    ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the key
+    stream that the offer names, None where it names none; ``keyed`` says whether they served. Only
+    the controller has ``expected``, the candidate that its own digit chose: -1 where the transition
+    is unwatched. A frame that it completed is ``delivered`` (controller), ``recovered`` or
+    ``refused`` (plant).
     """
 
     session: str

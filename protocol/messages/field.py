@@ -83,13 +83,6 @@ class Measurement(StepMessage):
     keyed : bool, optional
         Whether the digits that the offer names served: they chose the candidate, or were the pad of
         its cipher symbol. Only where the scenario uses the key stream.
-    guard, mac : str, optional
-        Batch and slot of the key that guards the message, as ``3/17``, and its tag, 8 hexadecimal
-        digits; ``3/`` with the farewell of a batch that has served. Only where messages are
-        guarded.
-    after, rest : str, tuple of int, optional
-        Batch and slot of ``x_after`` where it is coded, and the bits that decoding the states
-        rounds. Only where measurements are coded.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -104,10 +97,6 @@ class Measurement(StepMessage):
     block: BlockNumber = -1
     tag: Tag = ""
     keyed: bool | None = None
-    guard: Slot | None = None
-    after: Slot | None = None
-    rest: tuple[Bits, ...] | None = None
-    mac: Mac | None = None
 
 
 class Offer(StepMessage):
@@ -143,8 +132,6 @@ class Offer(StepMessage):
     tag: Tag = ""
     stream_block: BlockNumber | None = None
     stream_at: Count | None = None
-    guard: Slot | None = None
-    mac: Mac | None = None
 
 
 FieldMessage = Measurement | Offer

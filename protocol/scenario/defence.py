@@ -1,36 +1,25 @@
 """``[defence]``: how the controller tests what it is told, and what it does over an alarm."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Annotated, Final, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
 from protocol.defence.alarm_rule import AlarmRule, alarm_rule
 from protocol.defence.watch import BLOCKS, Watch
-from protocol.registry import UnknownError, names_a_file
 from protocol.scenario.defender import Calibration
 from protocol.scenario.keys import Keys
 from protocol.scenario.link import Link
 from protocol.scenario.parts import Positive, ScenarioTable
 
-if TYPE_CHECKING:
-    from protocol.defence.base import Defence
-
-RESIDUAL: Final = "residual"
-"""The test that is shipped."""
-
 
 class DefenceTable(ScenarioTable):
     """The controller's test of each transition, and where the plant's coin comes from.
 
-    The residual test asks whether some candidate explains x(k+1), in every scenario. A class of the
-    user's asks what it likes beside it. Where the coin comes from keys, the controller also asks
+    It asks whether some candidate explains x(k+1). Where the coin comes from keys, it also asks
     whether the candidate does that the key stream has chosen.
     """
 
-    test: str = RESIDUAL
-    """The test: ``residual``, some candidate explains the step; or that of a class of the user's,
-    ``path/to/file.py:Name``."""
     coin: Literal["private", "keys"] = "private"
     """Where the plant's coin comes from: ``private``, its own random draws; ``keys``, digits of the
     key stream, which the controller knows too."""
@@ -47,24 +36,6 @@ class DefenceTable(ScenarioTable):
     def keyed(self) -> bool:
         """Whether the plant's coin comes from keys."""
         return self.coin == "keys"
-
-    def own_test(self, states: int, candidates: int) -> "Defence | None":
-        """The test of the user's; None where it is the shipped one.
-
-        Raises
-        ------
-        UnknownError
-            In one line, when there is no such class.
-        """
-        if self.test == RESIDUAL:
-            return None
-        from protocol.defence.registry import DEFENCES
-
-        return DEFENCES[self.test](states, candidates)
-
-    def words(self) -> str:
-        """The test, and whether the coin is keyed."""
-        return f"{self.test} + keyed coin" if self.keyed else self.test
 
     def shared(self) -> dict[str, object]:
         """What both ends must agree on, for their fingerprint."""
@@ -95,8 +66,6 @@ class DefenceTable(ScenarioTable):
 
     def problems(self, keys: Keys | None, link: Link) -> Iterator[str]:
         """What the scenario lacks for this, a line each."""
-        if self.test != RESIDUAL:
-            yield from self._unfit(states, candidates)
         if self.keyed:
             yield from needs_keys("defence.coin: 'keys'", keys)
         if self.on_alarm == "safe" and link.watchdog_s is None:
@@ -104,22 +73,6 @@ class DefenceTable(ScenarioTable):
                 "defence.on_alarm: safe ends the offers, so that the watchdog bites: expected "
                 "link.watchdog_s beside it"
             )
-
-    def _unfit(self, states: int, candidates: int) -> Iterator[str]:
-        """Why the user's test cannot be one."""
-        from protocol.defence.registry import DEFENCES
-
-        expected = f"expected {RESIDUAL!r}, or a test of your own as path/to/file.py:Name"
-        if not names_a_file(self.test):
-            yield f"defence.test: got {self.test!r}, {expected}"
-            return
-        try:
-            made = DEFENCES[self.test](states, candidates)
-        except UnknownError as error:
-            yield f"defence.test: {error}"
-            return
-        if made.session_words + made.step_words:
-            yield f"defence.test: {self.test}: takes keys, {expected} that takes none"
 
 
 def needs_keys(what: str, keys: Keys | None) -> Iterator[str]:

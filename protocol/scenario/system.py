@@ -252,9 +252,7 @@ class Scenario(Brief, ScenarioTable):
             )
         if self.defence.keyed:
             problems += self.control.coin_problems()
-        problems += self.defence.problems(
-            self.keys, self.link, self.readings, self.secrecy.candidates
-        )
+        problems += self.defence.problems(self.keys, self.link)
         if SCHEMES[self.secrecy.scheme].from_stream:
             problems += needs_keys(f"secrecy.scheme: {self.secrecy.scheme!r}", self.keys)
         try:

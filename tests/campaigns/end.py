@@ -13,18 +13,19 @@ import hashlib
 from math import inf
 from typing import Final, Literal, NamedTuple
 
+from protocol.link.coins import AGAIN_S
+from protocol.secret.records import Key
+from protocol.secret.tasks import Task
+
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
-from protocol.link.coins import AGAIN_S
 from protocol.link.events import Alarm, Event, SessionBegan
 from protocol.link.peer import Actions, Notice
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult, ClosedBlock
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.records import Key
-from protocol.secret.tasks import Task
 from runtime import perform as shell
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint

@@ -23,8 +23,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from unittest.mock import patch
 
-from protocol.messages import SendReply
 from protocol.secret.records import Side
+
+from protocol.messages import SendReply
 from runtime import journal as journals
 from tests.support.mail import Mail
 from tests.support.recorded_loop import RecordedLoop

@@ -20,6 +20,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 from unittest.mock import patch
 
+from runtime.keys.store import KeyStore
+
 from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
@@ -34,7 +36,6 @@ from protocol.scenario.keys import Keys
 from protocol.secret import key_digits
 from protocol.vectors import Vector
 from runtime.files import write_atomically
-from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint
 from tests.support.line_ends import disowned
 from tests.support.once import Copies, Digits

@@ -8,12 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-
 from protocol.secret.records import Side
+
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, fuzz, live, power, schedules
-from tests.secret.test_guarded_link import WRONG_GUARDS
 from tests.secret.test_keyed_coin import WRONG
 
 

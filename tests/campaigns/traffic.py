@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import Any, Final
 
 from protocol.secret.records import StoreError
+
 from runtime.recording import TraceError
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
 from wyner.runs.check import check

@@ -8,8 +8,8 @@ import time
 from pathlib import Path
 
 import pytest
-
 from protocol.link.keying import Keying
+
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Stored, schedule_of
 from protocol.secret.bound import Assumption

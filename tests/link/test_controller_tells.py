@@ -6,12 +6,14 @@ from math import inf, nan
 from typing import Any
 
 import pytest
+from protocol.link.coins import BATCH, LACKING_S
+from protocol.secret.records import Key
+from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from pydantic import ValidationError
 
 from controller_service.core import GREETING_S, STALE, STALE_S, ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
-from protocol.link.coins import BATCH, LACKING_S
 from protocol.link.events import FELL_BACK, Alarm, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
@@ -34,8 +36,6 @@ from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.records import Key
-from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE

@@ -3,6 +3,8 @@
 from typing import Any
 
 import pytest
+from protocol.link.keying import Keying
+from protocol.secret.tasks import Broken, Done
 
 from protocol.agreement import AgreementResult
 from protocol.box_observer import Box
@@ -17,13 +19,11 @@ from protocol.link.events import (
     lines,
 )
 from protocol.link.key_events import Appearances, BlockStored, key_events, key_notices
-from protocol.link.keying import Keying
 from protocol.link.peer import Notice
 from protocol.link.session import CountedTransition, Truth
 from protocol.messages import SendCommand
 from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
-from protocol.secret.tasks import Broken, Done
 from runtime.chance import fresh_nonce
 
 S = "1" * 16

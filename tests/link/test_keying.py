@@ -5,11 +5,12 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
+from protocol.link.keying import Keying
+from protocol.secret.tasks import Broken
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.key_events import Appearances, appeared
-from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -17,7 +18,6 @@ from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, BlockResult, ClosedBlock, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, as_bytes
-from protocol.secret.tasks import Broken
 from runtime.chance import fresh_nonce
 from tests.support.controller_in_hand import PERIOD_S, OneMessage, Zeros
 from tests.support.line_ends import line_rules

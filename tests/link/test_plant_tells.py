@@ -6,6 +6,8 @@ from math import inf, nan
 from typing import Any
 
 import pytest
+from protocol.secret.records import Key
+from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
@@ -51,8 +53,6 @@ from protocol.secret.blocks import BlockResult, Schedule, Stored
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.records import Key
-from protocol.secret.tasks import Broken, CoinKeys, CoinTask
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE

@@ -1,7 +1,6 @@
 """What both ends share: each rule by itself, and a transition with all its fields."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 

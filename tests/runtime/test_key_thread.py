@@ -5,13 +5,13 @@ import threading
 from pathlib import Path
 
 import pytest
+from runtime.key_thread import KeyThread
+from runtime.keys.asking import Asker
+from runtime.keys.store import KeyStore
 
 from protocol.link.peer import Actions
 from protocol.messages import KeyRequest, Message
 from protocol.topics import key_of
-from runtime.key_thread import KeyThread
-from runtime.keys.asking import Asker
-from runtime.keys.store import KeyStore
 from runtime.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from protocol.secret.tasks import Done, Task
 
 from protocol.link.events import Event, Missed
 from protocol.link.peer import Actions, Notice
@@ -10,7 +11,6 @@ from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
 from protocol.secret.blocks import BlockResult
-from protocol.secret.tasks import Done, Task
 from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.end_in_hand import kept
 from tests.support.line_ends import line_rules

@@ -10,6 +10,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
+from runtime.keys.key_maker import KeyMaker
+from runtime.keys.store import KeyStore
 
 from protocol.secret.blocks import (
     NO_TAG,
@@ -24,8 +26,6 @@ from protocol.secret.blocks import (
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution, contribution_of
 from runtime.chance import fresh_nonce
-from runtime.keys.key_maker import KeyMaker
-from runtime.keys.store import KeyStore
 from tests.support.giving import deliver, deliver_named
 
 SESSION = "0123456789abcdef"

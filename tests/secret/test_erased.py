@@ -6,11 +6,11 @@ from collections import defaultdict
 from pathlib import Path
 
 import pytest
+from runtime.keys.store import KeyStore
 
 from protocol.secret.blocks import Blocks
 from protocol.secret.nonces import as_bytes
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.keys.store import KeyStore
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,

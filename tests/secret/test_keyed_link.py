@@ -11,15 +11,15 @@ import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
+from protocol.link.keying import Keying
+from protocol.secret.records import WHOLE, Share, Side, StoreError, TooFewKeys
+from runtime.keys.store import KeyStore
 
 from controller_service import core as controller_core
 from plant_service import core as plant_core
 from protocol.link import keying as keying_module
-from protocol.link.keying import Keying
 from protocol.link.peer import Actions, Peer
 from protocol.secret.nonces import Contribution, contribution_of
-from protocol.secret.records import WHOLE, Share, Side, StoreError, TooFewKeys
-from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules

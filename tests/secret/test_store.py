@@ -10,8 +10,6 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-
-from protocol.secret.blocks import ClosedBlock
 from protocol.secret.records import (
     BlockRow,
     Key,
@@ -25,6 +23,8 @@ from protocol.secret.records import (
 from runtime.keys.anchor import Anchor
 from runtime.keys.key_maker import KeyMaker
 from runtime.keys.store import KeyStore
+
+from protocol.secret.blocks import ClosedBlock
 from tests.support.giving import deliver, deliver_named
 
 SESSION = "0123456789abcdef"

@@ -12,14 +12,14 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
-
-from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from protocol.secret.tasks import Broken, Done
 from runtime.keys import worker as worker_module
 from runtime.keys.key_maker import KeyMaker, KeyMakerAt
 from runtime.keys.key_process import NICENESS
 from runtime.keys.store import KeyStore
 from runtime.keys.worker import KeyWorker
+
+from protocol.secret.blocks import BlockResult, ClosedBlock, Stored
 from tests.support.patience import PATIENCE_S
 
 SESSION = "0123456789abcdef"

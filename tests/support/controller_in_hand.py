@@ -8,8 +8,9 @@ from copy import copy
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from controller_service.core import ControllerCore, Predict
 from protocol.link.keying import Keying
+
+from controller_service.core import ControllerCore, Predict
 from protocol.link.peer import Actions
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules

@@ -2,11 +2,12 @@
 
 from collections.abc import Callable, Sequence
 
-from protocol.messages import Message
 from protocol.secret.records import WHOLE, Key, Share
 from runtime.keys.asking import Asker
 from runtime.keys.giving import Giver, pending
 from runtime.keys.store import KeyStore
+
+from protocol.messages import Message
 from tests.support.mail import mail
 
 

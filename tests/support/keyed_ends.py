@@ -3,13 +3,14 @@
 from dataclasses import replace
 from typing import Any, Final
 
+from protocol.secret.records import Key, Side, TooFewKeys, UnknownKeys
+
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm, Event
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import BlockResult, Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.records import Key, Side, TooFewKeys, UnknownKeys
 from tests.support.giving import deliver, deliver_named
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail

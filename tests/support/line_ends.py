@@ -7,6 +7,8 @@ and disturbance.
 from collections.abc import Callable, Iterable
 from typing import Any
 
+from protocol.secret.records import Key
+
 from controller_service.core import ControllerCore
 from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
@@ -21,7 +23,6 @@ from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
 from protocol.schemes.switched import Switched
 from protocol.secret.nonces import NonceSource
-from protocol.secret.records import Key
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce

@@ -18,10 +18,11 @@ from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import Limits, RotatingLog
 
 if TYPE_CHECKING:
+    from protocol.secret.tasks import Task
+
     from protocol.link.events import Event
     from protocol.link.peer import Actions, Notice, Peer
     from protocol.messages import Message, Status
-    from protocol.secret.tasks import Task
     from runtime.ports import Files
 
 HEARS: "dict[str, tuple[type[Message], ...]]" = {

@@ -8,12 +8,14 @@ from collections.abc import Callable, Iterable
 from copy import copy, deepcopy
 from typing import Any
 
+from protocol.link.keying import Keying
+from protocol.secret.tasks import Task
+
 from plant_service.core import HELLO_S, PlantCore
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Event, Missed, SessionBegan
-from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Notice
 from protocol.link.records import ReceiverRecord
@@ -21,7 +23,6 @@ from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
 from protocol.secret.nonces import Contribution, NonceSource
-from protocol.secret.tasks import Task
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 

@@ -14,6 +14,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from protocol.secret.tasks import Task
+
 from attacker_service.relay import Rewriter
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.attacked import AttackedPlant
@@ -21,7 +23,6 @@ from plant_service.service import PlantConfig, open_plant
 from protocol.link.networked import behind
 from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
 from protocol.scenario import Attack, parse_scenario
-from protocol.secret.tasks import Task
 from runtime.health_files import HealthFiles
 from runtime.network import channel_of
 from runtime.pace import Pace

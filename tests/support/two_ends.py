@@ -22,6 +22,14 @@ from functools import partial
 from math import inf
 from typing import Any, Final, Literal
 
+from protocol.secret.records import Key, Side
+from protocol.secret.tasks import Done, Task
+from runtime.key_opening import guarded_by
+from runtime.keys import coins
+from runtime.keys.asking import Asker
+from runtime.keys.key_maker import KeyMaker, work
+from runtime.keys.store import KeyStore
+
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Event, lines
@@ -29,16 +37,9 @@ from protocol.link.peer import Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
-from protocol.secret.records import Key, Side
-from protocol.secret.tasks import Done, Task
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.key_opening import guarded_by
-from runtime.keys import coins
-from runtime.keys.asking import Asker
-from runtime.keys.key_maker import KeyMaker, work
-from runtime.keys.store import KeyStore
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
 from tests.support.giving import ask
 from tests.support.journals import (

@@ -5,12 +5,12 @@ from collections.abc import Callable, Iterable, Iterator
 from functools import cache
 
 import pytest
+from protocol.secret.records import BlockRow
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage, Measurement, Message, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
-from protocol.secret.records import BlockRow
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld

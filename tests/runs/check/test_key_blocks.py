@@ -5,9 +5,9 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-
 from protocol.secret.records import BlockRow, Side, key_id
 from runtime.keys.store import KeyStore
+
 from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import SCHEDULE, evidence, heard, judge
 from wyner.runs.check import key_blocks

@@ -11,10 +11,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-
 from protocol.secret.records import BlockRow
-from runtime.files import write_atomically
 from runtime.keys.store import KeyStore
+
+from runtime.files import write_atomically
 from runtime.recording import LineWriter
 from runtime.run_folder import (
     BELIEFS,
