@@ -103,7 +103,6 @@ class ControllerTelemetry:
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
             unexplained=self._unexplained,
-            defence=rules.defence,
             watched=self._watched,
             unwatched=self._unwatched if rules.keyed else 0,
             alarms=self._alarms,

@@ -383,8 +383,6 @@ class ControllerStatus(_Status):
         Transitions since this process began that no candidate explains; those that were tested
         against the one candidate that a digit of the key stream chose; and, where the coin is
         keyed, those that could not be.
-    defence : str
-        The test, ``residual``, ``keyed-coin`` or the user's, and what guards the messages.
     alarms, alarm_k : int
         Alarms since this process began, and the step of the last one (-1: none).
     alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
@@ -406,7 +404,6 @@ class ControllerStatus(_Status):
     queue: Count
     delivered: Count
     unexplained: Count = 0
-    defence: str = "residual"
     watched: Count = 0
     unwatched: Count = 0
     alarms: Count = 0
