@@ -195,6 +195,7 @@ class PlantCore:
         kept = symbols + record.partial
         for i in range(0, len(kept), self._digits):
             self.deframer.push(int(kept[i : i + self._digits], 16))
+        self._last_symbol = self.deframer.lacks_one  # known before a step hangs on it
         # keys
         self.keys = Distiller(rules.schedule, rules.size, nonces)
         said = report or record
@@ -498,7 +499,7 @@ class PlantCore:
         """
         scheme = self.rules.scheme
         carried = bool(self._taken) if scheme.from_stream else scheme.pad(self.record.state) >= 0
-        return carried and len(self.deframer.symbols) + 1 == self.deframer.expected_length
+        return self._last_symbol and carried
 
     def _saved(self, actions: Actions) -> Actions:
         """``actions``, which save the record as it is now, with all that belongs to it."""
@@ -627,6 +628,7 @@ class PlantCore:
             true_x=self._state_of(self._truth),
         )
         self._offer, self._tossed, self._said = None, NO_SYMBOL, None
+        self._last_symbol = self.deframer.lacks_one
         self.state = TABLE[self.state, "offer applied"].next
         if self._taken:
             self.keys.used(position_of(offer), self.rules.digits)
@@ -847,6 +849,7 @@ class PlantCore:
         """A new session: all that was agreed or half received in the one before is dropped."""
         session = self._new_id()
         self.deframer.reset()
+        self._last_symbol = False
         self.record = self.record._replace(
             session=session,
             applied_k=-1,

@@ -351,7 +351,19 @@ def confidence_sequence(successes: float, trials: int, confidence: float = CONFI
     ValueError
         When there are more successes than trials.
     """
-    most = -log(1 - _checked(confidence))
+    return sequence_limits(successes, trials, -log(1 - _checked(confidence)))
+
+
+def sequence_limits(successes: float, trials: int, most: float) -> Interval:
+    """The probabilities against which the evidence is less than ``most``, a natural logarithm.
+
+    See :func:`confidence_sequence`, whose ``most`` is -ln(1 - confidence).
+
+    Raises
+    ------
+    ValueError
+        When there are more successes than trials.
+    """
     if not 0 <= successes <= trials:
         raise ValueError(f"got {successes} successes of {trials} trials, expected 0 to trials")
     if not trials:

@@ -230,14 +230,14 @@ def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | 
     UsageError
         When it is not one, or an option beside it is for a single loop.
     """
-    from runtime.fleet import Fleet, numbered
+    from runtime.fleet import numbered, read_fleet
 
     if options.fleet is None and options.loops is None:
         return None
     if options.loop != DEFAULT_LOOP:
         raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
     if options.fleet is not None:
-        return Fleet.of_file(Path(options.fleet))
+        return read_fleet(Path(options.fleet))
     assert options.loops is not None
     text = (message or b"").decode("utf-8", errors="surrogateescape")
     return numbered(options.loops, options.scenario or "", text, options.seed)

@@ -4,14 +4,12 @@ A run leaves its message, keys, coins and journals on disk. So folders made here
 0600, whatever the umask says, and nothing is ever written through a link or onto a device.
 """
 
-import ctypes
 import errno
 import os
 import stat
 import tempfile
-import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -174,26 +172,16 @@ def write_atomically(path: Path, data: bytes, mode: int = PRIVATE_FILE) -> None:
         partial.write_bytes(data)
 
 
-READ_S: Final = 0.5
-"""How long a reader may take from opening a status to having read it."""
-
-
 class StatusFile:
-    """A file that is written again and again, whole for every reader, without the disk.
+    """A file that is written again and again, whole for every reader.
 
-    It is written beside ``path``, over the status before last, and the two exchange names. Renaming
-    over a file makes ext4 write the new one out first (1 ms in the median, 5 ms at times), and
-    making and removing one each time took 0.1 to 0.7 ms of processor time; this takes 0.03.
-    One that stood there within :data:`READ_S` may still be read, and is left alone. What is the
-    same as before is not written again: the file's time says when it was said last.
-    What a power cut would leave of a status matters to nobody.
+    It is written beside ``path``, and takes its place by a rename. What a power cut would leave of
+    a status matters to nobody.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         self._spare = path.with_name(f".spare-{path.name}")
-        self._there = b""
-        self._exchanged_s = time.monotonic()  # whatever is there may be read right now
 
     def write(self, data: bytes) -> None:
         """Replace the file.
@@ -206,35 +194,13 @@ class StatusFile:
             Also when there is no room.
         """
         refuse_irregular(self._path)
-        if data == self._there:
-            with suppress(FileNotFoundError):
-                os.utime(self._path, follow_symlinks=False)
-                return
-        if time.monotonic() - self._exchanged_s < READ_S:
-            self._spare.unlink(missing_ok=True)
+        self._spare.unlink(missing_ok=True)  # what a process that died was writing
         file = open_private(self._spare, os.O_WRONLY | os.O_CREAT)
         try:
             if os.write(file, data) < len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-            os.ftruncate(file, len(data))
         except OSError as error:  # what is done to a file that is open does not name it
             raise OSError(error.errno, error.strerror, str(self._path)) from None
         finally:
             os.close(file)
-        if not _exchange(self._spare, self._path):  # nothing there yet, or a system that cannot
-            self._spare.replace(self._path)
-        self._there, self._exchanged_s = data, time.monotonic()
-
-
-def _exchange(one: Path, other: Path) -> bool:
-    """Exchange the names of two regular files at once; tells whether that could be done."""
-    return renameat2 is not None and (
-        renameat2(_AT_FDCWD, bytes(one), _AT_FDCWD, bytes(other), _RENAME_EXCHANGE) == 0
-    )
-
-
-renameat2: Final = getattr(ctypes.CDLL(None), "renameat2", None)
-"""Of Linux's C library; others rename."""
-
-_AT_FDCWD: Final = -100
-_RENAME_EXCHANGE: Final = 2
+        self._spare.replace(self._path)

@@ -6,13 +6,11 @@
     message = "meet at noon"
     seed = 1
 
-A fleet's file may change while hosts run: they look at it once a second, take in the loops that are
-new, and let those go that are gone. Each loop has a folder of its own below the run's, by its id.
+Each loop has a folder of its own below the run's, by its id.
 """
 
-import logging
 import tomllib
-from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -50,6 +48,14 @@ class FleetLoop(BaseModel):
         return self.message.encode("utf-8", errors="surrogateescape") or None
 
 
+@dataclass(frozen=True, slots=True)
+class Fleet:
+    """The loops that a host runs, by id; ``path`` is the file that lists them, if one does."""
+
+    loops: dict[str, FleetLoop]
+    path: Path | None = None
+
+
 def numbered(count: int, scenario: str, message: str = "", seed: int | None = None) -> "Fleet":
     """``count`` loops of one scenario, ``loop-0000`` and on; each has a seed of its own.
 
@@ -69,11 +75,11 @@ def numbered(count: int, scenario: str, message: str = "", seed: int | None = No
         )
         for number in range(count)
     ]
-    return Fleet(lambda: {loop.id: loop for loop in loops})
+    return Fleet({loop.id: loop for loop in loops})
 
 
-def read_fleet(path: Path) -> dict[str, FleetLoop]:
-    """The loops of a fleet's file, by id.
+def read_fleet(path: Path) -> Fleet:
+    """The fleet of a file.
 
     Raises
     ------
@@ -112,72 +118,4 @@ def read_fleet(path: Path) -> dict[str, FleetLoop]:
         loops[loop.id] = loop
     if problems:
         raise UsageError(problems)
-    return loops
-
-
-class Fleet:
-    """The loops that there should be.
-
-    Parameters
-    ----------
-    read : callable
-        Them, by id, as they are now.
-    path : Path, optional
-        The file that ``read`` reads: it is read again when it has changed.
-
-    Attributes
-    ----------
-    loops : dict
-    path : Path or None
-        As given.
-    """
-
-    def __init__(self, read: Callable[[], dict[str, FleetLoop]], path: Path | None = None) -> None:
-        self._read = read
-        self.path = path
-        self._stamp = self._look()
-        self.loops = read()
-
-    @classmethod
-    def of_file(cls, path: Path) -> "Fleet":
-        """The fleet of a file.
-
-        Raises
-        ------
-        UsageError
-            As :func:`read_fleet` does.
-        """
-        return cls(lambda: read_fleet(path), path)
-
-    def _look(self) -> tuple[int, int]:
-        try:
-            status = self.path.stat() if self.path is not None else None
-        except OSError:
-            return (-1, -1)
-        return (0, 0) if status is None else (status.st_mtime_ns, status.st_size)
-
-    def changed(self) -> bool:
-        """Whether the file has changed; then it has been read again.
-
-        Raises
-        ------
-        UsageError
-            When it is not as expected any more; the loops stay what they were.
-        """
-        stamp = self._look()
-        if stamp == self._stamp:
-            return False
-        self._stamp = stamp
-        self.loops = self._read()
-        return True
-
-    def left(self, known: Mapping[str, FleetLoop], log: logging.Logger) -> list[str]:
-        """Read the file again. Returns those of the loops ``known`` that were removed or changed.
-
-        Of a file that is not as expected any more a line is logged, and the loops stay.
-        """
-        try:
-            self.changed()
-        except UsageError as error:
-            log.error("%s", error.lines[0])
-        return [name for name, loop in known.items() if self.loops.get(name) != loop]
+    return Fleet(loops, path)

@@ -1,12 +1,12 @@
-"""What each end says of itself in its folder: its status, and a line on whether it keeps up.
+"""The status that each end writes into its folder once a second, and whether it keeps up.
 
-They are for whoever looks from outside (:mod:`runtime.health` reads them), and no step waits for
-them: a thread of their own writes them. One that takes a slow disk 100 ms would else cost every
-loop of the host a step.
+It is for programs outside (:mod:`runtime.health` reads it), and no step waits for it: a thread
+of its own writes it. One that takes a slow disk 100 ms would else cost every loop of the host a
+step. One that cannot be written costs nothing but itself: it is logged, and tried again.
 
-The line begins with ``ok`` or ``bad`` and says why, so that a health check costs a shell's start
-and no interpreter's (``deploy/healthy``). While all is well it stays the same. A change is told in
-the log too, once: a partner that is frozen, gone or off the network, a machine too slow for its
+Its first field, ``health``, begins with ``ok`` or ``bad`` and says why, so that a health check
+costs a shell's start and no interpreter's (``deploy/healthy``). A change is logged too, once: a
+partner that was never there, or is frozen, gone or off the network, a machine too slow for its
 pace, a disk nearly full.
 """
 
@@ -16,14 +16,14 @@ import shutil
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from pydantic_core import to_json
+
 from protocol.messages import PlantStatus, Status
 from runtime.files import StatusFile
-from runtime.run_folder import HEALTH
 
 WINDOW_S: Final = 10.0
 """Seconds over which missed steps are counted."""
@@ -42,7 +42,7 @@ FULL_BYTES: Final = 256 << 20
 
 
 class LivenessReport(NamedTuple):
-    """The line for the health file, and a line for the log where something changed."""
+    """The line for the status, and a line for the log where something changed."""
 
     line: str
     notice: str
@@ -71,8 +71,11 @@ class Liveness:
     _moved_s: float | None = None
     _missed_many: bool = False
     _trouble: str = ""
+    _began_s: float | None = None
 
-    def beat(self, now_s: float, transitions: int, missed: int) -> LivenessReport:
+    def beat(
+        self, now_s: float, transitions: int, missed: int, *, meeting: bool = False
+    ) -> LivenessReport:
         """Judge the counts at a monotonic time.
 
         Parameters
@@ -80,7 +83,11 @@ class Liveness:
         now_s : float
         transitions, missed : int
             Counted since the record began; a new session may count from 0 again.
+        meeting : bool
+            Whether no partner has taken part in the session yet.
         """
+        if self._began_s is None:
+            self._began_s = now_s
         last = self._seen[-1] if self._seen else None
         if last is not None and (transitions < last.transitions or missed < last.missed):
             self._seen.clear()
@@ -99,7 +106,7 @@ class Liveness:
         first = self._seen[0]
         made, lost = transitions - first.transitions, missed - first.missed
         if self._moved_s is None:
-            return LivenessReport("bad: waiting for the other end, no transition yet", "")
+            return self._not_begun(now_s - self._began_s, missed, meeting=meeting)
         silent_s = now_s - self._moved_s
         many = lost > MISSED_AT_MOST * (made + lost)
         slow = many and (self._missed_many if moved else self._trouble == "slow")
@@ -128,6 +135,26 @@ class Liveness:
         share = f"{100 * lost / (made + lost):.0f} %" if made + lost else "none"
         return LivenessReport(f"ok: {share} missed lately", notice, good=True)
 
+    def _not_begun(self, waited_s: float, missed: int, *, meeting: bool) -> LivenessReport:
+        """There is no transition yet; after :data:`SILENT_S` the log says what is waited for."""
+        if meeting:
+            trouble = "alone"
+            why = (
+                "waiting for the other end, which has not answered on the management bus: is it "
+                "running, with the same --loop, and does one end connect where the other listens?"
+            )
+        else:
+            trouble = "deaf"
+            why = (
+                f"no transition yet, {missed} steps missed: the other end answers on the management"
+                " bus, and nothing, or too late, on the field bus: does one end connect there where"
+                " the other listens, and is it fast enough for the pace?"
+            )
+        notice = why if waited_s >= SILENT_S and trouble != self._trouble else ""
+        if notice:
+            self._trouble = trouble
+        return LivenessReport(f"bad: {why}", notice)
+
 
 @dataclass(slots=True)
 class DiskSpace:
@@ -152,53 +179,54 @@ class DiskSpace:
 
 
 class HealthFiles:
-    """Status, health line and what of both is worth a line in the log, of one end of one loop.
+    """The status of one end of one loop, with its health, and what of both is worth a line.
 
     Parameters
     ----------
     path : Path
-        Of the status; the line stands beside it.
+        Of the status.
     log : logging.Logger
     """
 
     def __init__(self, path: Path, log: logging.Logger) -> None:
         self._status = StatusFile(path)
-        self._line = StatusFile(path.with_name(HEALTH))
         self._pulse = Liveness()
         self._space = DiskSpace(path.parent)
+        self._unwritten = ""
         self.log = log
 
     def write(self, status: Status, now_s: float) -> None:
-        """Replace both, as of a monotonic time.
+        """Replace the file, as of a monotonic time; a fault of the disk is logged, once.
 
         The status holds no text, key or coin: its readers need not be on the management bus.
-
-        Raises
-        ------
-        OSError
-            Where one cannot be written.
         """
-        self._status.write(status.on_file())
         missed = status.missed if isinstance(status, PlantStatus) else 0
-        beat = self._pulse.beat(now_s, status.transitions, missed)
-        self._line.write(f"{beat.line}\n".encode())
+        meeting = status.phase == "greeting"
+        beat = self._pulse.beat(now_s, status.transitions, missed, meeting=meeting)
         for line, good in ((beat.notice, beat.good), self._space.look()):
             if line:
                 self.log.log(logging.INFO if good else logging.WARNING, "%s", line)
+        health = beat.line
+        if self._unwritten:
+            health = f"bad: this file could not be written until now: {self._unwritten}"
+        body = b'{"health":%b,%b' % (to_json(health), status.on_file().removeprefix(b"{"))
+        try:
+            self._status.write(body)
+        except OSError as error:
+            why = f"{error.filename or ''}: {error.strerror}"
+            if why != self._unwritten:
+                self.log.error("%s: the loop goes on, and the status is tried again", why)
+            self._unwritten = why
+        else:
+            if self._unwritten:
+                self.log.info("the status is written again")
+            self._unwritten = ""
 
 
 class HealthWriter:
-    """Writes the files of any number of loops, of each the newest status.
+    """Writes the statuses of any number of loops, of each the newest."""
 
-    Parameters
-    ----------
-    failed : callable
-        Told, in the writer's thread, of a loop whose files cannot be written, and why.
-    """
-
-    def __init__(self, failed: Callable[[str, Exception], None]) -> None:
-        self._failed = failed
-        self._closing = False
+    def __init__(self) -> None:
         self._newest: dict[str, tuple[HealthFiles, Status, float]] = {}
         self._order: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._lock = threading.Lock()
@@ -217,7 +245,6 @@ class HealthWriter:
 
     def close(self, within_s: float) -> None:
         """Write what waits, for so many seconds at most, and end."""
-        self._closing = True
         if self._thread is not None:
             self._order.put(None)
             self._thread.join(within_s)
@@ -228,8 +255,5 @@ class HealthWriter:
                 files, status, at_s = self._newest.pop(loop)
             try:
                 files.write(status, at_s)
-            except Exception as error:
-                if self._closing:
-                    files.log.warning("the last status is lost: %s", error)
-                else:
-                    self._failed(loop, error)
+            except Exception as error:  # whatever it is, the other loops' are written
+                files.log.exception("the status is lost: %s", type(error).__name__)

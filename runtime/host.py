@@ -30,11 +30,10 @@ from runtime.health_files import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
+from runtime.turn_watch import Turns, TurnWatch
 
 POLL_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
-
-CHORE_S: Final = 1.0
 
 LAST_S: Final = 2.0
 """Seconds that closing waits for the lock: an interrupt may have left it held."""
@@ -62,13 +61,6 @@ class _Extracted(NamedTuple):
 
     loop: str
     block: ExtractedBlock | ExtractionFailed
-
-
-class _Unwritten(NamedTuple):
-    """Why a loop's status cannot be written."""
-
-    loop: str
-    error: Exception
 
 
 @dataclass(slots=True)
@@ -133,10 +125,8 @@ class Host:
     clock : callable
         Monotonic seconds.
     fleet : bool
-        Any number of loops may come and go, and one that fails is dropped and logged. Otherwise
+        A loop that fails is dropped and logged, and the host goes on until it is stopped. Otherwise
         the host is there for its loops: it ends with them, and with the first that fails.
-    chore : callable, optional
-        Called every :data:`CHORE_S` seconds, between two messages.
     """
 
     def __init__(
@@ -147,26 +137,22 @@ class Host:
         clock: Callable[[], float] = time.monotonic,
         *,
         fleet: bool = False,
-        chore: Callable[[], None] | None = None,
     ) -> None:
         self._field, self._management = field_bus, management
         self._stopping = stopping
         self._clock = clock
         self._fleet = fleet
-        self._chore = chore
-        self._chore_at = -inf
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
-        self._inbox: Inbox[tuple[str, bytes] | _Extracted | _Unwritten | None] = Inbox()
+        self._inbox: Inbox[tuple[str, bytes] | _Extracted | None] = Inbox()
         self.channels: dict[str, Channel] = {}
         self._heard_on_management: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._extraction: Extraction | None = None
-        self._health = HealthWriter(
-            lambda loop, error: self._inbox.put(_Unwritten(loop, error), None)
-        )
+        self._health = HealthWriter()
         self.turns = FairLock()
+        self._turn = Turns()
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
@@ -206,11 +192,6 @@ class Host:
             with self.turns:
                 self._do(loop, endpoint.start)
 
-    def remove(self, loop: str) -> None:
-        """Stop one end: its last messages leave, and its files are closed."""
-        with self.turns:
-            self._end(loop)
-
     def subscribe(self, kind: type[Message], key_expr: str) -> None:
         """Hear what comes on a key, once for all loops."""
         if key_expr in self.channels:
@@ -242,7 +223,8 @@ class Host:
             Whatever an endpoint, a file or a bus cannot go on after.
         """
         try:
-            self._go_on()
+            with TurnWatch(self._turn):
+                self._go_on()
         except BaseException as why:
             try:
                 self.close()
@@ -260,7 +242,6 @@ class Host:
         for thread in self._threads:
             thread.start()
         while (self._fleet or self._loops) and not self._stopping.is_set():
-            self._housekeep()
             self._wake()
             self._take()
         if self._error is not None:
@@ -287,33 +268,28 @@ class Host:
             self._stopping.set()
             self._inbox.put(None, None)
 
-    def _housekeep(self) -> None:
-        now = self._clock()
-        if self._chore is not None and now >= self._chore_at:
-            self._chore_at = now + CHORE_S
-            self._chore()
-
     def _wake(self) -> None:
-        """Wake all who are due, some at once, so that offers get through between them."""
-        due = True
-        while due:
-            with self.turns:
-                now = self._clock()
-                for _ in range(AT_ONCE):
-                    due = bool(self._wakes) and self._wakes[0][0] <= now
-                    if not due:
-                        break
-                    at, name = heapq.heappop(self._wakes)
-                    loop = self._loops.get(name)
-                    if loop is None or at != loop.wakes_at:  # gone, or overtaken by an earlier one
-                        continue
-                    loop.wakes_at = inf
-                    if loop.endpoint.wake_at() <= now:
-                        self._do(name, loop.endpoint.wake)
-                    else:
-                        self._schedule(name, loop)
-                until = self._wakes[0][0] if self._wakes else inf
-                self._sleeps_until = min(until, now + POLL_S)
+        """Wake some who are due, so that offers get through between them.
+
+        Where more are due, as in a lasting overload, a message of the management bus and the signal
+        to stop have their turn before these.
+        """
+        with self.turns:
+            now = self._clock()
+            for _ in range(AT_ONCE):
+                if not self._wakes or self._wakes[0][0] > now:
+                    break
+                at, name = heapq.heappop(self._wakes)
+                loop = self._loops.get(name)
+                if loop is None or at != loop.wakes_at:  # gone, or overtaken by an earlier one
+                    continue
+                loop.wakes_at = inf
+                if loop.endpoint.wake_at() <= now:
+                    self._do(name, loop.endpoint.wake)
+                else:
+                    self._schedule(name, loop)
+            until = self._wakes[0][0] if self._wakes else inf
+            self._sleeps_until = min(until, now + POLL_S)
 
     def _take(self) -> None:
         """Wait for a message on the management bus, or for the next wake."""
@@ -329,14 +305,11 @@ class Host:
         if item is None:
             return
         with self.turns:
-            if not isinstance(item, _Extracted | _Unwritten):
+            if not isinstance(item, _Extracted):
                 self._hear(*item)
             elif item.loop in self._loops:
-                if isinstance(item, _Extracted):
-                    act = partial(_told, self._loops[item.loop].endpoint, item.block)
-                else:
-                    act = partial(_cannot, item.error)
-                self._do(item.loop, act)
+                endpoint = self._loops[item.loop].endpoint
+                self._do(item.loop, partial(_told, endpoint, item.block))
 
     # --- under the lock ---------------------------------------------------------------------------
 
@@ -363,6 +336,8 @@ class Host:
         try:
             if loop.started and loop.endpoint.makes_keys:
                 self._look_at_links(loop)
+            if loop.started:  # a device may take its time to be found
+                self._turn.begin()
             actions = act(self._clock())
             perform(actions, loop.endpoint, loop.ports)
             loop.started = True
@@ -372,6 +347,8 @@ class Host:
             loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
             self._end(name)
             return
+        finally:
+            self._turn.over()
         code = loop.endpoint.code
         if code is not None:
             self._code = max(self._code, code)
@@ -396,15 +373,25 @@ class Host:
         for kind in loop.endpoint.hears:
             self._by_key.pop(key_of(kind, name), None)
         try:
-            perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
-        except (OSError, Failure) as error:
-            loop.ports.log.warning("the last word is lost: %s", error)
+            with self._lost(loop, OSError, Failure):
+                perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
         finally:
-            loop.ports.close()
+            with self._lost(loop):
+                loop.ports.close()
             self._field.left(name)
             self._management.left(name)
         if not self._loops:
             self._inbox.put(None, None)
+
+    @contextmanager
+    def _lost(self, loop: _Loop, *kinds: type[Exception]) -> Iterator[None]:
+        """Log an error of these kinds in an end's last moments; of a fleet's end any error."""
+        try:
+            yield
+        except Exception as error:
+            if not self._fleet and not isinstance(error, kinds):
+                raise
+            loop.ports.log.warning("the last word is lost: %s", error)
 
     def close(self) -> None:
         """Stop every end and close its files, each also where another fails."""
@@ -428,8 +415,3 @@ class Host:
 def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Actions:
     """Tell an end of its block."""
     return endpoint.extracted(block)
-
-
-def _cannot(error: Exception, _now: float) -> Actions:
-    """Raise ``error`` in the end's turn: the end is then closed as any that fails."""
-    raise error

@@ -400,7 +400,8 @@ def ended(path: Path) -> bool:
     OSError
         When its newest part cannot be read.
     """
-    with open_regular(parts_of(path)[-1]) as file:
+    newest = (parts_of(path) or [path])[-1]
+    with open_regular(newest) as file:
         file.seek(max(0, file.seek(0, os.SEEK_END) - 2 * END_BYTES))
         last = file.read().rpartition(b"\n{")[2]
     return last.startswith(f'"event":"{END}"'.encode()) and last.endswith(b"}\n")

@@ -24,9 +24,6 @@ BELIEFS: Final = Path("tap/beliefs.json")
 TAP_STATUS: Final = Path("tap/status.json")
 """Paths below a run's folder."""
 
-HEALTH: Final = "health"
-"""In a service's folder: one line, ``ok`` or ``bad`` and why."""
-
 
 def loops_below(folder: Path) -> list[Path]:
     """The folders of a fleet's loops, by name; none where ``folder`` is a single run's."""

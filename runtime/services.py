@@ -35,11 +35,15 @@ class Ends(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """One look at a service: how old its report is, and what it has counted."""
+    """One look at a service: how old its report is, what it has counted, and its own line.
+
+    ``health`` begins with ``ok`` or ``bad`` and says why; it is empty where the service has none.
+    """
 
     age_s: float
     count: int
     text: str
+    health: str = ""
 
 
 class Health(Protocol):

@@ -17,7 +17,6 @@ from runtime.collection import freeze_startup
 from runtime.errors import DONE, Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.logs import logger
-from runtime.rates import Throttle
 from runtime.signals import stop_on_signals
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import KnowledgeError
@@ -34,8 +33,6 @@ ROUND_S: Final = 0.2
 """Rest between two rounds through all taps: what gathered of a loop meanwhile is one write. In each
 a share of the loops is told of, all in :data:`TELL_S`."""
 
-FOLLOW_S: Final = 1.0
-
 
 class TapFleet:
     """The taps of the loops of a fleet.
@@ -51,7 +48,6 @@ class TapFleet:
         self._fleet = fleet
         self._config_of = config_of
         self._log = logger("tap")
-        self._known: dict[str, FleetLoop] = {}
         self.taps: dict[str, TapService] = {}
         self._by_key: dict[str, TapService] = {}
         self._adversary: Bus | None = None
@@ -64,7 +60,7 @@ class TapFleet:
             self._open(loop)
         for kind in FIELD:
             field.subscribe(every_loop(kind), self._deliver, patient=True)
-        self._log.info("listening on %d of %d loops", len(self.taps), len(self._known))
+        self._log.info("listening on %d of %d loops", len(self.taps), len(self._fleet.loops))
 
     def _deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         tap = self._by_key.get(key)
@@ -73,7 +69,6 @@ class TapFleet:
 
     def _open(self, loop: FleetLoop) -> None:
         assert self._adversary is not None
-        self._known[loop.id] = loop
         try:
             tap = TapService(self._config_of(loop))
         except (UsageError, Failure, KnowledgeError, OSError) as error:
@@ -84,9 +79,8 @@ class TapFleet:
         self._by_key |= dict.fromkeys(tap.keys, tap)
         self._share()
 
-    def leave(self, name: str) -> None:
-        """A loop is over: its tap ends, and the others share its room."""
-        del self._known[name]
+    def finish(self, name: str) -> None:
+        """End one loop's tap; the others share its room."""
         self._end(name, lambda tap: tap.finish())
 
     def _end(self, name: str, settle: Callable[[TapService], None]) -> None:
@@ -121,16 +115,13 @@ class TapFleet:
 
     def run(self, stopping: threading.Event) -> None:
         """Record and guess until ``stopping``; then settle what is left."""
-        follow = Throttle(FOLLOW_S)
         while not stopping.is_set():
             for name in list(self.taps):
                 self._let(name, lambda tap: tap.work(0.0))
             time.sleep(ROUND_S)
             self._tell()
-            if follow.ready(time.monotonic()):
-                self._follow()
-        for name in list(self._known):
-            self.leave(name)
+        for name in list(self.taps):
+            self.finish(name)
 
     def _tell(self) -> None:
         """Tell of the next few loops; each has its turn once in :data:`TELL_S`."""
@@ -141,13 +132,6 @@ class TapFleet:
             self._next += 1
             if name in self.taps:
                 self._let(name, _tell_of)
-
-    def _follow(self) -> None:
-        for name in self._fleet.left(self._known, self._log):
-            self.leave(name)
-        for name, loop in self._fleet.loops.items():
-            if name not in self._known:
-                self._open(loop)
 
 
 def _tell_of(tap: TapService) -> None:

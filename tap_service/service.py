@@ -26,7 +26,7 @@ from runtime.files import StatusFile
 from runtime.inbox import Inbox
 from runtime.logs import RateLimitedLog, logger
 from runtime.rates import Throttle
-from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, HEALTH, TAP_STATUS
+from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.signals import stop_on_signals
 from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel
@@ -162,7 +162,6 @@ class TapService:
         self._heavy_status: dict[str, tuple[TapStatus, int]] = {}
         self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
         self._status_file = StatusFile(config.run_dir / TAP_STATUS)
-        self._health_file = StatusFile(config.run_dir / "tap" / HEALTH)
         self._restarts = _starts_before(config.run_dir)
         self.heavy: HeavyProcess | None = None
         self._heavy_names = tuple(sandboxed(name).name for name in heavy)
@@ -365,10 +364,10 @@ class TapService:
         failed = {x.name: x.failed for x in self.listeners.listeners if x.failed}
         failed |= {s.name: s.failed for s, _ in self._heavy_status.values() if s.failed}
         if failed:
-            return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}\n"
+            return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}"
         behind = max(self._behind(), *(self._unread(*x) for x in self._heavy_status.values()), 0)
         if behind > TOO_FAR_BEHIND:
-            return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed\n"
+            return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed"
         told = f"{self.capture.written} messages captured, {behind} steps behind"
         unused = self._transcript.unused
         lost = unused.foreign + unused.late + self._dropped()
@@ -379,7 +378,7 @@ class TapService:
             )
         deaf = lost + 2 * unused.jumped
         bad = deaf > TOO_MANY_UNUSED * (self.capture.written + deaf)
-        return f"{'bad' if bad else 'ok'}: {told}\n"
+        return f"{'bad' if bad else 'ok'}: {told}"
 
     def _dropped(self) -> int:
         """Messages that were heard, and recorded or guessed at not at all."""
@@ -388,6 +387,7 @@ class TapService:
     def write_beliefs(self) -> None:
         """Write down what the eavesdroppers believe, and how much was captured."""
         captured = {
+            "health": self._health(),  # first, for deploy/healthy
             "t_ns": time.time_ns(),
             "first_part": self.capture.first_part,
             "captured": self.capture.written,
@@ -398,7 +398,6 @@ class TapService:
         try:
             self._beliefs_file.write(beliefs_json(self._records))
             self._status_file.write(to_json(captured))
-            self._health_file.write(self._health().encode())
         except OSError as error:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 

@@ -25,6 +25,9 @@ TAIL: Final = 32
 SHOWN_TEXT: Final = 2000
 """Characters of a message that a status shows."""
 
+SHOWN_EXPECTATION: Final = 40
+"""Characters of what she expects of a message that are shown."""
+
 LARGEST_CONFIDENCE: Final = 1.0 + 1e-9
 """A probability at most; a sum of shares may exceed 1 by a rounding."""
 
@@ -216,6 +219,7 @@ def sound_belief(belief: object) -> Belief:
         A=A,
         B=B,
         bits_left=left,
+        given=printable(str(belief.given))[:SHOWN_EXPECTATION],
         keys=belief.keys,
     )
 
@@ -248,6 +252,7 @@ def status_of(listener: Listener, belief: Belief, counts: Mapping[str, int]) -> 
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         bits_left=belief.bits_left,
+        given=belief.given,
         failed=printable(listener.failed)[:SHOWN_TEXT],
         A=belief.A,
         B=belief.B,
@@ -272,6 +277,7 @@ def _of_keys(keys: KeysHeld | None) -> dict[str, Any]:
         "missed_at_most": keys.at_most,
         "missed_direction": keys.direction,
         "copies_absent": keys.absent,
+        "key_steps_unplaced": keys.unplaced,
         "claim_refuted": keys.refuted,
         "misses_in_bursts": keys.bursts,
     }
@@ -338,6 +344,7 @@ def _record(session: str, name: str, steps: int, belief: Belief) -> dict[str, An
         "candidates_left": belief.candidates_left,
         "solved_k": belief.solved_k,
         "bits_left": belief.bits_left,
+        "given": belief.given,
         "symbols": None,
         "A": belief.A,
         "B": belief.B,

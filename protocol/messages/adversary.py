@@ -41,6 +41,8 @@ class TapStatus(Message):
     bits_left : float or None
         Entropy of the message given all that she heard, in bits, by her own account. None: this
         kind does not compute it.
+    given : str
+        What she expects of a message, as ``English sentences``: that entropy is given it too.
     failed : str
         Why she does not guess at present; empty: she does. The other fields then keep her last
         words.
@@ -56,6 +58,8 @@ class TapStatus(Message):
     missed_direction, missed_at_most : str, float
         The direction that speaks most against the operator's claim, and the upper bound of the
         share of its copies that she misses.
+    key_steps_unplaced : int
+        Transitions that she could place in no block: nothing is known of their keys.
     claim_refuted, misses_in_bursts : bool
         She misses less than the operator claims; her misses come in bursts.
     tail_k, tail_symbol : tuple of int
@@ -84,6 +88,7 @@ class TapStatus(Message):
     candidates_left: Count
     solved_k: Annotated[int, Field(ge=-1)]
     bits_left: Annotated[float, Field(ge=0, allow_inf_nan=False)] | None = None
+    given: str = ""
     failed: str = ""
     A: tuple[FiniteVector, ...] = ()
     B: tuple[FiniteVector, ...] = ()
@@ -94,6 +99,7 @@ class TapStatus(Message):
     missed_at_most: float = 1.0
     missed_direction: str = ""
     copies_absent: Count = 0
+    key_steps_unplaced: Count = 0
     claim_refuted: bool = False
     misses_in_bursts: bool = False
     tail_k: tuple[int, ...] = ()

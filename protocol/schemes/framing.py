@@ -109,6 +109,11 @@ class Deframer:
         return frame_length(self._payload_length(), self.size)
 
     @property
+    def lacks_one(self) -> bool:
+        """Whether the next symbol is the last one of the frame under way."""
+        return len(self.symbols) + 1 == self.expected_length
+
+    @property
     def partial(self) -> bytes:
         """The payload bytes of the frame under way that are known so far."""
         if len(self._bytes) <= LENGTH_BYTES:

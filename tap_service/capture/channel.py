@@ -53,6 +53,11 @@ class View(Losses):
         blurs = self.noise or self.quantise
         return self.view == "both" and not (self.chain.mean or blurs or self.delay)
 
+    @property
+    def hears_all(self) -> bool:
+        """Whether no message is lost on her link to the loop, however blurred or late it is."""
+        return self.view == "both" and not self.chain.mean
+
     def knowledge(self, knowledge: Knowledge, *, model: bool = True) -> Knowledge:
         """``knowledge`` with the model error (the same seed gives the same), and her receiver's.
 

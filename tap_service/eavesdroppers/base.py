@@ -101,6 +101,9 @@ class KeysHeld(BaseModel):
         Whether that is below the claim; whether her misses come in bursts, in either direction.
     absent : int
         Copies 0 that were sent while she was not there.
+    unplaced : int
+        Transitions that she heard of and could place in no block: she missed the beginning of their
+        session, or a stretch of it.
     newest : tuple of HeldBlock
         The last blocks.
     """
@@ -117,6 +120,7 @@ class KeysHeld(BaseModel):
     bursts: bool
     direction: str = ""
     absent: int = 0
+    unplaced: int = 0
     newest: tuple[HeldBlock, ...] = ()
 
 
@@ -142,7 +146,10 @@ class Belief:
         The model she uses; empty when she has none.
     bits_left : float, optional
         Entropy of the message given all that she heard, in bits, where she computes it. It stands
-        in place of what her guesses are measured to leave, on every screen.
+        beside what her guesses are measured to leave, and the less counts.
+    given : str
+        What she expects of a message, where she computes that, as ``English sentences``: the
+        entropy is right for messages of which that is true, and for no others.
     keys : KeysHeld, optional
         What she holds of the keys, where she attacks them.
     """
@@ -156,6 +163,7 @@ class Belief:
     A: Matrix = ()
     B: Matrix = ()
     bits_left: float | None = None
+    given: str = ""
     keys: KeysHeld | None = None
 
 

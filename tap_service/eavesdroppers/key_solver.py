@@ -45,6 +45,13 @@ from tap_service.inference.miss_rate import ALL, Audit, worst
 KEPT_BLOCKS: Final = 64
 """Blocks that she has something of and keeps, and blocks that she tells of."""
 
+KEPT_SESSIONS: Final = 4
+"""Sessions of which steps are kept that are not settled: the one before may have some, and a
+message may be a stray."""
+
+KEPT_STEPS: Final = 8192
+"""Steps of a session that are kept until they are settled: more than a transcript bridges."""
+
 SHOWN: Final = TAG_DIGITS // 4
 """Words of row 0 that a public tag shows."""
 
@@ -117,7 +124,7 @@ class KeySolver(Eavesdropper):
         self._tags: dict[tuple[str, int], _Tags] = {}
         self._told: deque[HeldBlock] = deque(maxlen=KEPT_BLOCKS)
         self._solved: deque[_Solved] = deque(maxlen=KEPT_BLOCKS)
-        self._blocks = self._broken = self._bits = 0
+        self._blocks = self._broken = self._bits = self._unplaced = 0
         self._j = -1  # number of the last transition; -1 where she did not hear a session's first
         self._last_k = -1
         self._open: list[tuple[int, bytes | None, bytes | None]] = []
@@ -152,12 +159,13 @@ class KeySolver(Eavesdropper):
                 del self._tags[next(iter(self._tags))]
 
     def _step(self, session: str, k: int) -> _Step:
-        steps = self._steps.get(session)
-        if steps is None:
-            steps = self._steps[session] = {}
-            while len(self._steps) > 2:  # the one before, whose last transitions may not be settled
-                del self._steps[next(iter(self._steps))]
-        return steps.setdefault(k, _Step())
+        steps = self._steps[session] = self._steps.pop(session, {})  # in the order of last use
+        while len(self._steps) > KEPT_SESSIONS:
+            del self._steps[next(iter(self._steps))]
+        step = steps.setdefault(k, _Step())
+        if len(steps) > KEPT_STEPS:
+            del steps[next(iter(steps))]
+        return step
 
     def observe(self, transition: Transition) -> Guess:
         """Count a transition towards its block, and solve the block that it closes."""
@@ -174,6 +182,7 @@ class KeySolver(Eavesdropper):
             self._open_steps += 1
         step = steps.get(t.k, _Step())
         self._count(step)
+        self._unplaced += self._j < 0
         if self._j > 0:
             self._append(t.session, step)
         if self.scheme.from_stream and step.position != NOWHERE:
@@ -256,6 +265,7 @@ class KeySolver(Eavesdropper):
                 copies=sum(one.copies for one in classes),
                 missed=sum(one.missed for one in classes),
                 absent=sum(one.absent for one in classes),
+                unplaced=self._unplaced,
                 at_most=rate.high,
                 direction=direction,
                 refuted=rate.refuted,

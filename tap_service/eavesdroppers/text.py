@@ -221,6 +221,7 @@ class Text(Eavesdropper):
             A=self._model.A,
             B=self._model.B,
             bits_left=self._bits + sum(m.bits_left for m in self._open) if newest else None,
+            given=(self._language or English).expects,
         )
 
     def message_symbols(self) -> MessageSymbols:

@@ -17,7 +17,7 @@ from contextlib import suppress
 from dataclasses import dataclass, fields
 from functools import cache
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Any, ClassVar, Final, Self
 from zipfile import BadZipFile
 
 import numpy as np
@@ -241,6 +241,8 @@ class English:
         The same in the text.
     """
 
+    expects: ClassVar[str] = "English sentences"
+
     single: Array
     orders: tuple[Level, ...]
     listed: Level
@@ -308,6 +310,8 @@ class English:
 
 class AnyBytes:
     """The model of one who expects nothing: every byte is as likely."""
+
+    expects: ClassVar[str] = "any bytes"
 
     def last(self, p: Array) -> Array:
         """Probability of a message's last byte, see :meth:`English.last`."""

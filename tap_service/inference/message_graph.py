@@ -123,7 +123,7 @@ class Graph:
         places = len(self._layers)
         # a place at a time lies in one piece
         text = np.zeros((places, count), dtype=np.uint8)
-        passed = np.zeros((places + 1, count), dtype=np.intp)
+        passed = np.zeros((places + 1, count), dtype=np.int32)
         score = np.zeros((places + 1, count))
         passed[places] = node
         for place in range(places - 1, -1, -1):
@@ -138,7 +138,9 @@ class Graph:
             node = layer.before[arc]
             passed[place] = node
         score[0] = self._first[node]
-        return Drawn(text.T, score.cumsum(axis=0).T, passed.T)
+        for place in range(places):  # in place: a sum in another array would be as large again
+            score[place + 1] += score[place]
+        return Drawn(text.T, score.T, passed.T)
 
 
 @dataclass(frozen=True)
@@ -156,7 +158,7 @@ class Drawn:
 
     texts: NDArray[np.uint8]
     scores: Array
-    nodes: Indices
+    nodes: NDArray[np.int32]
 
     def middle(self) -> int:
         """The place about the middle at which most messages meet."""
@@ -167,11 +169,11 @@ class Drawn:
 
     def halves(self, place: int) -> tuple[Halves, Halves, Indices]:
         """The distinct halves before and after a place, and the nodes where the latter end."""
-        at, whole = self.nodes[:, place], self.scores
+        at, whole = self.nodes[:, place].astype(np.intp), self.scores
         first, _ = Halves(self.texts[:, :place], whole[:, place], at).distinct()
         rest = Halves(self.texts[:, place:], whole[:, -1] - whole[:, place], at)
         second, rows = rest.distinct()
-        return first, second, self.nodes[rows, -1]
+        return first, second, self.nodes[rows, -1].astype(np.intp)
 
 
 def check_symbols(

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import wyner
+from protocol.knowledge import Knowledge
+from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tests.support.patience import PATIENCE_S
 from wyner import (
     Belief,
@@ -190,6 +192,36 @@ def test_eavesdroppers_of_the_ladder_and_of_ones_own_are_scored(runs: Simulated)
     assert nearest.delivered == sum(map(len, runs.messages)) > 0
     with pytest.raises(KnowledgeError, match="got 'nobody', expected set-membership"):
         eavesdrop(runs, ["nobody"])
+
+
+def test_a_mirrored_model_names_symbols_wrong_and_knows_them() -> None:
+    """Under `packed` (A + 2 B K, -B) explains a run as (A, B) does, with the candidates reversed.
+
+    Of M = 2 it read as worse than chance, so as if nothing were known.
+    """
+    one = design(vary(load("packed"), {"secrecy.candidates": 2}))
+    runs = run(one, steps=300, runs=6, seed=1)
+    assert runs.record.candidates is not None
+    assert runs.record.x is not None
+    centre = runs.record.candidates.mean(axis=1).transpose(0, 2, 1).reshape(-1, 1)
+    K = np.linalg.lstsq(runs.record.x[:300].transpose(0, 2, 1).reshape(-1, 2), centre)[0].T
+
+    class Mirrored(NearestCentre):
+        name = "mirrored"
+
+        def __init__(self, knowledge: Knowledge) -> None:
+            A, B = np.array(knowledge.A), np.array(knowledge.B)
+            model = {"A": (A + 2 * B @ K).tolist(), "B": (-B).tolist()}
+            super().__init__(
+                knowledge.model_copy(update={k: tuple(map(tuple, v)) for k, v in model.items()})
+            )
+
+    (tap,) = eavesdrop(runs, [Mirrored])
+    assert tap.agreements == 1800
+    assert tap.right < 0.3 * tap.agreements
+    assert tap.known == tap.agreements - tap.right
+    assert tap.keys.value == tap.known / tap.agreements
+    assert tap.keys.low > 0.6
 
 
 def test_where_nothing_was_agreed_there_is_no_share() -> None:

@@ -41,7 +41,7 @@ HOW: Final = {
 def _of_end(side: str) -> tuple[tuple[str, str], ...]:
     journal, keys = f"{side}/journal", f"{side}/keys"
     disk = ("write", "pwrite64", "fdatasync", "fsync", "ftruncate64", "unlink")
-    told = (("write", f"{side}/trace"), ("rename", f"{side}/status"), ("rename", f"{side}/health"))
+    told = (("write", f"{side}/trace"), ("rename", f"{side}/status"))
     kept = tuple((call, path) for path in (journal, keys) for call in disk)
     return (*kept, *told, ("send", "socket"), ("writev", "socket"))
 

@@ -223,7 +223,7 @@ def _row(case: Case, seed: int) -> dict[str, Any]:
         "blocks": len(blocks),
         "missed": result.radio.missed,
         "held_bits": result.radio.held_bits,
-        "broken": sum(block.held_bits > 0 for block in blocks),
+        "broken": sum(bool(block.held_bits) for block in blocks),
         "stopped": result.stopped,
         "warnings": list(result.radio.warnings),
     }

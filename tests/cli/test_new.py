@@ -302,14 +302,14 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
     assert [r["secrecy.alpha"] for r in ready] == ["3.0", "8.0"]
     for r in ready:
         assert float(r["bits_per_second_low"]) <= float(r["bits_per_second"])
-        assert r["mine keys right"] == "1.0"
-        assert 0.5 < float(r["mine keys right low"]) < 1  # six runs, each all right
+        assert r["mine keys known"] == "1.0"
+        assert 0.5 < float(r["mine keys known low"]) < 1  # six runs, each all right
     assert main(["sweep", str(sweep), "--output", str(rows), "--resume", "--jobs", "1"]) == 0
     assert "0 of them new" in capsys.readouterr().out
     for arguments in (
         [str(rows), "--plot"],
         [str(tmp_path / "s-rates.csv"), "--plot", str(tmp_path / "rates.pdf"), "--log"],
-        [str(rows), "--plot", "--y", "mine keys right", "--y", "oracle messages read"],
+        [str(rows), "--plot", "--y", "mine keys known", "--y", "oracle messages read"],
     ):
         assert main(["sweep", *arguments]) == 0
         drawn = Path(capsys.readouterr().out.strip())

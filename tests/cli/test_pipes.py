@@ -16,7 +16,6 @@ from runtime.run_folder import (
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
     GUESSES,
-    HEALTH,
     KNOWLEDGE,
     MANIFEST,
     MESSAGE,
@@ -37,7 +36,7 @@ OF_A_RUN = (
     *(MANIFEST, SCENARIO, SUMMARY, MESSAGE, KNOWLEDGE, CAPTURE, GUESSES, ANALYSIS_GUESSES, BELIEFS),
     *(CONTROLLER_TRACE, CONTROLLER_JOURNAL, CONTROLLER_STATUS, TAP_STATUS),
     *(PLANT_TRACE, PLANT_JOURNAL, PLANT_STATUS, PLANT_SAFE),
-    *(Path(side) / name for side in ("plant", "controller", "tap") for name in (HEALTH, "lock")),
+    *(Path(side) / name for side in ("plant", "controller", "tap") for name in ("lock",)),
     *(path.with_name(f"{path.stem}.0001.jsonl") for path in (PLANT_TRACE, CAPTURE, GUESSES)),
 )
 LOOKING = (

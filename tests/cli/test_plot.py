@@ -9,7 +9,7 @@ from runtime.shipped import SCENARIOS
 from wyner.cli.drawing import draw_rows, in_words
 from wyner.cli.main import main
 
-HEAD = "scenario,variant,secrecy.alpha,runs,steps,bits_per_second,tap keys right"
+HEAD = "scenario,variant,secrecy.alpha,runs,steps,bits_per_second,tap keys known"
 
 
 def rows_file(folder: Path, *rows: str) -> Path:
@@ -24,7 +24,7 @@ def rows_file(folder: Path, *rows: str) -> Path:
         ("bits_per_second", "message rate (bit/s)"),
         ("plant.period_s", "plant: period (s)"),
         ("defender.disturbance.half_widths", "defender: disturbance: half widths"),
-        ("smoother keys right", "smoother keys right, share"),
+        ("smoother keys known", "smoother keys known, share"),
         ("tap.loss", "tap: loss"),
     ],
 )
@@ -42,17 +42,17 @@ def test_a_curve_on_the_bound_is_seen(share: float) -> None:
             "a": x,
             "runs": 1,
             "steps": 2,
-            "k keys right": share,
+            "k keys known": share,
         }
         for x in (1, 2, 3)
     ]
     figure = Figure()
-    draw_rows(figure, rows, ["a"], "a", ["k keys right"], logarithmic=False)
+    draw_rows(figure, rows, ["a"], "a", ["k keys known"], logarithmic=False)
     (axes,) = figure.axes
     low, high = axes.get_ylim()
     assert low < -0.04
     assert high > 1.04
-    assert axes.get_ylabel() == "k keys right, share"
+    assert axes.get_ylabel() == "k keys known, share"
 
 
 def test_a_pdf_embeds_fonts_that_publishers_take(

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from runtime.errors import UsageError
+from runtime.errors import Failure, UsageError
 from runtime.scenario_file import scenario_of
 from runtime.shipped import SCENARIOS
 from wyner.cli import up
@@ -27,6 +27,19 @@ def test_a_run_is_over_with_its_plant(monkeypatch: pytest.MonkeyPatch) -> None:
     assert not watching.over()
     plant.returned = 0
     assert watching.over()
+
+
+def test_a_service_that_never_says_anything_is_a_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A user's file may not return while its service is opened."""
+    watching, plant = progress(None)
+    plant.log = Path("run/plant/log")
+    assert not watching.over()
+    monkeypatch.setattr(up, "SAID_S", 0.0)
+    watching.controller_said("", b"{}", 0)
+    with pytest.raises(Failure, match=r"^plant: nothing heard of it in 0 s \(log: run/pl"):
+        watching.over()
+    watching.plant_said("", b"{}", 0)
+    assert not watching.over()
 
 
 def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path) -> None:

@@ -293,15 +293,28 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
     silent = replace(alone.taps["nearest-centre"], guesses={})
     assert secrecy(replace(state, taps={"nearest-centre": silent})).why == "nobody guessed"
     assert secrecy(replace(state, taps={})).why == "nobody listens"
-    own = told(bits_left=2.5, solved_k=12)
-    assert own.why == "her own account"
-    unsure = told(bits_left=11.551, solved_k=-1)  # what she can follow, of a message under way
-    assert (unsure.left, own.why in unsure.why) == (stated_left(11.551, unsure.claimed_bits), True)
-    assert "no whole message" in unsure.why
+
+    def blind(**changes: object) -> SecrecyScore:
+        """One whose guesses alone leave all."""
+        tap = state.taps["set-membership"]
+        changed = replace(tap, status=tap.status.model_copy(update=changes))
+        return secrecy(replace(alone, taps={"set-membership": changed}))
+
+    own = blind(bits_left=2.5, solved_k=12, given="English sentences")
     assert state.plant is not None
     all_there_are = state.plant.agreements * math.log2(state.candidates)
     assert own.left == stated_left(2.5, all_there_are)
-    assert told(bits_left=1651.9).left_bits == all_there_are
+    assert own.left is not None
+    by_keys = f"by keys alone {all_there_are:.0f}"
+    assert own.why == f"at most {own.left.high:.0f} given English sentences, {by_keys}"
+    unsure = blind(bits_left=11.551, solved_k=-1)  # what she can follow, of a message under way
+    assert unsure.left == stated_left(11.551, unsure.claimed_bits)
+    assert "by her own account" in unsure.why
+    assert "no whole message" in unsure.why
+    assert blind(bits_left=1651.9).left_bits == all_there_are
+    keys_alone = told()
+    # an account that leaves more than her keys show is no secret either
+    assert told(bits_left=1651.9).left == keys_alone.left
     both = replace(
         state,
         taps={
@@ -338,10 +351,37 @@ def test_a_key_never_hides_more_than_one_symbol() -> None:
     truth = {k: t.symbol for k, t in state.truths.items()}
     tap = state.taps["list-decoder"]
     wrong = {k: replace(g, symbol=1 - max(0, truth[k])) for k, g in tap.guesses.items()}
+    blind = score(state, state.taps["set-membership"])
+    assert blind.bits_per_key == 1
+    assert not blind.leads
+    # one who names each by the other's name knows them all
     its = score(state, replace(tap, guesses=wrong))
-    assert its.right == 0
-    assert its.bits_per_key == 1
-    assert not its.leads
+    assert its.right == its.scored
+    assert its.labels == (1, 0)
+    assert its.bits_per_key is not None
+    assert its.bits_per_key < 0.1
+    assert its.leads
+
+
+def test_a_tap_that_could_not_use_most_steps_keeps_no_secret_of_them() -> None:
+    """One stray message deafened a tap, and "638 bits left" stood on the screen."""
+    state = state_after(500)
+    status = state.taps["nearest-centre"].status
+    deaf = status.model_copy(update={"foreign": 1600, "steps": 200})
+    one = replace(state.taps["nearest-centre"], status=deaf)
+    its = secrecy(replace(state, taps={"nearest-centre": one}))
+    assert its.silent_bits == round(0.8 * its.claimed_bits)
+    assert its.left_bits is not None
+    assert its.left_bits < 0.2 * its.claimed_bits
+    assert "she could not use their steps" in its.why
+    told = secrecy_line(replace(state, taps={"nearest-centre": one}))
+    assert f"of {its.claimed_bits - its.silent_bits:.0f} bit (" in told
+    # of one who heard all more is known, though she knows less
+    both = {"nearest-centre": one, "set-membership": state.taps["set-membership"]}
+    assert secrecy(replace(state, taps=both)).strongest == "nearest-centre"
+    stray = status.model_copy(update={"foreign": 1})
+    heard = replace(one, status=stray)
+    assert secrecy(replace(state, taps={"nearest-centre": heard})).silent_bits == 0
 
 
 def test_text_is_judged_against_the_true_message_it_fits_best() -> None:

@@ -108,7 +108,7 @@ def test_the_sweep_beside_the_eavesdropper_runs(tmp_path: Path) -> None:
     options = ["--output", str(tmp_path / "alpha.csv")]
     assert main(["sweep", str(tmp_path / "few.toml"), *options]) == 0
     rates = (tmp_path / "alpha-rates.csv").read_text(encoding="utf-8")
-    assert "speed-watcher keys right" in rates
+    assert "speed-watcher keys known" in rates
     assert len(rates.splitlines()) == 4
 
 

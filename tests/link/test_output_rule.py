@@ -179,8 +179,14 @@ def test_a_record_keeps_the_state_that_no_reading_tells(rule: OutputRule) -> Non
 def test_a_session_begins_without_a_box(rule: OutputRule) -> None:
     pair = Pair()
     pair.step(rule, 1)
-    pair.plant.carry_out(pair.plant.core.end_session("keys are gone"))
-    assert pair.controller.core.end_session("keys are gone").record is not None
+    reported = pair.plant.measurement()
+    pair.controller.core.receive(
+        Measurement, reported.model_copy(update={"x_after": ()}).wire(), 1.0
+    )
+    pair.plant.heard_controller(pair.controller.greeting(), NEW)
+    unknown = pair.controller.heard_plant(pair.plant.hello()).reply
+    assert unknown is not None
+    assert pair.plant.heard_controller(unknown, NEW) == "ended"
     assert (pair.plant.record.estimate, pair.controller.record.estimate) == (None, None)
 
 

@@ -113,39 +113,8 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> 
         )
 
     assert offers(controller(controller_journal(), None, record, HALTING))
-    core = controller(controller_journal(), None, record, HALTING)
-    halted = core.halt()
-    assert halted.record is not None
-    kept = halted.record
-    assert isinstance(kept, SenderRecord)
-    assert (
-        kept
-        == core.record
-        == record._replace(incarnation=1, state=RULES.scheme.restore(record.state), halted=True)
-    )
-    assert [n.subject for n in halted.notices] == ["refusals"]
-    assert core.halt() == Actions(), "it is told once"
-    assert not offers(core)
+    kept = record._replace(halted=True)
     assert not offers(controller(controller_journal(), None, kept, HALTING))
-    assert controller(controller_journal()).halt() == Actions(), "the scenario's rules say so"
-
-
-def test_a_controller_whose_keys_are_gone_leaves_the_session_and_greets() -> None:
-    record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3)
-    core = controller(controller_journal(), None, record)
-    first_words(core)
-    ended = core.end_session("the keys are gone")
-    (began,) = ended.events
-    assert isinstance(began, SessionBegan)
-    assert began.session is None
-    assert core.record.session is None
-    assert core.record.ended == (S,)
-    assert ended.record is not None
-    assert ended.record == core.record
-    assert [n.subject for n in ended.notices] == ["refusals"]
-    (greets,) = core.receive(Measurement, REPORTED.wire(), 100.0).publish
-    assert isinstance(greets, ControllerHello)
-    assert (greets.verdict, greets.session) == ("greeting", None)
 
 
 # --- the plant's ----------------------------------------------------------------------------------

@@ -3,13 +3,11 @@
 import os
 import stat
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from runtime import files
 from runtime.files import NotRegular, StatusFile, write_atomically
 
 Write = Callable[[bytes], None]
@@ -35,23 +33,7 @@ def test_a_file_is_replaced_whole(tmp_path: Path, way: Callable[[Path], Write]) 
     write(b"new, and longer")
     assert path.read_bytes() == b"new, and longer"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
-    beside = {path.with_name(".spare-status.json")} if way is as_status else set()
-    assert {*path.parent.iterdir()} == {path, *beside}
-
-
-def test_a_status_takes_the_place_of_the_one_before_last(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "status.json"
-    write = as_status(path)
-    for data in (b"first", b"second"):
-        write(data)
-    before = {file.stat().st_ino for file in tmp_path.iterdir()}
-    monkeypatch.setattr(files, "READ_S", 0.0)
-    for data in (b"third, and longer", b"4"):
-        write(data)
-        assert path.read_bytes() == data
-        assert {file.stat().st_ino for file in tmp_path.iterdir()} == before
+    assert list(path.parent.iterdir()) == [path]
 
 
 def test_whoever_has_opened_a_status_reads_it_though_two_more_are_written(tmp_path: Path) -> None:
@@ -65,6 +47,17 @@ def test_whoever_has_opened_a_status_reads_it_though_two_more_are_written(tmp_pa
         assert reader.read() == b"second"
 
 
+def test_a_status_is_written_where_a_process_that_died_was_writing(tmp_path: Path) -> None:
+    path = tmp_path / "status.json"
+    path.with_name(".spare-status.json").write_bytes(b"half of one, and longer than the next")
+    as_status(path)(b"new")
+    assert path.read_bytes() == b"new"
+    path.unlink()
+    path.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(NotRegular):
+        as_status(path)(b"ok")
+
+
 def test_a_status_for_which_there_is_no_room_leaves_the_one_before(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -75,37 +68,6 @@ def test_a_status_for_which_there_is_no_room_leaves_the_one_before(
     with pytest.raises(OSError, match="No space left"):
         write(b"new")
     assert path.read_bytes() == b"old"
-
-
-def test_a_status_is_replaced_where_names_cannot_be_exchanged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(files, "renameat2", None)
-    write = as_status(tmp_path / "f")
-    for data in (b"old", b"new"):
-        write(data)
-    assert (tmp_path / "f").read_bytes() == b"new"
-    assert list(tmp_path.iterdir()) == [tmp_path / "f"]
-
-
-def test_the_same_status_is_not_written_again_and_its_time_says_when_it_was_said(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "health"
-    write = as_status(path)
-    write(b"ok")
-    with monkeypatch.context() as writing:
-        writing.setattr(os, "write", lambda *_: pytest.fail("written again"))
-        os.utime(path, (0, 0))
-        write(b"ok")
-        assert time.time() - path.stat().st_mtime < 30
-    path.unlink()
-    write(b"ok")
-    assert path.read_bytes() == b"ok", "unless it is gone"
-    path.unlink()
-    path.symlink_to(tmp_path / "elsewhere")
-    with pytest.raises(NotRegular):
-        write(b"ok")
 
 
 def test_what_a_killed_writer_left_of_a_status_harms_nobody(tmp_path: Path) -> None:

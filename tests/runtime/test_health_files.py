@@ -1,22 +1,33 @@
-"""Statuses and health lines are written beside the loops, and no step waits for them."""
+"""Statuses are written beside the loops; no step waits for them, and none ends for them."""
 
+import json
 import logging
 import threading
+import time
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
 
 import pytest
 
-from protocol.messages import Status
+from protocol.messages import ControllerStatus, Status
+from runtime.health import look_at_status, read_status
 from runtime.health_files import HealthFiles, HealthWriter
+from tests.link.test_controller_tells import Told
 from tests.support.patience import PATIENCE_S
 
 LOG = logging.getLogger("health files")
 
 
+class Short(SimpleNamespace):
+    """As much of a status as is written."""
+
+    def on_file(self) -> bytes:
+        return json.dumps({"t_ns": 0, "transitions": self.transitions, "phase": "running"}).encode()
+
+
 def status(transitions: int) -> Status:
-    return cast("Status", SimpleNamespace(transitions=transitions))
+    return cast("Status", Short(transitions=transitions, phase="running"))
 
 
 class OnDisk(HealthFiles):
@@ -40,8 +51,7 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     free, slow = threading.Event(), OnDisk(tmp_path, threading.Event())
     free.set()
     other = OnDisk(tmp_path, free)
-    failed: list[tuple[str, Exception]] = []
-    writer = HealthWriter(lambda loop, error: failed.append((loop, error)))
+    writer = HealthWriter()
     writer.put("a", slow, status(1))
     assert slow.entered.wait(PATIENCE_S)
     for transitions in range(2, 1000):
@@ -50,44 +60,68 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     assert slow.written == other.written == []
     slow.held.set()
     writer.close(30)
-    assert (slow.written, other.written, failed) == ([1, 999], [7], [])
+    assert (slow.written, other.written) == ([1, 999], [7])
 
 
-def test_a_loop_whose_files_fail_is_told_and_the_others_are_written(tmp_path: Path) -> None:
+def test_a_writer_goes_on_whatever_becomes_of_a_status(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     free = threading.Event()
     free.set()
-    failed: dict[str, Exception] = {}
-    told = threading.Event()
-
-    def tell(loop: str, error: Exception) -> None:
-        failed[loop] = error
-        told.set()
-
-    writer = HealthWriter(tell)
-    error = OSError("no room")
-    writer.put("a", OnDisk(tmp_path, free, error), status(1))
-    assert told.wait(PATIENCE_S)
+    writer = HealthWriter()
+    writer.put("a", OnDisk(tmp_path, free, RuntimeError("a fault of its own")), status(1))
     good = OnDisk(tmp_path, free)
     writer.put("b", good, status(2))
     writer.close(30)
-    assert failed == {"a": error}
     assert good.written == [2]
+    assert "a fault of its own" in caplog.text
 
 
-def test_the_last_status_that_is_lost_is_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
+@pytest.mark.parametrize("fault", ["folder", "link", "full"])
+def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    fault: str,
 ) -> None:
-    held = threading.Event()
-    lost = OnDisk(tmp_path, held, OSError("no room"))
-    writer = HealthWriter(lambda *_: pytest.fail("nobody goes on"))
-    writer.put("a", lost, status(1))
-    assert lost.entered.wait(PATIENCE_S)
-    threading.Timer(0.05, held.set).start()
-    writer.close(30)
-    assert "the last status is lost: no room" in caplog.text
+    path = tmp_path / "status.json"
+    files = HealthFiles(path, LOG)
+    with monkeypatch.context() as disk, caplog.at_level(logging.INFO):
+        if fault == "folder":
+            path.mkdir()
+        elif fault == "link":
+            path.symlink_to("/dev/full")
+        else:
+            disk.setattr("os.write", lambda _file, data: len(data) - 1)
+        for t in range(5):
+            files.write(status(10 * t), float(t))
+        told = [record for record in caplog.records if record.levelno >= logging.ERROR]
+        assert len(told) == 1
+        assert str(path) in told[0].getMessage()
+        assert "the loop goes on, and the status is tried again" in told[0].getMessage()
+    if fault == "folder":
+        path.rmdir()
+    elif fault == "link":
+        path.unlink()
+    with caplog.at_level(logging.INFO):
+        files.write(status(50), 5.0)
+        assert "the status is written again" in caplog.text
+        assert look_at_status(tmp_path, time.time()).health.startswith("bad: this file could not")
+        files.write(status(60), 6.0)
+    assert look_at_status(tmp_path, time.time()).health == "ok: 0 % missed lately"
+
+
+def test_a_status_begins_with_its_health_and_is_read_without_it(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "status.json"
+    HealthFiles(path, LOG).write(Told().at_work().core.status(), 0.0)
+    assert path.read_bytes().startswith(b'{"health":"ok: ')
+    found = read_status(path, ControllerStatus)
+    assert found.transitions == 2
 
 
 def test_a_writer_that_was_never_asked_starts_no_thread_and_ends() -> None:
     before = set(threading.enumerate())
-    HealthWriter(lambda *_: None).close(30)
+    HealthWriter().close(30)
     assert set(threading.enumerate()) <= before

@@ -10,8 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from runtime import files
-from runtime.files import StatusFile
 from runtime.health_files import DiskSpace, Liveness
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -22,10 +20,30 @@ def lines(beats: Sequence[tuple[float, int, int]]) -> list[tuple[str, str]]:
     return [judge.beat(*beat)[:2] for beat in beats]
 
 
-def test_before_the_first_transition_it_waits() -> None:
-    for line, notice in lines([(0, 0, 0), (60, 0, 0)]):
-        assert line.startswith("bad: waiting for the other end")
-        assert notice == ""
+def test_an_end_that_meets_no_partner_says_once_what_it_waits_for() -> None:
+    judge = Liveness()
+    told = [judge.beat(t, 0, 0, meeting=True) for t in range(30)]
+    assert all(beat.line.startswith("bad: waiting for the other end") for beat in told)
+    (t,) = (t for t, beat in enumerate(told) if beat.notice)
+    assert t == 5
+    assert "is it running, with the same --loop, and does one end connect" in told[5].notice
+    assert judge.beat(30, 5, 0).notice == "keeps up again, 5 transitions"
+
+
+def test_an_end_with_a_session_and_no_transition_says_once_how_many_steps_it_missed() -> None:
+    judge = Liveness()
+    told = [judge.beat(t, 0, 10 * t) for t in range(30)]
+    assert all(beat.line.startswith("bad: no transition yet, ") for beat in told)
+    (notice,) = (beat.notice for beat in told if beat.notice)
+    assert notice.startswith("no transition yet, 50 steps missed: the other end answers on the ")
+    assert "on the field bus" in notice
+    assert not told[5].good
+
+
+def test_of_a_partner_that_comes_and_is_not_heard_both_are_told() -> None:
+    judge = Liveness()
+    told = [judge.beat(t, 0, 0, meeting=t < 10).notice for t in range(20)]
+    assert [notice[:7] for notice in told if notice] == ["waiting", "no tran"]
 
 
 def test_a_loop_that_goes_on_is_well() -> None:
@@ -133,37 +151,25 @@ def test_the_check_of_the_containers_reads_it_without_python(tmp_path: Path) -> 
         return healthy(tmp_path)
 
     assert check() == (1, "plant has not reported yet")
-    health = tmp_path / "health"
-    health.write_text("ok: 12 transitions\n")
+    health = tmp_path / "status.json"
+    health.write_text('{"health":"ok: 12 transitions","k":7}')
     assert check() == (0, "ok: 12 transitions")
-    health.write_text("bad: 88 % missed\n")
+    health.write_text('{"health":"bad: 88 % missed","k":7}')
     assert check() == (1, "bad: 88 % missed")
-    health.write_text("ok: 12 transitions\n")
+    health.write_text('{"health":"ok: 12 transitions","k":7}')
     os.utime(health, (time.time() - 60,) * 2)
     code, told = check()
     assert code == 1
     assert told.endswith("s ago: frozen or gone")
 
 
-def test_a_line_that_says_the_same_is_as_new(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(files, "READ_S", 0.0)  # each takes the place of the one before last
-    path = tmp_path / "health"
-    line = StatusFile(path)
-    for _ in range(4):
-        line.write(b"ok: none missed lately\n")
-        assert time.time() - path.stat().st_mtime < 30
-        os.utime(path, (time.time() - 60,) * 2)
-
-
 def test_a_host_is_healthy_where_all_its_loops_are(tmp_path: Path) -> None:
-    lines = [tmp_path / f"loop-{n}" / "plant" / "health" for n in range(3)]
+    lines = [tmp_path / f"loop-{n}" / "plant" / "status.json" for n in range(3)]
     for line in lines:
         line.parent.mkdir(parents=True)
-        line.write_text("ok: 12 transitions\n")
+        line.write_text('{"health":"ok: 12 transitions","k":7}')
     assert healthy(tmp_path / "plant") == (0, "ok: 3 loops")
-    lines[1].write_text("bad: no transition for 7 s\n")
+    lines[1].write_text('{"health":"bad: no transition for 7 s","k":7}')
     assert healthy(tmp_path / "plant") == (1, "bad: 1 of 3 loops; the first: no transition for 7 s")
     os.utime(lines[2], (time.time() - 60,) * 2)
     code, told = healthy(tmp_path / "plant")

@@ -4,6 +4,7 @@ import logging
 import threading
 import urllib.request
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
@@ -111,7 +112,12 @@ def test_nothing_is_told_of_a_loop_that_has_left(
     for loop in ("a", "b"):
         config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
         host.add(loop, *open_plant(config, 0.0), logging.getLogger("metrics"))
-    host.remove("a")
+
+    def fails(_now: float) -> NoReturn:
+        raise ArithmeticError("an odd set")
+
+    with host.turns:
+        host._do("a", fails)
     core, _ = open_plant(PlantConfig(sustained, tmp_path / "c", "c", Pace("realtime")), 0.0)
     management.publisher(key_of(PlantStatus, "b")).put(core.status(0.0).wire())
     assert {loop for _, loop, _ in statuses} == {"b"}

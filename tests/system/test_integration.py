@@ -119,6 +119,23 @@ def test_up_with_steps_only_ends_by_itself(tmp_path: Path) -> None:
     assert json.loads(undelivered.stdout.splitlines()[-1])["delivered"] is False
 
 
+def test_a_run_folder_may_begin_with_a_dash(tmp_path: Path) -> None:
+    """Its services took the folder's name for an option: each value is one word with its option."""
+    arguments = ["up", "--run-dir=-lead", "--scenario", "packed", "--pace", "fast", "--steps", "50"]
+    done = subprocess.run(
+        [*WYNER, *arguments, "--headless"],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "loop       50 steps" in done.stdout
+    assert (tmp_path / "-lead" / "tap" / "beliefs.json").is_file()
+
+
 def kill_and_see_it_back(parent: int, victim: str, run_dir: Path) -> None:
     wait_for(lambda: victim in children_of(parent))
     pid = children_of(parent)[victim]

@@ -113,7 +113,7 @@ class Seen:
                     self.pieces[f"environment of {entry.name}"] = (entry / "environ").read_bytes()
             except OSError:
                 continue
-        for path in (*self.run.glob("*/status.json"), *self.run.glob("*/health")):
+        for path in self.run.glob("*/status.json"):
             name = f"{path.relative_to(self.run)} at {len(self.pieces)}"
             self.pieces[name] = path.read_bytes()
 

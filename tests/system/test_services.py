@@ -37,6 +37,7 @@ from protocol.messages import (
 from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE, Failure, UsageError
+from runtime.health import read_status
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.pace import Pace
@@ -185,10 +186,8 @@ def test_malformed_bytes_on_every_key_is_counted_and_ignored(system: System, pac
                 field.publisher(key).put(message.wire())
             system.wait(lambda i=i: system.k > 3 * i)  # type: ignore[misc]
         system.wait(lambda: system.recovered() == [b"one"])
-    plant = PlantStatus.model_validate_json((system.run_dir / PLANT_STATUS).read_bytes())
-    controller = ControllerStatus.model_validate_json(
-        (system.run_dir / CONTROLLER_STATUS).read_bytes()
-    )
+    plant = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
+    controller = read_status(system.run_dir / CONTROLLER_STATUS, ControllerStatus)
     assert plant.malformed == rounds * (2 * len(junk) + 1)
     assert controller.malformed == rounds * (3 * len(junk) + 1)
     assert told(plant_said, "; ignored") == plant.malformed
@@ -211,7 +210,7 @@ def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: Syste
         system.wait(lambda: "plant" in system.codes)
     events = read_trace(system.run_dir / PLANT_TRACE).of("transition")
     assert {e["k"] for e in events if e["k"] >= min(answered)} <= answered
-    status = PlantStatus.model_validate_json((system.run_dir / PLANT_STATUS).read_bytes())
+    status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
     assert status.late <= status.missed
 
 
@@ -309,7 +308,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
         )
         with pytest.raises(Failure, match=r"^the state is no longer finite at step 1004$"):
             service.run()
-    status = PlantStatus.model_validate_json((system.run_dir / PLANT_STATUS).read_bytes())
+    status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
     assert status.k == 1003
 
 

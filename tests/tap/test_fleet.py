@@ -14,7 +14,7 @@ from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.addresses import Addresses
 from runtime.errors import UsageError
-from runtime.fleet import Fleet, FleetLoop
+from runtime.fleet import FleetLoop, read_fleet
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import CAPTURE
 from tap_service.config import TapConfig
@@ -60,7 +60,7 @@ def test_each_loop_is_recorded_in_its_own_folder(
             {key.split("/")[2]: TapStatus.model_validate_json(payload)}
         ),
     )
-    taps = TapFleet(Fleet.of_file(path), config_of)
+    taps = TapFleet(read_fleet(path), config_of)
     taps.attach(MemoryBus(field), MemoryBus(adversary))
     stopping = threading.Event()
     thread = threading.Thread(target=taps.run, args=(stopping,))
@@ -82,7 +82,6 @@ def test_each_loop_is_recorded_in_its_own_folder(
             offer = Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0)
             put[Offer, loop](offer.wire())
     wait_for(lambda: statuses.keys() == {"a", "b"} and statuses["b"].mirrored == 10)
-    path.write_text('[[loop]]\nid = "b"\n')
     wait_for(lambda: statuses["a"].mirrored == 6)
     stopping.set()
     thread.join(PATIENCE_S)
@@ -102,7 +101,7 @@ def test_the_taps_of_a_fleet_share_the_bytes_that_may_wait(
     path = tmp_path / "fleet.toml"
     path.write_text("".join(f'[[loop]]\nid = "{name}"\n' for name in "abcd"))
     field = MemoryHub()
-    taps = TapFleet(Fleet.of_file(path), config_of)
+    taps = TapFleet(read_fleet(path), config_of)
     taps.attach(MemoryBus(field), MemoryBus(MemoryHub()))
     put = {name: MemoryBus(field).publisher(key_of(Offer, name)).put for name in "ab"}
     body = bytes(300)  # and OVERHEAD for each: 50 have room
@@ -112,12 +111,12 @@ def test_the_taps_of_a_fleet_share_the_bytes_that_may_wait(
     a, b = (taps.taps[name].queue for name in "ab")
     assert (len(a), a.dropped) == (50, 950)
     assert (len(b), b.dropped) == (1, 0)
-    taps.leave("c")
-    taps.leave("d")
+    taps.finish("c")
+    taps.finish("d")
     put["a"](body)
     assert len(a) == 51, "where two have left there is more for each"
     for name in "ab":
-        taps.leave(name)
+        taps.finish(name)
 
 
 def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
@@ -133,7 +132,7 @@ def test_a_loop_whose_tap_cannot_be_made_or_fails_ends_no_others(
         config = config_of(loop)
         return replace(config, names=("key-solver",)) if loop.id == "keyless" else config
 
-    taps = TapFleet(Fleet.of_file(path), with_key_solver)
+    taps = TapFleet(read_fleet(path), with_key_solver)
     with log_of("tap") as knowledge_of:
         taps.attach(MemoryBus(MemoryHub()), MemoryBus(MemoryHub()))
 

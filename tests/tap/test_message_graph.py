@@ -1,5 +1,7 @@
 """Beginnings that go on alike are taken together, the impossible ones among them."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,24 @@ def test_a_beginning_that_nothing_heard_allows_leaves_the_others_finite() -> Non
     assert np.isfinite(beam.level).all()
     assert beam.alpha[0].max() == 1.0
     assert beam.alpha[1].max() == 0.0
+
+
+def test_drawing_holds_little_more_than_what_it_gives() -> None:
+    """The last thoughts of a long run held three numbers of 8 bytes for each place of each draw."""
+    places, count = 60, 30_000
+    graph = Graph()
+    beam = Beam(2, 2, places + 1, np.uint64)
+    graph.begin(beam)
+    for place in range(places):
+        beam.text[:, place] = np.arange(len(beam.level))
+        beam.count[:] = place + 1
+        graph.merge(beam)
+    tracemalloc.start()
+    drawn = graph.draw(np.arange(1), np.zeros(1), np.random.default_rng(0), count)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert drawn.scores.shape == drawn.nodes.shape == (count, places + 1)
+    assert peak < 1.2 * (8 + 4 + 1) * count * places
 
 
 @pytest.mark.parametrize("steps", [13, 14, 15, 16, 20, 29, 30])

@@ -17,10 +17,12 @@ class TapScore:
     ----------
     name : str
     keys : Interval
-        Share of the agreed key symbols that she guessed right at once, with its 95 % interval over
-        runs; a blind guess has 1/M. Fewer than five runs have no limits (NaN), and where none was
-        agreed, or where she does not guess, there is no share either.
-    agreements, right : int
+        Share of the agreed key symbols that she knew at once, with its 95 % interval over runs; a
+        blind guess has 1/M. What she knows counts, not how she names it: symbols count as named
+        unless one relabelling for a whole run is shown to be better. Fewer than five runs have no
+        limits (NaN), and where none was agreed, or where she does not guess, there is no share.
+    agreements, right, known : int
+        Key symbols that were agreed, that she named right at once, and that she knew.
     delivered, read : int
         Whole messages that the plant recovered, and how many of them she had in the end.
     """
@@ -29,6 +31,7 @@ class TapScore:
     keys: Interval
     agreements: int
     right: int
+    known: int
     delivered: int
     read: int
 
@@ -58,8 +61,9 @@ def eavesdrop(
 def _score(kind: type[Eavesdropper], heard: Sequence[TapResult]) -> TapScore:
     name = kind.name
     agreements, right = sum(h.agreements for h in heard), sum(h.right for h in heard)
+    known = sum(h.known for h in heard)
     keys = NOTHING
     if kind.guesses:
-        keys = share_over_runs([(h.right, h.agreements) for h in heard])
+        keys = share_over_runs([(h.known, h.agreements) for h in heard])
     delivered, read = sum(h.delivered for h in heard), sum(h.read for h in heard)
-    return TapScore(name, keys, agreements, right, delivered, read)
+    return TapScore(name, keys, agreements, right, known, delivered, read)

@@ -55,7 +55,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--y",
         metavar="COLUMN",
         action="append",
-        help=f"default: {RATE}; or 'NAME keys right', 'NAME messages read' (repeatable)",
+        help=f"default: {RATE}; or 'NAME keys known', 'NAME messages read' (repeatable)",
     )
     group.add_argument("--log", action="store_true", help="a logarithmic x axis")
     group.add_argument("--title", default="", metavar="T", help="above the figure (default: none)")
@@ -99,7 +99,7 @@ def in_words(column: str) -> str:
     """A column as an axis calls it, with its unit: ``plant.period_s`` is "plant: period (s)"."""
     if column in WORDS:
         return WORDS[column]
-    if column.endswith((" keys right", " messages read")):
+    if column.endswith((" keys known", " messages read")):
         return f"{column}, share"
     *path, name = column.split(".")
     words, _, unit = name.rpartition("_")

@@ -14,8 +14,7 @@ from pathlib import Path
 
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
-from runtime.files import read_regular
-from runtime.run_folder import HEALTH, loops_below
+from runtime.run_folder import loops_below
 from runtime.services import SERVICES, Look
 
 MAX_AGE_S = 5.0
@@ -134,9 +133,8 @@ def _endpoint(args: argparse.Namespace) -> str:
 def _service(args: argparse.Namespace) -> str:
     look = _look_of(args.service)
     seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
-    told = health_of(args.run_dir / args.service)
-    if told.startswith("bad"):
-        raise Failure(told.removeprefix("bad: "))
+    if seen.health.startswith("bad"):
+        raise Failure(seen.health.removeprefix("bad: "))
     return f"{args.service} advances: {seen.text}"
 
 
@@ -153,10 +151,9 @@ def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, 
     def one(loop: Path) -> str:
         folder = loop / args.service
         try:
-            advances(lambda: look(folder, time.time()), args.within)
+            told = advances(lambda: look(folder, time.time()), args.within).health
         except Failure as error:
             return str(error)
-        told = health_of(folder)
         return told.removeprefix("bad: ") if told.startswith("bad") else ""
 
     with ThreadPoolExecutor(max_workers=32) as threads:
@@ -165,11 +162,3 @@ def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, 
     if wrong:
         return f"{len(wrong)} of {len(loops)} loops do not advance", wrong
     return f"{args.service} advances on all {len(loops)} loops", {}
-
-
-def health_of(folder: Path) -> str:
-    """The service's own line, ``ok`` or ``bad`` and why; empty where it has none."""
-    try:
-        return read_regular(folder / HEALTH).decode(errors="replace").strip()
-    except OSError:
-        return ""

@@ -167,11 +167,16 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
     for block in audit.blocks:
         print(
             f"{block.number:5}  {block.transitions:11}  {block.lost:4}  {block.rows:4}  "
-            f"{block.keys:4}  {block.missed:10}  {block.held_bits if block.keys else 0:14}"
+            f"{block.keys:4}  {_known(block.missed):>10}  "
+            f"{_known(block.held_bits if block.keys else 0):>14}"
         )
     for line in key_lines(audit.as_json()):
         red = color and "WARNING" in line and "NO_COLOR" not in environ
         print(f"\x1b[31m{line}\x1b[0m" if red else line)
+
+
+def _known(count: int | None) -> str:
+    return "-" if count is None else str(count)
 
 
 def _replayed(run: "Run", names: tuple[str, ...], scenario_name: str | None) -> "RunScore":
@@ -198,7 +203,7 @@ def _print(report: object, *, color: bool) -> None:
     from os import environ
 
     from protocol.text import printable
-    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, rows
+    from wyner.runs.score.report import BOUND, HEADINGS, NOTE, Report, held_line, remarks, rows
 
     assert isinstance(report, Report)
     table = [HEADINGS, *rows(report)]
@@ -208,10 +213,8 @@ def _print(report: object, *, color: bool) -> None:
             "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
         )
     for tap in report.taps:
-        if tap.why_unscored:
-            print(printable(f"{tap.name}: not scored: {tap.why_unscored}"))
-        if tap.not_on_record:
-            print(f"{tap.name}: {tap.not_on_record} agreed steps are not on record, and left out")
+        for remark in remarks(tap):
+            print(printable(f"{tap.name}: {remark}"))
         for held in tap.keys:
             print(printable(f"{tap.name}: {held_line(held)}"))
     print()

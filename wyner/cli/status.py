@@ -89,12 +89,12 @@ def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
     from pydantic import ValidationError
 
     from protocol.messages import ControllerStatus, PlantStatus
-    from runtime.files import read_regular
+    from runtime.health import read_status
     from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
 
     try:
-        plant = PlantStatus.model_validate_json(read_regular(run_dir / PLANT_STATUS))
-        controller = ControllerStatus.model_validate_json(read_regular(run_dir / CONTROLLER_STATUS))
+        plant = read_status(run_dir / PLANT_STATUS, PlantStatus)
+        controller = read_status(run_dir / CONTROLLER_STATUS, ControllerStatus)
     except OSError as error:
         raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
     except ValidationError as error:

@@ -266,7 +266,7 @@ def _as_object(
 
 def _share(s: "Summary", name: str) -> str:
     counts = s.taps[name]
-    keys = s.shares[f"{name} keys right"].scaled(100.0)
+    keys = s.shares[f"{name} keys known"].scaled(100.0)
     return f"{keys.text('.1f', ' %')}, {counts['read']} of {counts['delivered']}"
 
 

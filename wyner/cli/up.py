@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
 
+SAID_S: Final = 120.0
+"""Seconds within which plant and controller have to say something: opening one may take a while."""
+
 GRACE_S: Final = 0.5
 """Seconds that the tap has for its last thoughts once the message has arrived."""
 
@@ -304,14 +307,18 @@ class Progress:
         self.stop_keys: Callable[[bytes], None] = lambda _payload: None
         """Sends a :class:`StopKeys` to the controller."""
         self._over_at: float | None = None
+        self._began = time.monotonic()
+        self._silent = {"plant", "controller"}
 
     def plant_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """How many messages the plant has (called on the transport's thread)."""
+        self._silent.discard("plant")
         with suppress(ValidationError):  # the dashboard counts malformed
             self.received = PlantStatus.model_validate_json(payload).messages
 
     def controller_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
         """What the controller has delivered, and whether more is waiting (the same thread)."""
+        self._silent.discard("controller")
         with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
             self.delivered = status.delivered
@@ -336,10 +343,14 @@ class Progress:
         Raises
         ------
         Failure
-            When a service ended with an error.
+            When a service ended with an error, or has not said anything yet.
         """
         self._supervisor.poll()
         now = time.monotonic()
+        if self._silent and now >= self._began + SAID_S:
+            name = min(self._silent)
+            log = self._supervisor.child(name).log
+            raise Failure(f"{name}: nothing heard of it in {SAID_S:g} s (log: {log})")
         ended = self._supervisor.child("plant").returned is not None
         arrived = 0 < self.delivered <= self.received and not self.waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived)):

@@ -99,7 +99,8 @@ def secrecy_line(state: State) -> str:
     if its.left_bits is None:
         return f"secrecy: {told}, true unknown: {its.why}{failed}"
     loud = "PAPER'S RULE EXCEEDS TRUE: " if its.exceeds else ""
-    left = f"{printable(its.strongest)} leaves at most {its.left_bits:.0f} bit"
+    of = f" of {its.claimed_bits - its.silent_bits:.0f}" if its.silent_bits else ""
+    left = f"{printable(its.strongest)} leaves at most {its.left_bits:.0f}{of} bit"
     why = f" ({its.why})" if its.why else ""
     return f"secrecy: {loud}{told}, {left}{why}{failed}"
 

@@ -4,11 +4,13 @@ Nothing here reads a clock, a socket or a terminal. The time of arrival comes wi
 recorded list of arrivals always gives the same state.
 """
 
+from collections import Counter
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Final, Literal, TypeVar
 
 from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
+from protocol.relabelling import Pairs
 
 T = TypeVar("T")
 
@@ -65,8 +67,9 @@ class TapState:
 
     ``exact`` and ``watched`` are set by the dashboard, never by the tap: her message was, at least
     once, a true one; she was heard before she was sure of any, beside somebody who knows the truth.
-    ``scored`` and ``right`` count the agreed steps on which she was compared and that are held no
-    more: what is looked at again and again counts all that there was, in every session.
+    ``pairs`` counts the agreed steps on which she was compared and that are held no more, by what
+    she named and what was true: what is looked at again and again counts all that there was, in
+    every session.
     """
 
     status: TapStatus
@@ -74,8 +77,7 @@ class TapState:
     guesses: Mapping[int, ShownGuess] = field(default_factory=dict)
     exact: bool = False
     watched: bool = False
-    scored: int = 0
-    right: int = 0
+    pairs: Pairs = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -304,8 +306,7 @@ def _tap(state: State, status: TapStatus, t_ns: int) -> State:
         status,
         t_ns,
         kept,
-        scored=gone[0] + (0 if before is None else before.scored),
-        right=gone[1] + (0 if before is None else before.right),
+        pairs=gone if before is None else gone + Counter(before.pairs),
         exact=before is not None and before.exact,
         watched=(before is not None and before.watched)
         or (status.solved_k < 0 and bool(state.texts)),
@@ -315,32 +316,28 @@ def _tap(state: State, status: TapStatus, t_ns: int) -> State:
 
 def _compared(
     state: State, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
-) -> tuple[int, int]:
-    """Of these steps the agreed ones that a tap has guessed, and those guessed right."""
-    scored = right = 0
+) -> Counter[tuple[int, int]]:
+    """Of these steps the agreed ones that a tap has guessed, by what she named and the truth."""
+    found: Counter[tuple[int, int]] = Counter()
     for k in steps:
         guess, truth = guesses.get(k), state.truths.get(k)
         if guess is not None and truth is not None and truth.symbol >= 0:
-            scored += 1
-            right += guess.symbol == truth.symbol
-    return scored, right
+            found[guess.symbol, truth.symbol] += 1
+    return found
 
 
-def compared(state: State, tap: TapState) -> tuple[int, int]:
-    """The agreed steps that a tap has guessed so far, and those guessed right."""
-    scored, right = _compared(state, tap.guesses, tap.guesses)
-    return tap.scored + scored, tap.right + right
+def compared(state: State, tap: TapState) -> Counter[tuple[int, int]]:
+    """The agreed steps that a tap has guessed so far, by what she named and what was true."""
+    return _compared(state, tap.guesses, tap.guesses) + Counter(tap.pairs)
 
 
 def _forgotten(state: State, steps: Collection[int]) -> dict[str, TapState]:
     """The taps without their guesses of these steps, which are counted."""
     taps = {}
     for name, tap in state.taps.items():
-        scored, right = _compared(state, tap.guesses, steps)
+        pairs = _compared(state, tap.guesses, steps) + Counter(tap.pairs)
         guesses = {k: guess for k, guess in tap.guesses.items() if k not in steps}
-        taps[name] = replace(
-            tap, guesses=guesses, scored=tap.scored + scored, right=tap.right + right
-        )
+        taps[name] = replace(tap, guesses=guesses, pairs=pairs)
     return taps
 
 

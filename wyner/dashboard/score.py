@@ -5,22 +5,21 @@ nowhere else.
 """
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 from protocol.agreement import Gauge
-from protocol.messages import PlantModel
-from protocol.statistics import (
-    CONFIDENCE,
-    Interval,
-    better_than,
-    bits_left,
-    confidence_sequence,
-    stated_left,
-)
+from protocol.messages import PlantModel, TapStatus
+from protocol.relabelling import Labels, known
+from protocol.statistics import CONFIDENCE, Interval, bits_left, stated_left
 from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
 from wyner.dashboard.text import letters, number
+
+DEAF: Final = 0.01
+"""Share of the steps that a tap could not use from which on it counts: what she leaves of them is
+not known."""
 
 ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
 """Chance of a false alarm because of one tap, however long one watches: all of them share 5 %."""
@@ -33,12 +32,15 @@ class Score:
     Parameters
     ----------
     scored, right : int
-        Agreed steps compared, and those where her likeliest symbol was the key symbol.
+        Agreed steps compared, and those where her likeliest symbol was the key symbol, up to one
+        relabelling of the symbols for all steps (:mod:`protocol.relabelling`).
     guessed : Interval
         The share that was right, with 95 % limits that hold at every look together: it is looked
         at after every status.
     size : int
         M.
+    labels : tuple of int
+        That relabelling; empty where her symbols count as she names them.
     leads : bool
         Whether she is shown to do better than chance.
     """
@@ -47,6 +49,7 @@ class Score:
     right: int
     guessed: Interval
     size: int
+    labels: Labels
     leads: bool
 
     @property
@@ -64,7 +67,8 @@ class SecrecyScore:
     claimed_bits : float
         What the paper's rule counts, of whichever law: every agreed symbol as log2 M secret bits.
     left : Interval or None
-        Bits that the strongest running tap leaves of it; None while nobody is scored.
+        Bits that the strongest running tap leaves of it, of the steps that she could use; None
+        while nobody is scored.
     strongest : str
         Name of that tap, or "".
     exceeds : bool
@@ -79,6 +83,8 @@ class SecrecyScore:
         Why nobody is scored, or what the figure rests on where it is not her guesses.
     failed : tuple of str
         Taps that do not guess any more.
+    silent_bits : float
+        Bits of the agreed steps that this tap could not use: what she leaves of them is not known.
     """
 
     claimed_bits: float
@@ -89,6 +95,7 @@ class SecrecyScore:
     scored: int
     why: str = ""
     failed: tuple[str, ...] = ()
+    silent_bits: float = 0.0
 
     @property
     def left_bits(self) -> float | None:
@@ -98,10 +105,10 @@ class SecrecyScore:
 
 def score(state: State, tap: TapState) -> Score:
     """Score one tap on all agreed steps so far."""
-    scored, right = compared(state, tap)
     size = state.candidates
-    leads = better_than(1.0 / size, right, scored, ALARM)
-    return Score(scored, right, confidence_sequence(right, scored), size, leads)
+    its = known([compared(state, tap)], size)
+    labels = its.labels[0] if its.labels else ()
+    return Score(its.of, its.right, its.share, size, labels, its.better_than_chance(ALARM))
 
 
 def ranked(state: State) -> list[tuple[TapState, Score]]:
@@ -131,23 +138,52 @@ def _carried(state: State) -> int:
     return state.plant.agreements - unsaid
 
 
-def left_by(state: State, tap: TapState, its: Score) -> Interval | None:
-    """Bits that one tap leaves of the agreed keys; None where nobody knows.
+def unused_share(status: TapStatus) -> float:
+    """Share of the steps that a tap could not use; 0 where it is hardly any."""
+    unused = (status.foreign + status.late + status.dropped) / 2 + status.jumped
+    share = unused / (unused + status.steps) if unused else 0.0
+    return share if share >= DEAF else 0.0
 
-    None of them where she holds a true message. By her own account where she gives one, but no more
-    than was agreed; else what guessing one by one leaves.
+
+@dataclass(frozen=True, slots=True)
+class Left:
+    """Bits that one tap leaves of the agreed keys, of the steps that she could use.
+
+    Parameters
+    ----------
+    by_keys : Interval, optional
+        What guessing one by one leaves; None where she was compared on none.
+    stated : Interval, optional
+        By her own account, but no more than was agreed; None where she gives none.
+    silent : float
+        Bits of the steps that she could not use.
     """
+
+    by_keys: Interval | None
+    stated: Interval | None
+    silent: float = 0.0
+
+    @property
+    def least(self) -> Interval | None:
+        """The less of both; None where nobody knows."""
+        both = [left for left in (self.stated, self.by_keys) if left is not None]
+        return min(both, key=lambda left: left.high, default=None)
+
+
+def left_by(state: State, tap: TapState, its: Score) -> Left:
+    """What one tap leaves of the agreed keys: nothing where she holds a true message."""
     if tap.exact:
-        return Interval(0.0, 0.0, 0.0)
+        return Left(Interval(0.0, 0.0, 0.0), None)
     if tap.status.failed:
-        return None
+        return Left(None, None)
     keys = _carried(state)
-    if tap.status.bits_left is not None:
-        bits = tap.status.bits_left
-        return stated_left(bits, keys * math.log2(its.size) if state.plant is not None else bits)
-    if not its.scored:
-        return None
-    return bits_left(keys, its.size, its.guessed)
+    silent = round(keys * unused_share(tap.status))
+    bit = math.log2(its.size)
+    by_keys = bits_left(keys - silent, its.size, its.guessed) if its.scored else None
+    stated, bits = None, tap.status.bits_left
+    if bits is not None:
+        stated = stated_left(bits, (keys - silent) * bit if state.plant is not None else bits)
+    return Left(by_keys, stated, silent * bit)
 
 
 def _hidden_widths(model: PlantModel | None) -> int:
@@ -172,21 +208,51 @@ def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) 
     taps = ranked(state) if taps is None else taps
     failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
     exceeds = symbols > 0 and any(tap.exact or its.leads for tap, its in taps)
-    best: tuple[Interval, TapState, Score] | None = None
+    best: tuple[float, Left, TapState, Score] | None = None
     for tap, its in taps:
         left = left_by(state, tap, its)
-        if left is not None and (best is None or left.high < best[0].high):
-            best = left, tap, its
+        if (least := left.least) is None:
+            continue
+        unknown = least.high + left.silent  # one that could not use many steps is no strong one
+        if best is None or unknown < best[0]:
+            best = unknown, left, tap, its
     if best is None:
         why = "she failed" if failed else "nobody guessed" if taps else "nobody listens"
         return SecrecyScore(claimed, None, "", exceeds, when, 0, why, failed)
-    left, tap, its = best
-    own = tap.status.bits_left is not None and not tap.exact
-    account = "her own account"
-    if tap.status.solved_k < 0:
-        account += ", and she has no whole message yet"
-    why = "a true message" if tap.exact else account if own else ""
-    return SecrecyScore(claimed, left, tap.status.name, exceeds, when, its.scored, why, failed)
+    _, left, tap, its = best
+    return SecrecyScore(
+        claimed,
+        left.least,
+        tap.status.name,
+        exceeds,
+        when,
+        its.scored,
+        _rests_on(tap, its, left),
+        failed,
+        left.silent,
+    )
+
+
+def _rests_on(tap: TapState, its: Score, left: Left) -> str:
+    """What the figure of the strongest tap rests on; empty where it is her guesses as named."""
+    if tap.exact:
+        return "a true message"
+    found = []
+    if left.stated is not None:
+        expectation = tap.status.given
+        account = f"given {expectation}" if expectation else "by her own account"
+        if left.by_keys is not None:
+            account = (
+                f"at most {left.stated.high:.0f} {account}, by keys alone {left.by_keys.high:.0f}"
+            )
+        found.append(account)
+        if tap.status.solved_k < 0:
+            found.append("she has no whole message yet")
+    if its.labels:
+        found.append("her symbols relabelled")
+    if left.silent:
+        found.append(f"of {left.silent:.0f} bit more nobody knows, she could not use their steps")
+    return "; ".join(found)
 
 
 def course(state: State, points: int) -> list[tuple[float, float | None]]:
@@ -206,21 +272,20 @@ def course(state: State, points: int) -> list[tuple[float, float | None]]:
     before = max(0, _carried(state) - len(agreed))
     first, last = min(state.truths), max(state.truths)
     found: list[tuple[float, float | None]] = []
-    scored, right = (tap.scored, tap.right) if tap is not None else (0, 0)
+    pairs = Counter(tap.pairs) if tap is not None else Counter[tuple[int, int]]()
     at = 0
     for i in range(points):
         until = first + (last - first) * (i + 1) / points
         while at < len(agreed) and agreed[at] <= until:
             guess = tap.guesses.get(agreed[at]) if tap is not None else None
             if guess is not None:
-                scored += 1
-                right += guess.symbol == state.truths[agreed[at]].symbol
+                pairs[guess.symbol, state.truths[agreed[at]].symbol] += 1
             at += 1
         left: float | None = None
         if tap is not None and tap.status.bits_left is not None:
             left = its.left_bits if i == points - 1 else None
-        elif scored:
-            left = bits_left(before + at, size, confidence_sequence(right, scored)).high
+        elif pairs:
+            left = bits_left(before + at, size, known([pairs], size).share).high
         if tap is not None and tap.exact and 0 <= tap.status.solved_k <= until:
             left = 0.0
         found.append(((before + at) * bits, left))

@@ -36,6 +36,8 @@ def verdict(its: SecrecyScore, width: int) -> Text:
         told = longest(width - len(claimed), f"true: unknown, {its.why}", f"true: {its.why}")
         return Text.assemble(claimed, (told, style))
     left = f"{its.left_bits:.0f} bit"
+    if its.silent_bits:
+        left = f"{its.left_bits:.0f} of {its.claimed_bits - its.silent_bits:.0f} bit"
     room = width - len(claimed)
     strongest = drawn(its.strongest)
     if not its.exceeds:
@@ -204,7 +206,7 @@ def _model_off(state: State, tap: TapState) -> str:
 
 
 def keys_right(its: Score) -> str:
-    """The share of keys that she guessed right, in per cent, with its limits."""
+    """The share of keys that she knows, up to a relabelling, in per cent, with its limits."""
     if not its.scored:
         return "-"
     low, high = int(100 * its.guessed.low), math.ceil(100 * its.guessed.high)
@@ -230,6 +232,12 @@ def _broke(tap: TapState) -> str:
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
 
 
+def _unused(tap: TapState) -> int:
+    """Messages that the tap heard and could not use, and steps that it skipped."""
+    its = tap.status
+    return its.foreign + its.late + its.dropped + its.jumped
+
+
 _Judged = tuple[State, TapState, Score]
 
 _COLUMNS: Final[tuple[Column[_Judged], ...]] = (
@@ -242,5 +250,6 @@ _COLUMNS: Final[tuple[Column[_Judged], ...]] = (
     Column("whole at step", 14, 1, lambda of: _broke(of[1])),
     Column("steps to read", 13, 7, lambda of: count(of[1].status.behind)),
     Column("steps missed", 12, 8, lambda of: count(of[1].status.lost)),
+    Column("not used", 8, 9, lambda of: count(_unused(of[1]))),
 )
 """Left to right."""

@@ -13,7 +13,14 @@ from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
 from runtime.files import read_regular, write_atomically
-from runtime.run_folder import KNOWLEDGE, MANIFEST, MESSAGE, SCENARIO
+from runtime.run_folder import (
+    CONTROLLER_TRACE,
+    KNOWLEDGE,
+    MANIFEST,
+    MESSAGE,
+    PLANT_TRACE,
+    SCENARIO,
+)
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 from wyner.deployment.running import RunningLoop
@@ -76,6 +83,11 @@ def text_of(options: RunOptions) -> str:
     return f"{text.rstrip()}\n{KEYED_COIN}" if implied and not stated else text
 
 
+def option(name: str, value: object) -> str:
+    """An option of a child in one word: a value may begin with a dash, as a folder's name may."""
+    return f"--{name}={value}"
+
+
 def lay_out(
     options: RunOptions,
     scenario: Scenario,
@@ -127,14 +139,15 @@ def lay_out(
     )
     plant_side, controller_side = ends[6:]
     on_bus = attack is not None and attack.attack["at"] == "bus"
-    common = ["--run-dir", str(run_dir)]
-    seed = [] if options.seed is None else ["--seed", str(options.seed)]
-    steps = [] if options.steps is None else ["--steps", str(options.steps)]
-    attacked = [] if options.attack is None else ["--attack", options.attack]
-    tap = ["--eavesdropper", ",".join(eavesdroppers)] if eavesdroppers else []
+    common = [option("run-dir", run_dir)]
+    seed = [] if options.seed is None else [option("seed", options.seed)]
+    steps = [] if options.steps is None else [option("steps", options.steps)]
+    attacked = [] if options.attack is None else [option("attack", options.attack)]
+    tap = [option("eavesdropper", ",".join(eavesdroppers))] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
     for name, value in knobs.items():
-        tap += [f"--{name.replace('_', '-')}", str(value)]
+        tap.append(option(name.replace("_", "-"), value))
+    scenario_folder = scenario_file_of(options.scenario).parent.resolve()
     children = [
         Child(
             "plant",
@@ -143,66 +156,50 @@ def lay_out(
                 *seed,
                 *steps,
                 *attacked,
-                "--scenario",
-                str(scenario_file),
-                "--pace",
-                options.pace,
-                "--plant-folder",
-                str(scenario_file_of(options.scenario).parent.resolve()),
-                "--listen",
-                f"field={plant_field}",
-                "--connect",
-                f"field={tap_field}",
-                *(("--connect", f"field={plant_side}") if on_bus else ()),
-                "--listen",
-                f"management={plant_management}",
+                option("scenario", scenario_file),
+                option("pace", options.pace),
+                option("plant-folder", scenario_folder),
+                option("listen", f"field={plant_field}"),
+                option("connect", f"field={tap_field}"),
+                *([option("connect", f"field={plant_side}")] if on_bus else []),
+                option("listen", f"management={plant_management}"),
             ],
             run_dir / "plant" / "log",
+            trace=run_dir / PLANT_TRACE,
         ),
         Child(
             "controller",
             [
                 *common,
                 *seed,
-                "--scenario",
-                str(scenario_file),
-                "--pace",
-                options.pace,
-                "--message-file",
-                str(message_file),
-                "--model-folder",
-                str(scenario_file_of(options.scenario).parent.resolve()),
-                "--listen",
-                f"field={controller_field}",
-                "--connect",
-                f"field={controller_side if on_bus else plant_field}",
-                "--connect",
-                f"field={tap_field}",
-                "--listen",
-                f"management={controller_management}",
-                "--connect",
-                f"management={plant_management}",
+                option("scenario", scenario_file),
+                option("pace", options.pace),
+                option("message-file", message_file),
+                option("model-folder", scenario_folder),
+                option("listen", f"field={controller_field}"),
+                option("connect", f"field={controller_side if on_bus else plant_field}"),
+                option("connect", f"field={tap_field}"),
+                option("listen", f"management={controller_management}"),
+                option("connect", f"management={plant_management}"),
             ],
             run_dir / "controller" / "log",
+            trace=run_dir / CONTROLLER_TRACE,
         ),
         Child(
             "tap",
             [
                 *common,
                 *tap,
-                "--knowledge",
-                str(knowledge_file),
-                "--listen",
-                f"adversary={adversary}",
-                "--listen",
-                f"field={tap_field}",
+                option("knowledge", knowledge_file),
+                option("listen", f"adversary={adversary}"),
+                option("listen", f"field={tap_field}"),
             ],
             run_dir / "tap" / "log",
         ),
     ]
     if on_bus:
-        relay = [*seed, *attacked, "--scenario", str(scenario_file)]
-        relay += ["--plant-side", plant_side, "--controller-side", controller_side]
+        relay = [*seed, *attacked, option("scenario", scenario_file)]
+        relay += [option("plant-side", plant_side), option("controller-side", controller_side)]
         log = run_dir / "attacker" / "log"
         children.append(Child("attacker", relay, log, package="attacker_service"))
     return (

@@ -13,6 +13,7 @@ from typing import Final
 
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private, replacing
+from runtime.recording import ended
 from runtime.services import SERVICES
 from runtime.signals import STOP_WITH_STDIN
 from wyner.deployment.running import listens
@@ -50,12 +51,15 @@ class Child:
         Where its output goes, appended.
     package : str
         What ``python -m`` runs; the service's own where empty.
+    trace : Path, optional
+        What it ends with an end mark where it comes to its end by itself.
     """
 
     name: str
     arguments: list[str]
     log: Path
     package: str = ""
+    trace: Path | None = None
     process: subprocess.Popen[bytes] | None = None
     restarts: int = 0
     restart_at: float = 0.0
@@ -149,6 +153,18 @@ class Child:
         if self.process is not None and self.process.stdin is not None:
             self.process.stdin.close()
 
+    def broke_off(self) -> bool:
+        """Whether it returned without an error and without its trace's end.
+
+        A user's file may end its process, with any exit code.
+        """
+        if self.returned != 0 or self.trace is None:
+            return False
+        try:
+            return not ended(self.trace)
+        except OSError:
+            return True
+
     def last_line(self) -> str:
         """The last line of its log: why it ended."""
         try:
@@ -207,6 +223,11 @@ class Supervisor:
             code = child.poll(now)
             if code:
                 raise Failure(f"{child.name}: {child.last_line()} (log: {child.log})")
+            if child.broke_off():
+                raise Failure(
+                    f"{child.name}: its process ended in the middle of the run, with exit code 0 "
+                    f"(log: {child.log})"
+                )
 
     def stop(self) -> None:
         """Stop them all, in their order."""

@@ -54,7 +54,6 @@ KINDS: Final = (
     FileKind("plant/log", True, SEAL),
     FileKind("controller/log", True, SEAL),
     FileKind("tap/log", True, SEAL),
-    FileKind("*/health", False, "a line for health checks, written anew"),
     FileKind("*/.*", False, "on its way to its name, or the one before it"),
     FileKind("*/keys.sqlite3-journal", False, "SQLite's own, empty between two writes"),
     FileKind("*/log.old", False, "a log that was begun again"),

@@ -8,7 +8,6 @@ run of a million steps is never in memory as a whole.
 import base64
 import json
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -151,15 +150,22 @@ class Run:
         return events.behind
 
     def sent(self) -> list[bytes]:
-        """The messages that the controller was handed, in order; as far as its trace tells."""
+        """The messages that the controller was handed, in order; none where it left no trace.
+
+        Raises
+        ------
+        runtime.recording.TraceError
+            When its trace cannot be read.
+        """
         sent: dict[str, bytes] = {}
+        if not self.has("controller"):
+            return []
 
         def take(event: Event) -> None:
             if event["event"] == "sent":
                 sent.setdefault(event["id"], base64.b64decode(event["payload"]))
 
-        with suppress(TraceError):
-            self.feed("controller", take)
+        self.feed("controller", take)
         return list(sent.values())
 
     def capture(self) -> CaptureReader:

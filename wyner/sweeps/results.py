@@ -44,9 +44,10 @@ BY_RUN: Final = "runs_by_agreed"
 those tested. Without it, as in files of before, the share has no interval: how runs differ cannot
 be told from a sum over them."""
 TAPPED_BY_RUN: Final = ("runs_by_keys", "runs_by_messages")
-"""The same of each eavesdropper: keys right of those agreed, messages read of those delivered."""
-TAPPED: Final = ("agreed", "right", "delivered", "read", "key_blocks", "key_bits")
-"""Columns of each eavesdropper, after MEASURED: keys agreed and, of these, guessed right at once;
+"""The same of each eavesdropper: keys known of those agreed, messages read of those delivered."""
+TAPPED: Final = ("agreed", "right", "known", "delivered", "read", "key_blocks", "key_bits")
+"""Columns of each eavesdropper, after MEASURED: keys agreed and, of these, named right at once, and
+known at once up to one relabelling of the symbols a run (:mod:`protocol.relabelling`);
 messages that the plant had whole and, of these, those that she had; key blocks and the bits of
 their rows that she holds, where she goes for keys. Named ``tap.NAME.right``."""
 
@@ -276,10 +277,10 @@ class Summary:
 
     @property
     def shares(self) -> dict[str, Interval]:
-        """Steps that agreed, and of each eavesdropper keys right and messages read, over runs."""
+        """Steps that agreed, and of each eavesdropper keys known and messages read, over runs."""
         sums = {"agreed": (self.counts["agreements"], self.counts["tested"])}
         for name, counts in self.taps.items():
-            sums[f"{name} keys right"] = (counts["right"], counts["agreed"])
+            sums[f"{name} keys known"] = (counts["known"], counts["agreed"])
             sums[f"{name} messages read"] = (counts["read"], counts["delivered"])
         found = {}
         for name, (right, of) in sums.items():
@@ -317,7 +318,7 @@ def _pairs(rows: Sequence[Row]) -> dict[str, dict[tuple[int, int], int]]:
     """The shares of which every row says how many runs had how many."""
     columns = {"agreed": BY_RUN}
     for name in taps_in(rows[0]):
-        for share, column in zip(("keys right", "messages read"), TAPPED_BY_RUN, strict=True):
+        for share, column in zip(("keys known", "messages read"), TAPPED_BY_RUN, strict=True):
             columns[f"{name} {share}"] = f"tap.{name}.{column}"
     found = {}
     for share, column in columns.items():

@@ -133,7 +133,7 @@ def _heard(runs: Runs, alpha: float, eavesdroppers: Sequence[str], message: str)
         mine = [of_run[i] for of_run in of_runs]
         sums = [sum(column) for column in zip(*map(astuple, mine), strict=True)]
         by_run = [
-            pairs_text((got.right, got.agreements) for got in mine),
+            pairs_text((got.known, got.agreements) for got in mine),
             pairs_text((got.read, got.delivered) for got in mine),
         ]
         row |= zip(tap_columns([name_of(eavesdropper)]), (*sums, *by_run), strict=True)

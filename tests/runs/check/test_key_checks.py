@@ -68,6 +68,7 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
         too_many = hers["counted"] - block.counted
         assert -shifted <= too_many <= 4 + shifted
         assert (hers["bits"], block.held_bits) == (0, 0)
+        assert block.missed is not None
         fewer = max(too_many, 0) + shifted
         assert hers["rows"] - hers["missed"] >= block.rows - block.missed - fewer
     assert live["bits"] == 0

@@ -12,6 +12,7 @@ from plant_service.core import PlantCore
 from protocol.link.session import Truth
 from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
+from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
 from tests.support.checked_runs import failed
@@ -174,7 +175,7 @@ def test_status_tells_alarms_and_how_much_is_watched(
     told = capsys.readouterr().out
     assert "warning: ALARMS: " in told
     assert "steps watched" in told
-    status = ControllerStatus.model_validate_json((attacked / CONTROLLER_STATUS).read_text())
+    status = read_status(attacked / CONTROLLER_STATUS, ControllerStatus)
     assert status.alarm_sentence() in told
 
 

@@ -18,7 +18,7 @@ from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import Limits, RotatingLog, mirror_line
 from wyner.runs.run import Run
-from wyner.runs.score.keys import Copies, HeardCopies, KeyAudit, audit_keys
+from wyner.runs.score.keys import Copies, HeardCopies, KeyAudit, audit_keys, key_lines
 
 S = "1" * 16
 STEPS = 600
@@ -165,3 +165,35 @@ def test_copies_take_a_few_bytes_each() -> None:
     assert list(sent)[-2:] == [("measurement", S, 29_999), ("offer", S, 29_999)]
     assert heard.incarnation(("offer", S, 7)) == 1
     assert heard.incarnation(("measurement", S, 7)) is None
+
+
+def test_where_nobody_listened_nobody_holds_anything_and_it_is_said(
+    tmp_path: Path, scenario: Scenario
+) -> None:
+    """Without a capture nothing was missed: all bits were held, and a red line said so."""
+    audit = audited(tmp_path, scenario, losing(0.0, 0.0), lives=())
+    assert audit.blocks
+    assert all(block.missed is None and block.held_bits is None for block in audit.blocks)
+    assert (audit.held_bits, audit.warnings) == (0, ())
+    told = audit.as_json()
+    assert told["held_by_tap_bits"] is None
+    assert "Nobody listened: what Eve would hold is not known." in key_lines(told)[0]
+    heard = audited(tmp_path / "heard", scenario, losing(0.0, 0.0))
+    assert "Eve holds 0 bits of their blocks." in key_lines(heard.as_json())[0]
+    assert "Nobody" not in key_lines(heard.as_json())[0]
+
+
+@pytest.mark.parametrize("path", [PLANT_TRACE, CONTROLLER_TRACE])
+def test_a_damaged_trace_does_not_read_as_fewer_keys(
+    tmp_path: Path, scenario: Scenario, path: Path
+) -> None:
+    whole = audited(tmp_path, scenario, losing(0.0, 0.0))
+    assert not whole.unread
+    lines = (tmp_path / path).read_bytes().splitlines(keepends=True)
+    lines[2 if path == CONTROLLER_TRACE else 300 : 301] = [b'{"event":"session"}\n']
+    (tmp_path / path).write_bytes(b"".join(lines))
+    damaged = audit_keys(Run.load(tmp_path), scenario)
+    assert damaged is not None
+    (why,) = damaged.unread
+    assert str(path) in why
+    assert f"counted up to there: {why}" in damaged.warnings

@@ -23,8 +23,10 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     run.close()
     summary = summarise(Run.load(tmp_path), PAYLOAD)
     assert summary["delivered"]
-    tap = {
-        "symbol_accuracy": 1.0,
+    tap: dict[str, object] = {
+        "symbols_known": 1.0,
+        "labels": None,
+        "unused": {},
         "message_bit_accuracy": 1.0,
         "solved_k": 2563,
         "failed": "",
@@ -63,6 +65,54 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     assert "by the paper's rule" in lines[-1]
     assert "the paper claims" not in "\n".join(lines)
     assert lines[-1].endswith("True: at most 0 (set-membership).")
+
+
+def test_true_is_told_with_all_that_it_rests_on(tmp_path: Path) -> None:
+    """An entropy given English stood there as if it needed no expectation, and a tap that used a
+    tenth of the steps as if it had used all.
+    """
+    run = SmallRun(tmp_path, (PAYLOAD,))
+    run.until_received(1)
+    run.close()
+    counts = dict.fromkeys(("foreign", "late", "dropped", "jumped", "restarts"), 12345)
+    summary = summarise(Run.load(tmp_path), PAYLOAD) | {
+        "run_dir": "runs/one",
+        "claimed_bits": 638.0,
+        "true_bits": 12.0,
+        "true_bits_stated": 12.0,
+        "true_bits_by_keys": 15.0,
+        "given": "English sentences",
+        "labels": [1, 0],
+        "silent_bits": 608.0,
+        "silent_steps": 304,
+        "strongest": "text",
+        "taps": {
+            "text": {
+                "symbols_known": 1.0,
+                "message_bit_accuracy": None,
+                "messages_exact": 0,
+                "solved_k": -1,
+                "failed": "",
+                "unscored": "",
+                "stray_steps": 0,
+                "steps_not_looked_at": 0,
+                "unused": counts,
+            }
+        },
+    }
+    text = render(summary)
+    lines = text.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert lines[-5:] == [
+        "Secret     638 bits by the paper's rule. True: at most 12 of 30 (text).",
+        "           At most 12 given English sentences; by keys alone at most 15.",
+        "           Eve's symbols count relabelled: 0 is 1, 1 is 0.",
+        "           The other 608 bits are not known to be secret:",
+        "           Eve could not use 304 agreed steps.",
+    ]
+    words = " ".join(text.split())
+    assert "Eve text not used: 12345 messages of other sessions, 12345 late messages" in words
+    assert "12345 restarts" in words
 
 
 def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:

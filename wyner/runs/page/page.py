@@ -22,7 +22,7 @@ from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import step_cost
-from wyner.runs.score.report import HEADINGS, NOTE, rows
+from wyner.runs.score.report import HEADINGS, NOTE, remarks, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
     RunScore,
@@ -278,12 +278,14 @@ def _keys(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]
 
     lines = [Curve("agreed by both ends", grown(True for _ in steps), 6, steps=True)]
     for place, tap in enumerate(said):
-        right = (tap.live.get(at) == key for at, key in truth.keys.items())
+        relabelled = score(truth, tap).known.labels
+        labels = dict(enumerate(relabelled[0] if relabelled else range(truth.size)))
+        right = (labels.get(tap.live.get(at, -1)) == key for at, key in truth.keys.items())
         lines.append(Curve(f"right, {tap.name}", grown(right), place, steps=True))
     yield chart("Key symbols over time", lines, "plant time (s)", "key symbols", floor=0.0)
     yield (
-        f'<p class="note">Her first guess of each step; blind guessing has one in '
-        f"{e.rules.size} right.</p>"
+        f'<p class="note">The first guess of each step, up to one relabelling of the symbols for '
+        f"the run; blind guessing has one in {e.rules.size} right.</p>"
     )
 
 
@@ -294,8 +296,9 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[s
     yield f"<p>{escape(found.verdict())}</p>"
     yield _table(HEADINGS, rows(found))
     yield f'<p class="note">{escape(NOTE)}</p>'
-    for name, why in found.unscored.items():
-        yield f"<p>{escape(name)} is not scored: {escape(why)}.</p>"
+    for tap in found.taps:
+        for remark in remarks(tap):
+            yield f"<p>{escape(tap.name)}: {escape(remark)}.</p>"
     for one in said:
         text = in_short(one.belief.message.decode("utf-8", errors="replace"))
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"

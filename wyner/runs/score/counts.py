@@ -3,14 +3,12 @@
 import base64
 from array import array
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any
 
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import ScenarioError
 from protocol.vectors import Vector
-from runtime.recording import TraceError
 from wyner.runs.run import Run
 
 
@@ -104,14 +102,18 @@ def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tup
 
 
 def cost_of(run: Run) -> float | None:
-    """The control cost a step of a run's plant, as far as its trace can be read.
+    """The control cost a step of a run's plant.
 
     None without a step, and where the run's scenario is gone, which holds the weights.
+
+    Raises
+    ------
+    runtime.recording.TraceError
+        When the plant's trace cannot be read.
     """
     try:
         counts = PlantCounts(run.scenario.cost_weights)
     except ScenarioError:
         return None
-    with suppress(TraceError):
-        run.feed("plant", counts.take)
+    run.feed("plant", counts.take)
     return counts.mean_cost

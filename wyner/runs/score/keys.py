@@ -6,7 +6,6 @@ her capture is all that she heard, and which copies counted stands in the plant'
 
 from array import array
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final, NamedTuple
 
@@ -35,7 +34,8 @@ class AuditedBlock(NamedTuple):
     """A key block beside what the tap heard of it.
 
     ``missed`` counts copies that counted and that she did not hear; ``held_bits`` is what she can
-    compute of the block's rows. ``lost`` is L, the copies that did not count.
+    compute of the block's rows. Both are None where nobody listened. ``lost`` is L, the copies that
+    did not count.
     """
 
     session: str
@@ -45,8 +45,8 @@ class AuditedBlock(NamedTuple):
     counted: int
     rows: int
     keys: int
-    missed: int
-    held_bits: int
+    missed: int | None
+    held_bits: int | None
     confirmed: bool
     last_k: int
     lost: int
@@ -184,6 +184,10 @@ class KeyAudit:
     seconds : float
         Plant time.
     period_s : float
+    listened : bool
+        Whether there is a capture: without one nothing is known of what a tap would hold.
+    unread : tuple of str
+        Traces that cannot be read to their end, and why: blocks after that are not counted.
     """
 
     claim: float
@@ -193,6 +197,8 @@ class KeyAudit:
     rates: Mapping[str, MissRate]
     seconds: float
     period_s: float
+    listened: bool = True
+    unread: tuple[str, ...] = ()
 
     @property
     def made(self) -> int:
@@ -201,8 +207,8 @@ class KeyAudit:
 
     @property
     def held_bits(self) -> int:
-        """Bits that the tap holds of blocks that made keys."""
-        return sum(block.held_bits for block in self.blocks if block.keys)
+        """Bits that the tap holds of blocks that made keys; 0 where nobody listened."""
+        return sum(block.held_bits or 0 for block in self.blocks if block.keys)
 
     @property
     def missed(self) -> float | None:
@@ -219,9 +225,9 @@ class KeyAudit:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What must be told in red."""
-        found = []
+        found = [f"counted up to there: {why}" for why in self.unread]
         if self.held_bits:
-            broken = sum(block.held_bits > 0 and block.keys > 0 for block in self.blocks)
+            broken = sum(bool(block.held_bits) and block.keys > 0 for block in self.blocks)
             found.append(f"she holds {self.held_bits} bits, of {broken} blocks")
         for name, rate in self.rates.items():
             if rate.refuted:
@@ -248,7 +254,8 @@ class KeyAudit:
             if last is None
             else KEY_BITS * last.keys / (last.steps * self.period_s),
             "first_key_s": self.first_key_s,
-            "held_by_tap_bits": self.held_bits if self.rates else None,
+            "listened": self.listened,
+            "held_by_tap_bits": self.held_bits if self.listened else None,
             "refused": self.refused,
             "blocks": [block._asdict() for block in self.blocks] if blocks else len(self.blocks),
             "missed_by_tap": self.missed,
@@ -268,11 +275,13 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
     refused = keys["refused"]
     if refused is not None and not keys["blocks"]:
         return [f"Keys       none: {refused}"]
-    held = "an unknown number of" if keys["held_by_tap_bits"] is None else keys["held_by_tap_bits"]
+    held = "Nobody listened: what Eve would hold is not known."
+    if keys["listened"]:
+        held = f"Eve holds {keys['held_by_tap_bits']} bits of their blocks."
     made = f"{keys['made']} {'key' if keys['made'] == 1 else 'keys'}"
     lines = [
         f"Keys       {made} of {KEY_BITS} bits, {keys['bits_per_second']:.0f} bit/s, "
-        f"counted. Eve holds {held} bits of their blocks.",
+        f"counted. {held}",
         f"           {keys['assumption']}",
     ]
     if refused is not None:
@@ -293,10 +302,15 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         return KeyAudit(claim.eps_E, *nothing)
     walk, behind = _Walk(schedule), 0
     leaving = {"measurement": _Leaving(), "offer": _Leaving()}
-    with suppress(TraceError):
+    unread = []
+    try:
         behind = run.feed("plant", walk.take, leaving["measurement"].take)
-    with suppress(TraceError):
+    except TraceError as error:
+        unread.append(str(error))
+    try:
         run.feed("controller", leaving["offer"].take)
+    except TraceError as error:
+        unread.append(str(error))
     heard = _heard(run)
     blocks = tuple(
         _audited(walk, at, block, heard)
@@ -312,6 +326,8 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         rates,
         (walk.steps + behind) * scenario.plant.period_s,
         scenario.plant.period_s,
+        heard is not None,
+        tuple(unread),
     )
 
 
@@ -357,7 +373,10 @@ def _audited(
 ) -> AuditedBlock:
     a = walk.schedule.assumption
     rows = a.rows(block.transitions, block.steps, len(block.copies))
-    missed = 0 if heard is None else sum(heard.incarnation(copy) is None for copy in block.copies)
+    missed = held = None
+    if heard is not None:
+        missed = sum(heard.incarnation(copy) is None for copy in block.copies)
+        held = bits_held(rows, missed) if rows >= 2 else 0
     return AuditedBlock(
         *at,
         transitions=block.transitions,
@@ -366,7 +385,7 @@ def _audited(
         rows=rows,
         keys=walk.keys.get(at, 0),
         missed=missed,
-        held_bits=bits_held(rows, missed) if rows >= 2 else 0,
+        held_bits=held,
         confirmed=at in walk.keys,
         last_k=block.last_k,
         lost=a.copies * block.steps - len(block.copies),

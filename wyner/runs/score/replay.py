@@ -13,7 +13,7 @@ from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
 from tap_service.sandboxed import sandboxed
-from tap_service.status import Listener, status_of
+from tap_service.status import Listener, status_of, unused_of
 from wyner.runs.score.by_step import BySteps
 from wyner.runs.score.score import TapOutput
 
@@ -80,6 +80,7 @@ class Replay:
         self._first, self._last = first, last
         self._records = self.reader.records()
         self._guesses: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
+        self._holes = BySteps()
         self._reviews: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
 
     def advance(self, transitions: int) -> bool:
@@ -111,6 +112,8 @@ class Replay:
             ):
                 continue
             self.session, self.k = t.session, t.k
+            if self.view.hears_all and not t.whole:
+                self._holes[t.session, t.k] = 1
             self.transitions += 1
             for listener in self.listeners:
                 guess = listener.observe(t)
@@ -126,15 +129,29 @@ class Replay:
     def statuses(self) -> list[TapStatus]:
         """The status of each eavesdropper now."""
         counts = dict.fromkeys(COUNTS, 0) | {"malformed": self.reader.malformed}
+        counts |= self.transcript.unused._asdict()
         return [status_of(x, x.belief(), counts) for x in self.listeners]
 
     def outputs(self) -> list[TapOutput]:
         """What each said, for scoring."""
         out = []
+        counts = {"malformed": self.reader.malformed, "dropped": self.reader.torn}
+        unused = unused_of(counts | self.transcript.unused._asdict())
         for x in self.listeners:
             guesses = self._guesses[x.name], self._reviews[x.name]
             belief, symbols = x.belief(), x.message_symbols()
-            out.append(TapOutput(x.name, self.session, *guesses, belief, symbols or (), x.failed))
+            out.append(
+                TapOutput(
+                    x.name,
+                    self.session,
+                    *guesses,
+                    belief,
+                    symbols or (),
+                    x.failed,
+                    holes=self._holes,
+                    unused=unused,
+                )
+            )
         return out
 
     def report(self) -> dict[str, Any]:

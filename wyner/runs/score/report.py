@@ -2,17 +2,17 @@
 
 import math
 import statistics
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
+from protocol.relabelling import Labels, in_words, known
 from protocol.statistics import (
     CONFIDENCE,
     FEWEST_RUNS,
     Interval,
-    better_than,
     bits_left,
-    confidence_sequence,
     share_over_runs,
     stated_left,
 )
@@ -47,7 +47,8 @@ class TapReport:
     runs : int
         Runs in which she listened.
     symbol_errors : Interval
-        Of agreed steps, with second thoughts where she has any.
+        Of agreed steps that she could use, as she names the symbols, with second thoughts where she
+        has any.
     symbol_errors_live : Interval
         The same right after each step.
     bit_errors : Interval
@@ -55,12 +56,24 @@ class TapReport:
     exact : Interval
         Messages had whole and exact, of those the plant recovered.
     guessing : Interval
-        P_g per key symbol, never below 1/M. Its limits are a confidence sequence over keys.
-    left : Interval, optional
-        Bits that she leaves of all that the paper's rule counts; None where ``why_unscored``. Of a
-        run in which she had every message none, where she gives an account of her own that one,
-        else -log2 P_g of each key symbol. Whoever is not shown to be better than chance leaves all,
-        and so does she of a run in which she did not listen.
+        P_g per key symbol, never below 1/M: right up to one relabelling of the symbols a run. Its
+        limits are a confidence sequence over keys, which pays for the choice of the labelling.
+    labels : tuple of tuple of int
+        The relabelling of each scored run; empty where the symbols count as she names them.
+    by_keys : Interval, optional
+        Bits that she leaves of the steps that she could use, -log2 P_g for each key symbol; none of
+        a run in which she had every message. An eavesdropper that is not shown to be better than
+        chance leaves all of them. None where ``why_unscored``.
+    stated : Interval, optional
+        The same by her own account, which supposes that messages are as she expects (``given``).
+        None where she gives none.
+    silent_bits : float
+        Bits of the agreed steps that she could not use, and of runs in which she did not listen:
+        what she leaves of them is not known, and counts neither for her nor as secret.
+    silent : int
+        Those steps of the runs in which she listened.
+    unused : mapping of str to int
+        What the tap could not use of what it heard, by kind, in all runs.
     why_unscored : str
         Why nobody knows what she leaves, with the runs of which it is so.
     leads : bool
@@ -69,8 +82,6 @@ class TapReport:
         Median of the candidate messages that remained.
     broken_k : tuple of int
         Steps at which she first was sure of a whole message, run by run; -1 never.
-    not_on_record : int
-        Agreed steps for which there is no word of hers, because her log was cut or she was gone.
     size : int
         M.
     keys : tuple of KeysHeld
@@ -85,14 +96,26 @@ class TapReport:
     exact: Interval
     agreed_steps: int
     guessing: Interval
-    left: Interval | None
+    labels: tuple[Labels, ...]
+    by_keys: Interval | None
+    stated: Interval | None
+    given: str
+    silent_bits: float
+    silent: int
+    unused: Mapping[str, int]
     why_unscored: str
     leads: bool
     list_size: float | None
     broken_k: tuple[int, ...]
-    not_on_record: int
     size: int
     keys: tuple[KeysHeld, ...] = ()
+
+    @property
+    def left(self) -> Interval | None:
+        """Bits that she leaves of the steps that she could use: the less of both figures."""
+        if self.by_keys is None or self.stated is None:
+            return self.by_keys
+        return min(self.by_keys, self.stated, key=lambda left: left.high)
 
     @property
     def min_entropy(self) -> Interval:
@@ -128,12 +151,15 @@ class Report:
 
     @property
     def strongest(self) -> TapReport | None:
-        """The eavesdropper who leaves the least, of those that are scored."""
+        """The eavesdropper who leaves the least, of those that are scored.
+
+        One that could not use many steps is no strong one: what is not known of her counts here.
+        """
 
         def left_at_most(t: TapReport) -> tuple[float, float, float]:
             assert t.left is not None
             exact = 0.0 if math.isnan(t.exact.value) else t.exact.value
-            return t.left.high, -exact, t.left.value
+            return t.left.high + t.silent_bits, -exact, t.left.value
 
         return min((t for t in self.taps if t.left is not None), key=left_at_most, default=None)
 
@@ -155,9 +181,19 @@ class Report:
         claim = f"by the paper's rule {self.claimed_bits:.0f} bits count as secret"
         if strongest is None or strongest.left is None:
             return f"{claim[0].upper()}{claim[1:]}; {self._nobody()}, so they stand untested."
-        left = f"{strongest.name} leaves at most {strongest.left.high:.1f} of them"
+        of = "them"
+        if strongest.silent_bits:
+            of = f"the {self.claimed_bits - strongest.silent_bits:.0f} that it could use"
+        left = f"{strongest.name} leaves at most {strongest.left.high:.1f} of {of}"
+        if strongest.stated is not None and strongest.by_keys is not None:
+            left += (
+                f" ({strongest.stated.high:.1f} {given(strongest.given)}, by keys alone "
+                f"{strongest.by_keys.high:.1f})"
+            )
         if not self.exceeds:
             left += ", no better than chance"
+        if strongest.silent_bits:
+            left += f", and of {strongest.silent_bits:.0f} bits nobody knows"
         bound = f"All together hide at most {self.hidden_bits:.1f} bits a run from one who knows"
         told = "PAPER'S RULE EXCEEDS TRUE: " if self.exceeds else ""
         claim = claim if told else f"{claim[0].upper()}{claim[1:]}"
@@ -206,11 +242,9 @@ def _tap(
     """Her report; ``unheard`` bits were agreed in runs in which she did not listen."""
     scores = [t for _, t in mine if not t.why_unscored]
     size = mine[0][1].size
-    keys = Proportion(
-        sum(t.keys_reviewed.right for t in scores), sum(t.keys_reviewed.of for t in scores)
-    )
-    guessing = confidence_sequence(keys.right, keys.of)
-    guessing = Interval(*(max(p, 1.0 / size) for p in guessing)) if keys.of else guessing
+    keys = known([t.pairs for t in scores], size)
+    guessing = Interval(*(max(p, 1.0 / size) for p in keys.share)) if keys.of else keys.share
+    by_keys, stated = _left(mine, guessing)
     lists = [t.candidates_left for t in scores if t.candidates_left]
     every = [t for _, t in mine]
     return TapReport(
@@ -222,13 +256,18 @@ def _tap(
         exact=over_runs([t.messages for t in scores]),
         agreed_steps=keys.of,
         guessing=guessing,
-        left=_left(mine, unheard, guessing),
+        labels=keys.labels,
+        by_keys=by_keys,
+        stated=stated,
+        given=next((t.given for t in scores if t.given), ""),
+        silent_bits=unheard
+        + sum(t.silent * math.log2(size) for t in every if not t.messages.every),
+        silent=sum(t.silent for t in every),
+        unused=sum((Counter(t.unused) for t in every), Counter()),
         why_unscored=_why_unscored(every),
-        leads=any(t.messages.right for t in every)
-        or better_than(1.0 / size, keys.right, keys.of, alpha),
+        leads=any(t.messages.right for t in every) or keys.better_than_chance(alpha),
         list_size=statistics.median(lists) if lists else None,
         broken_k=tuple(t.solved_k for t in every),
-        not_on_record=sum(len(s.truth.keys) - t.keys.of for s, t in mine if not t.why_unscored),
         size=size,
         keys=tuple(t.held for t in every if t.held is not None),
     )
@@ -244,23 +283,35 @@ def _why_unscored(scores: Sequence[EavesdropperScore]) -> str:
 
 
 def _left(
-    mine: Sequence[tuple[RunScore, EavesdropperScore]], unheard: float, guessing: Interval
-) -> Interval | None:
-    """Bits that she leaves of all runs; None where nobody knows it of one of them."""
+    mine: Sequence[tuple[RunScore, EavesdropperScore]], guessing: Interval
+) -> tuple[Interval | None, Interval | None]:
+    """Bits that she leaves of what she could use: by her keys, and by her own account.
+
+    None where nobody knows it of one of her runs.
+    """
     if any(t.why_unscored for _, t in mine):
-        return None
-    # what she says of herself, but no more than was agreed
-    told = [
-        stated_left(t.stated_left, len(s.truth.keys) * math.log2(t.size))
-        for s, t in mine
-        if not t.messages.every and t.stated_left is not None
+        return None, None
+    size = mine[0][1].size
+    open_runs = [(s, t) for s, t in mine if not t.messages.every]
+    by_keys = bits_left(sum(_usable(s, t) for s, t in open_runs), size, guessing)
+    if not open_runs:
+        return Interval(0.0, 0.0, 0.0), None
+    parts = [
+        # what she says of herself, but no more than was agreed
+        stated_left(t.stated_left, _usable(s, t) * math.log2(size))
+        for s, t in open_runs
+        if t.stated_left is not None
     ]
-    guessed = sum(
-        len(s.truth.keys) for s, t in mine if not t.messages.every and t.stated_left is None
-    )
-    parts = [*told, bits_left(guessed, mine[0][1].size, guessing)] if guessed else told
-    value, low, high = (sum(ends) for ends in zip((unheard,) * 3, *parts, strict=True))
-    return Interval(value, low, high)
+    if not parts:
+        return by_keys, None
+    guessed = sum(_usable(s, t) for s, t in open_runs if t.stated_left is None)
+    parts += [bits_left(guessed, size, guessing)] if guessed else []
+    return by_keys, Interval(*(sum(ends) for ends in zip(*parts, strict=True)))
+
+
+def _usable(run: RunScore, tap: EavesdropperScore) -> int:
+    """Agreed steps of a run that she could use."""
+    return len(run.truth.keys) - tap.silent
 
 
 def as_json(r: Report) -> dict[str, Any]:
@@ -286,12 +337,18 @@ def as_json(r: Report) -> dict[str, Any]:
                 "exact_message_rate": t.exact.as_json(),
                 "guessing_probability": t.guessing.as_json(),
                 "min_entropy_bits": t.min_entropy.as_json(),
+                "relabelled": [list(labels) for labels in t.labels],
                 "left_bits": None if t.left is None else t.left.as_json(),
+                "left_bits_by_keys": None if t.by_keys is None else t.by_keys.as_json(),
+                "left_bits_stated": None if t.stated is None else t.stated.as_json(),
+                "given": t.given,
+                "silent_bits": t.silent_bits,
+                "silent_steps": t.silent,
+                "unused": dict(t.unused),
                 "unscored": t.why_unscored,
                 "list_size": t.list_size,
                 "list_size_log2": None if not t.list_size else math.log2(t.list_size),
                 "broken_at_k": list(t.broken_k),
-                "not_on_record": t.not_on_record,
                 "keys": [held.model_dump() for held in t.keys],
             }
             for t in r.taps
@@ -306,14 +363,16 @@ HEADINGS: Final = (
     "messages exact",
     "P_g",
     "bits left, at most",
+    "by keys alone",
     "list",
     "broken at k",
 )
 
 NOTE: Final = (
     f"Rates have 95 % intervals over runs; fewer than {FEWEST_RUNS} runs have none. P_g and the "
-    "bits left have limits that hold however often one looks; whoever is not shown to be better "
-    "than chance leaves all, as does she of a run in which she did not listen."
+    "bits left have limits that hold however often one looks, for the symbols up to one "
+    "relabelling a run. An eavesdropper that is not shown to be better than chance leaves all bits "
+    "of the steps that it could use; of other steps nothing is known."
 )
 """What the table's intervals are."""
 
@@ -332,6 +391,7 @@ def rows(r: Report) -> list[tuple[str, ...]]:
             percent(t.exact),
             t.guessing.text(".3f") if t.agreed_steps else "-",
             "-" if t.left is None else f"{t.left.high:.1f}",
+            "-" if t.by_keys is None else f"{t.by_keys.high:.1f}",
             number(t.list_size, ".0f"),
             number(t.median_broken, ".0f"),
         )
@@ -339,6 +399,57 @@ def rows(r: Report) -> list[tuple[str, ...]]:
     ]
 
 
+def remarks(t: TapReport) -> list[str]:
+    """What must stand beside the numbers of one eavesdropper, in words."""
+    found = []
+    if t.why_unscored:
+        found.append(f"not scored: {t.why_unscored}")
+    if t.labels:
+        alike = len(set(t.labels)) == 1
+        how = in_words(t.labels[0]) if alike and t.size <= WORDED else "by run, in --json"
+        found.append(f"her symbols count relabelled: {how}")
+    if t.stated is not None and t.by_keys is not None:
+        found.append(
+            f"states at most {t.stated.high:.1f} bits left, {given(t.given)}; by her keys, which "
+            f"suppose nothing of the message, at most {t.by_keys.high:.1f}"
+        )
+    if t.silent:
+        steps = t.silent + t.agreed_steps
+        found.append(
+            f"could not use {t.silent} of {steps} agreed steps: nothing is known of what she "
+            "leaves of them"
+        )
+    if told := unused_in_words(t.unused):
+        found.append(f"not used of what the tap heard: {told}")
+    return found
+
+
+WORDED: Final = 8
+"""M up to which a relabelling is told in words."""
+
+_KINDS: Final = {
+    "foreign": "messages of other sessions",
+    "late": "late messages",
+    "dropped": "messages dropped",
+    "malformed": "malformed messages",
+    "jumped": "steps skipped",
+    "restarts": "restarts",
+}
+
+
+def unused_in_words(unused: Mapping[str, int]) -> str:
+    """What a tap could not use, by kind; empty where it used all."""
+    return ", ".join(f"{unused[k]} {words}" for k, words in _KINDS.items() if unused.get(k))
+
+
+def given(expectation: str) -> str:
+    """What an eavesdropper's own account rests on."""
+    return f"given {expectation}" if expectation else "by her own account"
+
+
 def held_line(held: KeysHeld) -> str:
     """What one who goes for keys holds, in words."""
-    return f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
+    line = f"holds {held.bits} bits of {held.broken} of {held.blocks} key blocks"
+    if held.unplaced:
+        line += f"; {held.unplaced} transitions fell in no block that it could place"
+    return line

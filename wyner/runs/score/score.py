@@ -1,21 +1,27 @@
 """Secrecy as it is reported: each eavesdropper's guesses beside the truth, and beside the claim.
 
 This is the scoring, and it stands outside the tap: it reads what the tap wrote and the plant's
-trace, and nothing in the tap imports it. Only one who runs and guesses is scored: of one who failed
-or did not guess nobody knows what she leaves. Intervals are those of :mod:`protocol.statistics`.
+trace, and nothing in the tap imports it. Only an eavesdropper that runs and guesses is scored: what
+one that failed or did not guess leaves is not known. The same holds step by step: of a step that
+the tap could not use nothing is known, and it counts neither for the eavesdropper nor as a secret.
+What an eavesdropper knows counts, not how she names it (:mod:`protocol.relabelling`). Intervals are
+those of :mod:`protocol.statistics`.
 """
 
 import base64
 import math
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import dataclass, field
 from operator import index
 from typing import Any, Final
 
 from protocol.agreement import NO_SYMBOL
+from protocol.relabelling import Known, Pairs, known, pairs_of
 from protocol.scenario import ScenarioError
 from protocol.text import printable
 from runtime.recording import TraceError
+from tap_service.capture.channel import View
+from tap_service.capture.reading import CaptureError
 from tap_service.eavesdroppers.base import Belief, KeysHeld, MessageSymbols
 from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError
@@ -26,6 +32,7 @@ ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them
 
 UNFINISHED: Final = "she did not finish"
 SILENT: Final = "she guesses at no symbol of the loop"
+DEAF: Final = "she could use none of the steps that agreed a key"
 
 
 class ScoreError(RunError):
@@ -132,7 +139,9 @@ class TapOutput:
     """What one eavesdropper said in a run: her guesses, live and reviewed, and her last belief.
 
     Where she was not ``heard_out``, nobody asked her for the message's symbols. ``behind`` counts
-    the steps captured that she never looked at.
+    the steps captured that she never looked at. ``holes`` are the steps of which the tap lacked a
+    message although its link to the loop loses none; ``unused`` counts what it could not use
+    (:data:`tap_service.status.UNUSED`).
     """
 
     name: str
@@ -144,6 +153,8 @@ class TapOutput:
     failed: str = ""
     heard_out: bool = True
     behind: int = 0
+    holes: Container[Step] = ()
+    unused: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,12 +165,12 @@ class EavesdropperScore:
     ----------
     name : str
     keys : Proportion
-        Agreed steps on which her likeliest symbol, right after the step, was the key symbol; one
-        that she missed counts as a blind guess. Steps before the first and after the last that is
-        on record of her are left out: she was not there, or her log was cut. None of one who failed
-        or did not guess.
+        Agreed steps that she could use on which her likeliest symbol, right after the step, was the
+        key symbol, as she names it. None of one who failed or did not guess.
     keys_reviewed : Proportion
         The same with her second thoughts, where she has any.
+    known : Known
+        What she knows of these symbols, up to one relabelling for all steps.
     bits : Proportion
         Message symbols she got right, step by step; one that she missed counts as a blind guess.
         Where she was not heard to the end, there are none.
@@ -180,8 +191,15 @@ class EavesdropperScore:
         Steps that she takes for the message's, and that are none of it: they shift her frame.
     behind : int
         Steps captured that she never looked at.
+    silent : int
+        Agreed steps that she could not use: the tap did not hear them or could not use what it
+        heard, her process was down, or her log was cut. What she leaves of them is not known.
+    unused : mapping of str to int
+        What the tap could not use, by kind.
     stated_left : float, optional
         Bits left by her own account, where she gives one.
+    given : str
+        What she expects of a message: her account is an entropy given that.
     unfinished : bool
         Whether she was stopped before she had looked at all: what she leaves nobody knows then.
     held : KeysHeld, optional
@@ -196,12 +214,16 @@ class EavesdropperScore:
     candidates_left: int
     solved_k: int
     size: int
+    pairs: Pairs = field(default_factory=dict)
     guess: str = ""
     failed: str = ""
     held: KeysHeld | None = None
     stray: int = 0
     behind: int = 0
+    silent: int = 0
+    unused: Mapping[str, int] = field(default_factory=dict)
     stated_left: float | None = None
+    given: str = ""
     unfinished: bool = False
 
     @property
@@ -213,7 +235,16 @@ class EavesdropperScore:
             return f"she failed: {self.failed}"
         if self.unfinished:
             return UNFINISHED
-        return "" if self.keys_reviewed.of or self.stated_left is not None else SILENT
+        if self.keys_reviewed.of:
+            return ""
+        if self.silent:
+            return DEAF
+        return "" if self.stated_left is not None else SILENT
+
+    @property
+    def known(self) -> Known:
+        """What she knows of the key symbols, with second thoughts where she has any."""
+        return known([self.pairs], self.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -247,13 +278,9 @@ class Later(Mapping[Step, int]):
 
 def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
-    blind = 1.0 / truth.size
-    keys = {} if said.failed else _on_record(truth, said)
-
-    def right(guesses: Mapping[Step, int]) -> float:
-        missed = sum(at not in guesses for at in keys)
-        return sum(guesses.get(at) == key for at, key in keys.items()) + blind * missed
-
+    keys: Mapping[Step, int] = {} if said.failed else _used(truth, said)
+    thoughts = Later(said.live, said.reviewed)
+    pairs = pairs_of((thoughts[at], key) for at, key in keys.items())
     recovered = [payload for _, payload in truth.whole]
     belief = said.belief
     if belief.whole_count > len(belief.whole):
@@ -266,37 +293,35 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
             exact += 1
     return EavesdropperScore(
         name=said.name,
-        keys=Proportion(right(said.live), len(keys)),
-        keys_reviewed=Proportion(right(Later(said.live, said.reviewed)), len(keys)),
+        keys=Proportion(sum(said.live.get(at) == key for at, key in keys.items()), len(keys)),
+        keys_reviewed=Proportion(
+            sum(times for (guess, key), times in pairs.items() if guess == key), len(keys)
+        ),
         bits=_bits(truth, said),
         messages=Proportion(exact, len(recovered)),
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         size=truth.size,
+        pairs=pairs,
         guess=belief.message.decode("utf-8", errors="replace"),
         failed=said.failed,
         held=belief.keys,
         stray=_stray(truth, said),
         behind=said.behind,
+        silent=len(truth.keys) - len(keys) if said.live and not said.failed else 0,
+        unused=said.unused,
         stated_left=None if said.failed else belief.bits_left,
+        given=belief.given,
         unfinished=not (said.heard_out or said.failed),
     )
 
 
-def _on_record(truth: Truth, said: TapOutput) -> Mapping[Step, int]:
-    """The keys of the steps between the first and the last guess of hers in each session.
-
-    Without a guess there is nothing to score.
+def _used(truth: Truth, said: TapOutput) -> Mapping[Step, int]:
+    """The keys of the agreed steps that she could use: she guessed at them, and all was heard that
+    her link lets through.
     """
-    first: dict[str, int] = {}
-    last: dict[str, int] = {}
-    for session, k in said.live:
-        first[session] = min(k, first.get(session, k))
-        last[session] = max(k, last.get(session, k))
     return BySteps(
-        ((session, k), key)
-        for (session, k), key in truth.keys.items()
-        if session in first and first[session] <= k <= last[session]
+        (at, key) for at, key in truth.keys.items() if at in said.live and at not in said.holes
     )
 
 
@@ -333,10 +358,26 @@ def read_said(run: Run) -> list[TapOutput]:
     except RunError as error:
         raise ScoreError(str(error)) from None
     guesses: dict[str, dict[str, BySteps]] = {}
+    lossless = _lossless(run)
     for event in run.guesses():
-        mine = guesses.setdefault(event["name"], {"guess": BySteps(), "review": BySteps()})
-        mine[event["event"]][event["session"], event["k"]] = event["symbol"]
+        kinds = ("guess", "review", "hole")
+        mine = guesses.setdefault(event["name"], {kind: BySteps() for kind in kinds})
+        at = event["session"], event["k"]
+        mine[event["event"]][at] = event["symbol"]
+        if event["event"] == "guess":
+            if lossless and event.get("hole"):
+                mine["hole"][at] = 1
+            elif at in mine["hole"]:
+                del mine["hole"][at]  # a process that was started again heard it
     return [output_of(record, guesses.get(name, {})) for name, record in records.items()]
+
+
+def _lossless(run: Run) -> bool:
+    """Whether the tap's link to the loop loses nothing; so it is where no capture says more."""
+    try:
+        return View.model_validate(run.capture().header["view"]).hears_all
+    except (CaptureError, LookupError, ValueError):
+        return True
 
 
 def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int]]) -> TapOutput:
@@ -350,6 +391,7 @@ def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int
         solved_k=index(record["solved_k"]),
         confidence=float(record["confidence"]),
         bits_left=None if record.get("bits_left") is None else float(record["bits_left"]),
+        given=printable(str(record.get("given", ""))),
         keys=None if record.get("keys") is None else KeysHeld.model_validate(record["keys"]),
     )
     return TapOutput(
@@ -362,6 +404,8 @@ def output_of(record: Mapping[str, Any], guesses: Mapping[str, Mapping[Step, int
         failed=str(record["failed"]),
         heard_out=symbols is not None,
         behind=index(record.get("behind", 0)),
+        holes=guesses.get("hole", {}),
+        unused={name: index(count) for name, count in record.get("unused", {}).items()},
     )
 
 
@@ -416,15 +460,19 @@ def score_run(run: Run) -> RunScore:
 def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
     """Per eavesdropper, what the summary of a run says: accuracies and her guess.
 
-    Accuracies are shares of one run, and `no_interval` says so.
+    Accuracies are shares of one run, and `no_interval` says so. ``symbol_accuracy`` counts symbols
+    as she names them, ``symbols_known`` those that she knows up to the relabelling ``labels``.
     """
     return {
         tap.name: {
             "no_interval": ONE_RUN,
             "symbol_accuracy": tap.keys_reviewed.share,
             "symbol_accuracy_live": tap.keys.share,
+            "symbols_known": Proportion(tap.known.right, tap.known.of).share,
+            "labels": list(tap.known.labels[0]) if tap.known.labels else None,
             "agreed_steps": tap.keys.of,
-            "agreed_steps_not_on_record": len(run.truth.keys) - tap.keys.of,
+            "agreed_steps_not_used": len(run.truth.keys) - tap.keys.of,
+            "unused": dict(tap.unused),
             "message_bit_accuracy": tap.bits.share,
             "messages_exact": int(tap.messages.right),
             "candidates_left": tap.candidates_left,

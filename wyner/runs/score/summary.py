@@ -4,8 +4,10 @@ import base64
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, Final
 
+from protocol.relabelling import in_words
 from protocol.statistics import COUNTED
 from protocol.text import readable
 from runtime.errors import UsageError
@@ -14,8 +16,9 @@ from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
 from wyner.runs.score.counts import PlantCounts, exchanged
 from wyner.runs.score.keys import audit_keys, key_lines
-from wyner.runs.score.report import report
+from wyner.runs.score.report import WORDED, given, report, unused_in_words
 from wyner.runs.score.score import (
+    DEAF,
     ONE_RUN,
     UNFINISHED,
     RunScore,
@@ -53,12 +56,15 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     Of ``missed`` steps ``missed_by_network`` are the network table's (:func:`missed_by_network`).
     ``bits_per_second`` counts message bits over plant time, missed steps included, and that of
     every journal the plant had. ``control_cost`` is the mean of x' Q x + u' R u a step.
-    ``trace_error`` says from where on the plant's trace cannot be read, and what is summed up is
+    ``trace_error`` says from where on a trace cannot be read, and what is summed up is
     what stands before; it is empty where all of it can.
     ``claimed_bits`` is what the paper's rule counts, of whichever law, ``true_bits`` what the
-    strongest eavesdropper of this run leaves of it at most, ``true_bits_interval`` with its limits
-    (None: nobody was scored, and ``unscored`` says why of each); of ``unguessed`` messages, which
-    the tap recorded and left out of its live guessing, it says too little. ``no_interval`` says why
+    strongest eavesdropper of this run leaves at most of the steps that it could use,
+    ``true_bits_interval`` with its limits (None: nobody was scored, and ``unscored`` says why of
+    each). ``true_bits_by_keys`` is the same by its keys alone, ``true_bits_stated`` by its own
+    account, an entropy given the expectation ``given`` (None: it gives none); ``labels`` relabels
+    its symbols (None: they count as named). Of ``silent_bits``, the steps that it could not use,
+    nothing is known. ``no_interval`` says why
     figures have none. ``failed`` names the
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
     where the scenario makes none. ``attack`` is what one came to
@@ -66,12 +72,17 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     """
     scenario = run.scenario
     size = scenario.secrecy.candidates
-    counts, trace_error, behind = PlantCounts(scenario.cost_weights), "", 0
+    counts, behind, errors = PlantCounts(scenario.cost_weights), 0, list[str]()
     try:
         behind = run.feed("plant", counts.take)
     except TraceError as error:
-        trace_error = str(error)
-    pairs = exchanged(run.sent() or [payload], counts.recovered)
+        errors.append(str(error))
+    sent: list[bytes] = []
+    try:
+        sent = run.sent()
+    except TraceError as error:
+        errors.append(str(error))
+    pairs = exchanged(sent or [payload], counts.recovered)
     delivered_k = next((k for text, k in pairs if text == payload), -1)
     recovered = payload if delivered_k >= 0 else b""
     bits = counts.message_symbols * math.log2(size)
@@ -104,24 +115,41 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
         "attack": attacked(run).as_json(),
-        "trace_error": trace_error,
+        "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
     }
 
 
 def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     """What the paper's rule counts, what is left of it at most, and each one's score."""
-    nothing: dict[str, Any] = {"true_bits": None, "true_bits_interval": None, "strongest": ""}
+    nothing: dict[str, Any] = {
+        "true_bits": None,
+        "true_bits_interval": None,
+        "true_bits_by_keys": None,
+        "true_bits_stated": None,
+        "given": "",
+        "labels": None,
+        "silent_bits": 0.0,
+        "silent_steps": 0,
+        "strongest": "",
+    }
     try:
         score: RunScore = score_run(run)
     except ScoreError:
         return {"claimed_bits": claimed, **nothing, "unscored": {}, "failed": [], "taps": {}}
     found = report([score])
-    if found.strongest is not None and (left := found.strongest.left) is not None:
+    best = found.strongest
+    if best is not None and (left := best.left) is not None:
         nothing = {
             "true_bits": left.high,
             "true_bits_interval": left.as_json(),
-            "strongest": found.strongest.name,
+            "true_bits_by_keys": None if best.by_keys is None else best.by_keys.high,
+            "true_bits_stated": None if best.stated is None else best.stated.high,
+            "given": best.given,
+            "labels": list(best.labels[0]) if best.labels else None,
+            "silent_bits": best.silent_bits,
+            "silent_steps": best.silent,
+            "strongest": best.name,
         }
     return {
         "claimed_bits": score.truth.claimed_bits,
@@ -186,6 +214,8 @@ def render(summary: dict[str, Any]) -> str:
         for name, tap in summary["taps"].items()
     ]
     for name, tap in summary["taps"].items():
+        if told := unused_in_words(tap["unused"]):
+            lines += _folded(f"Eve        {name:<{NAME_WIDTH}}", f"not used: {told}")
         if tap["steps_not_looked_at"]:
             late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner score --decode"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
@@ -237,6 +267,7 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
         f"Secret     {summary['claimed_bits']:.0f} bits by the paper's rule. True: "
         f"{true_in_words(summary)}."
     )
+    lines += [f"           {text}" for text in true_rests_on(summary)]
     lines += [f"FAILED     {name}: {summary['taps'][name]['failed']}" for name in summary["failed"]]
     if summary["keys"] is not None:
         lines += key_lines(summary["keys"])
@@ -249,12 +280,43 @@ def true_in_words(summary: dict[str, Any]) -> str:
     """What is left of the bits that count as secret, or why nobody knows."""
     true = summary["true_bits"]
     if true is not None:
-        return f"at most {true:.0f} ({summary['strongest']})"
+        of = ""
+        if summary["silent_bits"]:
+            of = f" of {summary['claimed_bits'] - summary['silent_bits']:.0f}"
+        return f"at most {true:.0f}{of} ({summary['strongest']})"
     if summary["failed"]:
         return "unknown, she failed"
     if any(tap["unscored"].startswith(UNFINISHED) for tap in summary["taps"].values()):
         return f"unknown, {UNFINISHED}"
+    if any(tap["unscored"] == DEAF for tap in summary["taps"].values()):
+        return "unknown, Eve could use no step"
     return "unknown, nobody guessed" if summary["taps"] else "unknown, nobody listened"
+
+
+def true_rests_on(summary: dict[str, Any]) -> list[str]:
+    """What must stand beside the true bits: an expectation, a relabelling, steps not used."""
+    if summary["true_bits"] is None:
+        return []
+    lines = []
+    stated, by_keys = summary["true_bits_stated"], summary["true_bits_by_keys"]
+    if stated is not None and by_keys is not None:
+        lines.append(
+            f"At most {stated:.0f} {given(summary['given'])}; by keys alone at most {by_keys:.0f}."
+        )
+    labels = summary["labels"]
+    if labels is not None:
+        how = f": {in_words(labels)}" if len(labels) <= WORDED else ""
+        lines += _folded("", f"Eve's symbols count relabelled{how}.")
+    if summary["silent_bits"]:
+        lines.append(f"The other {summary['silent_bits']:.0f} bits are not known to be secret:")
+        lines.append(f"Eve could not use {summary['silent_steps']} agreed steps.")
+    return lines
+
+
+def _folded(head: str, text: str) -> list[str]:
+    """A text after a head, in lines that fit a terminal of 80 columns."""
+    lines = wrap(text, 80 - max(len(head), 11))
+    return [head + lines[0], *(" " * len(head) + line for line in lines[1:])]
 
 
 def _got(tap: dict[str, Any], recovered: int) -> str:
@@ -276,7 +338,7 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
         stray = tap["stray_steps"]
         whole = f"{stray} stray symbol{'s' if stray > 1 else ''}"
     return (
-        f"{share(tap['symbol_accuracy'])} of keys, "
+        f"{share(tap['symbols_known'])} of keys, "
         f"{share(tap['message_bit_accuracy'])} of bits, {whole}"
     )
 

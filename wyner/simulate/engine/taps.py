@@ -9,6 +9,7 @@ from random import Random
 
 from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
+from protocol.relabelling import known
 from protocol.secret.nonces import NONCE_BYTES
 from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
@@ -27,7 +28,10 @@ class TapResult:
     agreements : int
         Key symbols that were agreed; none for one who does not guess at them.
     right : int
-        Of these, the ones that she guessed right at once.
+        Of these, the ones that she named right at once.
+    known : int
+        Of these, the ones that she knew at once, up to one relabelling of the symbols for the run
+        (:mod:`protocol.relabelling`).
     delivered : int
         Whole messages that the plant recovered; the last ones, where she keeps no more of hers.
     read : int
@@ -39,6 +43,7 @@ class TapResult:
 
     agreements: int
     right: int
+    known: int
     delivered: int
     read: int
     key_blocks: int = 0
@@ -146,7 +151,7 @@ def listen(
     attackers = [(name, tap) for name, tap in zip(shown, taps, strict=True) if tap.hears_messages]
     draw = Random(f"copies {runs.seed} {runs.runs[place]}")
     keys = link.agreed[:, place].tolist()
-    right = [0] * len(taps)
+    pairs = [Counter[tuple[int, int]]() for _ in taps]
     for transition in transcript(runs, link, place):
         key = keys[transition.k]
         for message in copies(transition, draw, scenario.tap.loss) if attackers else ():
@@ -159,17 +164,20 @@ def listen(
                 guess = tap.observe(transition)
             with _told_of(shown[i], where):
                 guess = sound_guess(guess, scenario.secrecy.candidates)
-            right[i] += tap.guesses and key != NO_SYMBOL and guess.best == key
+            if tap.guesses and key != NO_SYMBOL:
+                pairs[i][guess.best, key] += 1
     symbols = link.message_symbol[:, place].tolist()
     messages = whole_messages(symbols, scenario.secrecy.candidates)
     agreements = sum(key != NO_SYMBOL for key in keys)
     out = []
-    for name, tap, hits in zip(shown, taps, right, strict=True):
+    for name, tap, steps in zip(shown, taps, pairs, strict=True):
+        its = known([steps], scenario.secrecy.candidates)
         with _told_of(name, "belief"):
             belief = tap.belief()
         with _told_of(name, "belief"):
             belief = sound_belief(belief)
         read, of = read_of(messages, belief)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
-        out.append(TapResult(agreements if tap.guesses else 0, hits, of, read, *held))
+        agreed = agreements if tap.guesses else 0
+        out.append(TapResult(agreed, its.named, its.right, of, read, *held))
     return out

@@ -1,0 +1,100 @@
+"""A watch over an end's turns: a call into a user's file that never returns ends the service.
+
+A scheme, a law, a plant or an attack of a user's own is trusted code, and runs in the turn of the
+end that asks it. While it does not return nothing else can be done there, no signal obeyed and no
+message heard. So a thread of its own looks on, says in a line which call it is, and ends the
+process: what a journal holds is as after a kill.
+"""
+
+import os
+import sys
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+from runtime.errors import FAILED
+
+TICK_S: Final = 1.0
+
+TICKS: Final = 30
+"""Looks in a row that find one turn under way. A process that was stopped meanwhile looks once."""
+
+ROOMS: Final = frozenset(
+    {
+        *("attacker_service", "controller_service", "plant_service", "protocol", "runtime"),
+        *("tap_service", "wyner"),
+    }
+)
+
+
+class Turns:
+    """Whose turn it is, for the watch: set at the beginning of each turn, cleared at its end."""
+
+    def __init__(self) -> None:
+        self.number = 0
+        self.under_way = False
+        self.thread = 0
+
+    def begin(self) -> None:
+        """A turn begins, on this thread."""
+        self.number += 1
+        self.thread = threading.get_ident()
+        self.under_way = True
+
+    def over(self) -> None:
+        """It has returned."""
+        self.under_way = False
+
+
+class TurnWatch:
+    """Looks at turns in a thread of its own until it is left.
+
+    Parameters
+    ----------
+    turns : Turns
+    end : callable
+        Ends the process, once a line has said why.
+    """
+
+    def __init__(self, turns: Turns, end: Callable[[int], object] = os._exit) -> None:
+        self._turns = turns
+        self._end = end
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._left.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        seen, times = -1, 0
+        while not self._left.wait(TICK_S):
+            number, thread = self._turns.number, self._turns.thread
+            if not self._turns.under_way or number != seen:
+                seen, times = number, 0
+                continue
+            times += 1
+            if times == TICKS:
+                frame = sys._current_frames().get(thread)
+                said = f"wyner: {_call(frame)} has not returned for {TICKS * TICK_S:g} s"
+                os.write(2, f"{said}; a file of one's own must return\n".encode())
+                self._end(FAILED)
+
+
+def _call(frame: FrameType | None) -> str:
+    """The call that a turn made out of the program's own rooms; else where it is."""
+    where, found = frame, frame
+    while frame is not None and frame.f_globals.get("__name__") != "runtime.host":
+        if str(frame.f_globals.get("__name__")).split(".")[0] not in ROOMS:
+            found = frame  # the outermost within the turn
+        frame = frame.f_back
+    at = found or where
+    if at is None:
+        return "a turn"
+    code = at.f_code
+    return f"{Path(code.co_filename).name}, line {at.f_lineno}, in {code.co_name}"

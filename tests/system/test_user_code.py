@@ -1,0 +1,96 @@
+"""A user's file is trusted code: one that never returns, or ends its process, is told in a line."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from runtime.shipped import SCENARIOS
+from tests.support.patience import PATIENCE_S
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[2]
+
+LAW = """
+import os, time
+from controller_service.laws.base import ProgramLaw
+from protocol.scenario import Control
+
+class Table(Control):
+    pass
+
+class Law(ProgramLaw):
+    table = Table
+    asked = 0
+
+    def answers(self, x, i):
+        self.asked += 1
+        if self.asked > 20:
+            {what}
+        return super().answers(x, i)
+"""
+PLANT = """
+import time
+
+def f(t, x, u):
+    while t > 1.0: time.sleep(0)
+    return (x[1], u[0] - 0.5 * x[1])
+"""
+SOON = """
+import runtime.turn_watch
+runtime.turn_watch.TICK_S = 0.1
+"""
+LOOPS = "while True: time.sleep(0)"
+ENDS = "os._exit(0)"
+
+
+def up(
+    folder: Path, old: str, own: str, secrecy: str = "[secrecy]"
+) -> subprocess.CompletedProcess[str]:
+    """A run of the scenario with ``old`` in it replaced; the watch is ten times as impatient."""
+    (folder / "sitecustomize.py").write_text(SOON)
+    text = (SCENARIOS / "sustained.toml").read_text()
+    assert old in text
+    (folder / "own.toml").write_text(text.replace(old, own).replace("[secrecy]", secrecy))
+    return subprocess.run(
+        [
+            *(sys.executable, "-m", "wyner", "up", "--scenario", "own.toml", "--headless"),
+            *("--pace", "fast", "--run-dir", "run"),
+        ],
+        cwd=folder,
+        env={**os.environ, "PYTHONPATH": f"{folder}:{ROOT}"},
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+
+
+@pytest.mark.parametrize(("what", "why"), [(LOOPS, "has not returned for 3 s"), (ENDS, "")])
+def test_a_law_that_does_not_return_ends_the_run_with_a_line(
+    what: str, why: str, tmp_path: Path
+) -> None:
+    (tmp_path / "mine.py").write_text(LAW.format(what=what))
+    done = up(tmp_path, 'law = "sustained"', 'law = "mine.py:Law"')
+    assert done.returncode == 1, done.stderr
+    line = done.stderr.splitlines()[-1]
+    assert line.startswith("wyner: controller: ")
+    if why:
+        assert "mine.py, line 16, in answers has not returned for 3 s" in line
+    else:
+        assert "its process ended in the middle of the run, with exit code 0" in line
+    assert "run/controller/log)" in line
+
+
+def test_a_plant_that_does_not_return_ends_the_run_with_a_line(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text(PLANT)
+    text = (SCENARIOS / "sustained.toml").read_text()
+    matrices = "".join(line for line in text.splitlines(True) if line[:3] in ("A =", "B ="))
+    own = '[plant]\nkind = "ode"\nobject = "mine.py:f"\n'
+    done = up(tmp_path, f"[plant]\n{matrices}", own, f"[defender]\n{matrices}\n[secrecy]")
+    assert done.returncode == 1, done.stderr
+    line = done.stderr.splitlines()[-1]
+    assert line.startswith("wyner: plant: mine.py, line 5, in f has not returned for 3 s; "), line
