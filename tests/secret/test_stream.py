@@ -59,15 +59,19 @@ def test_the_rows_that_change_make_the_same_stream_after_a_restart(
     assert again.name(1, 99) == stream.name(1, 99)
 
 
-def test_the_plant_may_be_a_block_ahead_and_holds_all_that_the_controller_names() -> None:
+def test_what_is_named_is_held_until_it_has_served_whoever_confirms_two_blocks_at_once() -> None:
     controller, plant = Stream(4), Stream(4)
-    for block in range(3 * BLOCKS):
-        keys = [bytes([block]) * 32]
-        plant.add(block, keys)
+    keys = [[bytes([block]) * 32] for block in range(5 * BLOCKS)]
+    for block in range(0, len(keys) - 3, 2):
+        for at in (block + 1, block + 2):
+            plant.add(at, keys[at])
         position = controller.name(1, 99)
-        assert position == NOWHERE or plant.at(position, 1) is not None
-        controller.add(block, keys)
-    assert len({part for part in range(3 * BLOCKS) if plant.at(Position(part, 0), 1)}) == BLOCKS
+        controller.add(block, keys[block])
+        controller.add(block + 1, keys[block + 1])
+        if position != NOWHERE:
+            assert controller.at(position, 1) is not None
+            assert plant.at(position, 1) == controller.at(position, 1)
+    assert len({part for part in range(5 * BLOCKS) if plant.at(Position(part, 0), 1)}) == BLOCKS
 
 
 def test_what_is_not_held_has_no_digits() -> None:
