@@ -62,6 +62,7 @@ def test_the_rows_that_change_make_the_same_stream_after_a_restart(
 def test_what_is_named_is_held_until_it_has_served_whoever_confirms_two_blocks_at_once() -> None:
     controller, plant = Stream(4), Stream(4)
     keys = [[bytes([block]) * 32] for block in range(5 * BLOCKS)]
+    plant.add(0, keys[0])
     for block in range(0, len(keys) - 3, 2):
         for at in (block + 1, block + 2):
             plant.add(at, keys[at])

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from controller_service import core as controller_core
-from plant_service import core as plant_core
+from protocol.link.events import Event
 from protocol.link.peer import Actions
+from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
 from protocol.secret.stream import NOWHERE, Part, Position, Stream
@@ -46,6 +47,12 @@ class SealedEnds(KeyedEnds):
         if actions.received is not None:
             self.received.append(actions.received)
             assert self.received == list(PAYLOADS[: len(self.received)])
+
+
+    def traced(self, side: Name, event: Event) -> None:
+        super().traced(side, event)
+        refused = isinstance(event, CountedTransition) and event.refused
+        assert not refused, "a frame arrived broken"
 
 
 class KeyedCoinLink(KeyedLink):
@@ -128,15 +135,6 @@ def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(Stream, "drop_before", keeps)
 
 
-def the_plant_says_that_every_step_had_digits(patch: pytest.MonkeyPatch) -> None:
-    broken(
-        patch,
-        plant_core,
-        "keyed=bool(self._taken) if self.rules.digits else None,",
-        "keyed=True if self.rules.digits else None,",
-    )
-
-
 def a_controller_takes_no_notice_of_what_was_used(patch: pytest.MonkeyPatch) -> None:
     broken(patch, controller_core, "if self.rules.scheme.from_stream and not served:", "if False:")
 
@@ -145,7 +143,6 @@ WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [
     the_position_does_not_move_on,
     a_new_process_forgets_what_it_named,
     nothing_is_erased,
-    the_plant_says_that_every_step_had_digits,
     a_controller_takes_no_notice_of_what_was_used,
 ]
 
