@@ -281,7 +281,7 @@ class KeySolver(Eavesdropper):
     def digits(self, session: str, position: Position, count: int) -> tuple[int, ...] | None:
         """Digits of the key stream, where she can compute the keys that they come from."""
         at = position.at
-        for key in self._keys_of(session, position.block):
+        for key in self.keys_of(session, position.block):
             if key is None:
                 per_word, values = digits_per_word(self.size)
                 if values != 1 << 32:  # how many digits the key gives depends on it
@@ -296,7 +296,7 @@ class KeySolver(Eavesdropper):
             at -= len(found)
         return None
 
-    def _keys_of(self, session: str, number: int) -> tuple[bytes | None, ...]:
+    def keys_of(self, session: str, number: int) -> tuple[bytes | None, ...]:
         """The keys of a block, None for each that she cannot compute."""
         for solved in self._solved:
             if (solved.session, solved.number) == (session, number):
@@ -306,6 +306,13 @@ class KeySolver(Eavesdropper):
                     self._keys[place] = tuple(self._key(solved, row) for row in rows)
                 return self._keys[place]
         return ()
+
+    def known_words(self, session: str, number: int, row: int) -> tuple[bytes | None, ...]:
+        """A block's key in words of two bytes, None for those that she cannot compute."""
+        for solved in self._solved:
+            if (solved.session, solved.number) == (session, number) and row < solved.held.rows:
+                return tuple(self._word(solved, row, place) for place in range(WORDS))
+        return (None,) * WORDS
 
     def _key(self, solved: _Solved, row: int) -> bytes | None:
         found = [self._word(solved, row, place) for place in range(WORDS)]

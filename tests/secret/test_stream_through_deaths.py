@@ -48,7 +48,6 @@ class SealedEnds(KeyedEnds):
             self.received.append(actions.received)
             assert self.received == list(PAYLOADS[: len(self.received)])
 
-
     def traced(self, side: Name, event: Event) -> None:
         super().traced(side, event)
         refused = isinstance(event, CountedTransition) and event.refused
