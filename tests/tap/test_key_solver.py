@@ -61,7 +61,7 @@ def recorded(
     draw = random.Random(4)
     world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
     while sum(world.confirmed["controller"].values()) < 4:
-        world.well(100)
+        world.step()
     confirmed = world.confirmed["controller"]
     blocks = [b for b in world.closed if (b.session, b.number) in confirmed]
     world.close()
