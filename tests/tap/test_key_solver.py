@@ -62,6 +62,8 @@ def recorded(
     world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
     while sum(world.confirmed["controller"].values()) < 4:
         world.step()
+    for _ in range(60):  # so that who missed the last words hears later ones
+        world.step()
     confirmed = world.confirmed["controller"]
     blocks = [b for b in world.closed if (b.session, b.number) in confirmed]
     world.close()
