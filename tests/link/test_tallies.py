@@ -149,7 +149,9 @@ class Ends:
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         else:
             record = self.receiver.record
-            self.receiver = PlantInHand(self.rules, PLANT, record, self.symbols, self.rows_of(record))
+            self.receiver = PlantInHand(
+                self.rules, PLANT, record, self.symbols, self.rows_of(record)
+            )
             self.woke, self.unsaved = self.keys, ()
         self.meet()
         self.compare()
