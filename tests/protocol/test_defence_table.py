@@ -32,7 +32,10 @@ def test_a_keyed_coin_needs_keys() -> None:
     del changed["keys"]
     assert "takes distilled keys, expected a table [keys] beside it" in refused(changed)
     changed["keys"] = {"eps_E": 0.0}
-    assert "takes distilled keys, and under keys.eps_E = 0" in refused(changed)
+    with pytest.raises(
+        ScenarioError, match=r"defence.coin: 'keys' takes distilled keys, and eps_E = 0"
+    ):
+        made(changed)
 
 
 def test_a_sealed_symbol_needs_keys() -> None:
