@@ -4,6 +4,7 @@ from runtime.health import look_at_status
 from runtime.services import (
     CONTROLLER_FIELD,
     CONTROLLER_MANAGEMENT,
+    END_STOP_S,
     PLANT_FIELD,
     PLANT_MANAGEMENT,
     Ends,
@@ -30,5 +31,6 @@ register(
             ),
         },
         health=look_at_status,
+        stop_s=END_STOP_S,
     )
 )

@@ -45,7 +45,7 @@ from tap_service.inference.miss_rate import ALL, Audit, worst
 KEPT_BLOCKS: Final = 64
 """Blocks that she has something of and keeps, and blocks that she tells of."""
 
-KEPT_SESSIONS: Final = 4
+KEPT_SESSIONS: Final = 8
 """Sessions of which steps are kept that are not settled: the one before may have some, and a
 message may be a stray."""
 
@@ -127,6 +127,7 @@ class KeySolver(Eavesdropper):
         self._blocks = self._broken = self._bits = self._unplaced = 0
         self._j = -1  # number of the last transition; -1 where she did not hear a session's first
         self._last_k = -1
+        self._session = ""  # of the last transition
         self._open: list[tuple[int, bytes | None, bytes | None]] = []
         self._open_steps = 0
         self._digits = knowledge.digits
@@ -160,8 +161,8 @@ class KeySolver(Eavesdropper):
 
     def _step(self, session: str, k: int) -> _Step:
         steps = self._steps[session] = self._steps.pop(session, {})  # in the order of last use
-        while len(self._steps) > KEPT_SESSIONS:
-            del self._steps[next(iter(self._steps))]
+        if len(self._steps) > KEPT_SESSIONS:
+            del self._steps[next(name for name in self._steps if name != self._session)]
         step = steps.setdefault(k, _Step())
         if len(steps) > KEPT_STEPS:
             del steps[next(iter(steps))]
@@ -187,7 +188,7 @@ class KeySolver(Eavesdropper):
             self._append(t.session, step)
         if self.scheme.from_stream and step.position != NOWHERE:
             self._read(t, step.position)
-        self._last_k = t.k
+        self._last_k, self._session = t.k, t.session
         for k in [k for k in steps if k <= t.k]:
             del steps[k]
         return Guess(t.k, self._even, 0.5)

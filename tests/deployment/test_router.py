@@ -145,39 +145,6 @@ def test_a_guarded_router_passes_on_what_the_names_allow_and_nothing_else(certs:
     assert got == allowed
 
 
-@pytest.mark.integration
-def test_a_guarded_router_tells_what_it_denied_and_nothing_else(certs: Path) -> None:
-    """Each forged message, and no word of those who listen and say what they may."""
-    endpoint = free_endpoints(1)[0].replace("tcp/", "tls/")
-    options = ["--tls", f"field={certs / 'router'}", "--guard", "field"]
-    command = wyner("router", "--listen", f"field={endpoint}", *options)
-    router = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    key = key_of(Offer, "loop")
-    try:
-        assert router.stderr is not None
-        assert "guarded by certificate" in router.stderr.readline()
-        with clients(certs, endpoint, "controller", "plant", "tap") as buses:
-            for name in ("plant", "tap"):
-                buses[name].subscribe(key, lambda *_: None)
-            honest, forged = buses["controller"].publisher(key), buses["tap"].publisher(key)
-            wait_for(lambda: honest.matched and forged.matched)
-            denied: list[str] = []
-            for _ in range(3):
-                honest.put(b"offer")
-                time.sleep(1.1)  # one line a second is told
-                forged.put(b"forged")
-                denied.append(router.stderr.readline().partition("denied: ")[2])
-        router.send_signal(signal.SIGTERM)
-        out, said = router.communicate(timeout=PATIENCE_S)
-        assert router.returncode == 0
-        assert out == "", "Zenoh's own log stays behind"
-        assert denied == [f"tap may not put on {key}\n"] * 3
-        assert "denied" not in said
-    finally:
-        router.kill()
-        router.wait()
-
-
 @pytest.mark.slow
 def test_buses_of_one_router_process_do_not_mix() -> None:
     field, management = free_endpoints(2)

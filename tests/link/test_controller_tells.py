@@ -900,8 +900,8 @@ def test_a_burst_of_old_measurements_ends_no_session() -> None:
 
 def test_a_wrong_message_of_its_own_is_no_malformed_input(monkeypatch: pytest.MonkeyPatch) -> None:
     """It is a fault of this end, and told as one, not blamed on what came."""
+    monkeypatch.setitem(globals(), "propose", lambda _x: ((nan,), (1.0,)))
     end = Told().at_work()
-    monkeypatch.setattr(end.core, "_propose", lambda _x: ((nan,), (1.0,)))
     with pytest.raises(ValidationError, match="candidates"):
         end.core.receive(Measurement, measurement(k=4, applied_k=3).wire(), 1.0)
     assert end.core.malformed == 0

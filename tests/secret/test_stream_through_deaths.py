@@ -120,7 +120,7 @@ def the_position_does_not_move_on(patch: pytest.MonkeyPatch) -> None:
 def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
     init = Stream.__init__
 
-    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:  # noqa: ARG001
+    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:
         init(self, size, parts)
 
     patch.setattr(Stream, "__init__", begins)
@@ -128,7 +128,7 @@ def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
 
 
 def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
-    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:  # noqa: ARG001
+    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:
         return ()
 
     patch.setattr(Stream, "drop_before", keeps)

@@ -24,6 +24,7 @@ from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
 from tests.support.size import size
 from tests.support.two_ends import Name
+from wyner.runs.score.report import held_line
 
 CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
@@ -121,6 +122,29 @@ def without(messages: Iterable[FieldMessage], loss: float, seed: int) -> Iterato
             yield message
 
 
+@pytest.mark.parametrize("at", [0, 1, 90, 91])
+def test_stray_messages_cost_her_no_key(at: int) -> None:
+    """One of another session, and she held 0 bits of 0 blocks where she had held 103,936 bits."""
+    messages, _, _ = recorded()
+    whole = held_by(messages)
+    strays = [
+        messages[20 + i].model_copy(update={"session": f"{i + 10:016x}", "k": 10**i})
+        for i in range(6)
+    ]
+    assert held_by([*messages[:at], *strays, *messages[at:]]) == whole
+
+
+def test_transitions_that_fall_in_no_block_are_told() -> None:
+    """ "0 of 0 key blocks" read as if no key had been made."""
+    messages, _, _ = recorded()
+    keys = held_by(messages[60:])
+    assert (keys.blocks, keys.bits) == (0, 0)
+    assert keys.unplaced > len(messages) / 2 - 40
+    assert f"{keys.unplaced} transitions fell in no block" in held_line(keys)
+    assert held_by(messages).unplaced == 0
+    assert "transitions" not in held_line(held_by(messages))
+
+
 @pytest.mark.parametrize(
     ("lossy", "claim"),
     [(False, CLAIM), (True, CLAIM), (False, Assumption(0.5, unheard_bits=128))],
@@ -171,7 +195,7 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     most = list[tuple[int, int]]()
     last = size(36, 60)
     for blocks in (10, 11, 20, last):
-        while world.journals["plant"].load().transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
+        while world.journals["plant"].load().record.transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
             world.well(20)
         for message in without(world.field, loss, blocks):
             listener.hear(message)
