@@ -25,9 +25,9 @@ class SenderRecord(NamedTuple):
     which queued frame the next message symbol comes from, and ``framed`` whether the pending one
     came from there or is idle.
     ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
-    answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
-    ``confirmed`` is the newest block whose digits have joined the stream, ``refuted`` says why the
-    claim that keys rest on does not hold, and ``unwatched`` is the sum of
+    answers, if its copy 0 came first; ``block`` and ``tag`` are the key block announced last and
+    its tag. ``confirmed`` is the newest block whose digits have joined the stream, ``refuted`` says
+    why the claim that keys rest on does not hold, and ``unwatched`` is the sum of
     :class:`protocol.defence.watch.Watch`. ``incarnation`` counts the processes that had this
     journal. ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm
     has ended the offers. ``estimate`` is what the last transition left of the box in which the

@@ -22,7 +22,7 @@ ALPHA: Final = 1e-6
 LAGS: Final = 8
 """Distances at which her misses are looked at for bursts."""
 
-ALL: Final = "all messages"
+ALL: Final = "messages"
 """The copies of all classes together, where there are several: they refute a claim in half the
 steps."""
 

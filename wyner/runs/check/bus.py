@@ -275,7 +275,7 @@ _DIGITS: Final = b"0123456789abcdef.+-"
 def _shape(raw: bytes) -> tuple[bytes, int]:
     """A message's names, lengths and kinds of value: all that is left without digits.
 
-    Of a nonce and a tag that is their length; which block was stored last and which digits an
+    Of a nonce and a tag that is their length; which block was announced last and which digits an
     offer has follow from what was counted, and that is public.
     """
     keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)

@@ -1,4 +1,4 @@
-"""The checks of keys: nonces leave once, both ends count alike, blocks and ids are the same."""
+"""The checks of keys: nonces leave once, both ends count alike, blocks and tags are the same."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
