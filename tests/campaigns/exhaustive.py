@@ -29,7 +29,7 @@ SAVED_S: Final = 900.0
 BEFORE_A_MESSAGE: Final = slice(-11, -1)
 """The last ten states before a message is whole: a key block is made on the way.
 
-Where keys choose the coin, the last ten before the third key's first step.
+Where keys choose the coin, the last ten before a watched step.
 """
 
 
