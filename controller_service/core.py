@@ -675,9 +675,15 @@ class ControllerCore:
         return self._saved(actions)._replace(durable=True)
 
     def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it."""
+        """``actions``, which save the record as it is now, with all that belongs to it.
+
+        They may save it already, as it was before.
+        """
         self.record = self.record._replace(confirmed=self.keys.confirmed)
-        return actions._replace(record=self.record, rows=self.keys.rows())
+        rows = self.keys.rows()
+        if actions.record is not None:
+            rows = actions.rows.and_then(rows)
+        return actions._replace(record=self.record, rows=rows)
 
     def _alarm(self, transition: CountedTransition, applied: Offer, reason: Reason) -> Alarm:
         """What was read and what was expected, of a transition that makes an alarm."""

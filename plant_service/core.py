@@ -502,9 +502,15 @@ class PlantCore:
         return self._last_symbol and carried
 
     def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it."""
+        """``actions``, which save the record as it is now, with all that belongs to it.
+
+        They may save it already, as it was before.
+        """
         self.record = self.record._replace(confirmed=self.keys.confirmed)
-        return actions._replace(record=self.record, rows=self.keys.rows())
+        rows = self.keys.rows()
+        if actions.record is not None:
+            rows = actions.rows.and_then(rows)
+        return actions._replace(record=self.record, rows=rows)
 
     def _report(self, offer: Offer, x_next: Vector) -> Measurement:
         """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""

@@ -64,6 +64,10 @@ class KeyRows(NamedTuple):
     obsolete_rows: tuple[range, ...] = ()
     parts: tuple[Part, ...] = ()
 
+    def and_then(self, later: "KeyRows") -> "KeyRows":
+        """These rows and then ``later`` ones, in one save."""
+        return KeyRows(*[mine + theirs for mine, theirs in zip(self, later, strict=True)])
+
 
 NO_ROWS: Final = KeyRows()
 
