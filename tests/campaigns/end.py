@@ -137,7 +137,7 @@ class End:
         self._said: dict[str, Measurement | Offer] = {}
         self._first: dict[str, tuple[str, int]] = {}
         self._ciphers: tuple[tuple[str, int, int], ...] = ()
-        self._taken = Taken()
+        self._taken = (Taken(), Taken(), Taken())  # by the newest steps that took any
         self.journal: ControllerJournal | PlantJournal
         if side == "controller":
             self.journal = controller_journal(*PAYLOADS)
@@ -244,13 +244,14 @@ class End:
 
     def _take(self, session: str, k: int, position: Position) -> None:
         """A step takes digits; they lie beyond those of all before it, and are always the same."""
-        before = self._taken
+        before = self._taken[-1]
         if (session, k) == (before.session, before.k):
             if position != before.position:
                 raise Broken(f"step {k} took digits at {before.position} and at {position}")
         elif session == before.session and position < before.end(self.rules.digits):
             raise Broken(f"a digit at {position} is for two steps")
-        self._taken = Taken(session, k, position)
+        else:
+            self._taken = (*self._taken[1:], Taken(session, k, position))
 
     def publish(self, message: Message) -> None:
         """Send it; a step's message says the same in each copy, and its copy 0 leaves once."""
@@ -409,6 +410,10 @@ class End:
             said = loaded.measurement if self.side == "plant" else loaded.offer
             announced = (record if said is None else said).block
             held = View((), record.session, announced, record.confirmed, loaded.parts)
+            served = self._taken[1 if self.side == "plant" else 0]  # with the save after the count
+            over = served.end(self.rules.digits)
+            if served.session == record.session and any(p.begins < over for p in loaded.parts):
+                raise Broken(f"a digit that served step {served.k} is still in the journal")
         self.view = held._replace(
             counted=self.view.counted, received=self.view.received, forgot=self.view.forgot
         )

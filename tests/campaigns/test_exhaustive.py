@@ -34,9 +34,9 @@ Patch = pytest.MonkeyPatch
 )
 def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
     starts = slice(size(-3, -6), -1)
-    found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 2, 2, starts)
+    found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 3, 2, starts)
     assert not found.why, (found.why, found.path)
-    assert len(found.seen) > size(400, 500)
+    assert len(found.seen) > size(1500, 2000)
 
 
 @pytest.mark.long
@@ -52,9 +52,9 @@ def test_each_digit_serves_once_and_no_honest_step_alarms(
 ) -> None:
     with short_keys():
         space = Space(scheme, timed=True, keys=True, acts=acts, coin=coin)
-        found = shortest(space, 2, 2, slice(-4, -1))
+        found = shortest(space, 3, 2, slice(-4, -1))
     assert not found.why, (found.why, found.path)
-    assert len(found.seen) > 300
+    assert len(found.seen) > 1500
 
 
 @pytest.mark.long
@@ -62,9 +62,9 @@ def test_each_digit_serves_once_and_no_honest_step_alarms(
 def test_a_wrong_stream_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
     wrong(monkeypatch)
     with short_keys():
-        found = shortest(Space("sealed", timed=True, keys=True, coin=True), 4, 1, slice(-8, -1))
+        found = shortest(Space("sealed", timed=True, keys=True), 4, 1, slice(-4, -1))
     assert found.why
-    assert 0 < len(found.path) <= 4
+    assert len(found.path) <= 4
 
 
 @pytest.mark.long
