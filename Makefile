@@ -83,7 +83,7 @@ ROOM_controller := controller
 ROOM_plant := adapters
 ROOM_tap := tap
 ROOM_attacker := attacker
-ROOM_wyner := advice api bound capacity cli dashboard deployment fit runs simulate sweeps system
+ROOM_wyner := advice api cli dashboard deployment fit runs simulate sweeps system
 ROOM_studies := studies
 ROOM_house := house benchmarks campaigns examples tools
 

@@ -490,7 +490,8 @@ class ControllerCore:
             following = record._replace(state=after)  # the symbol was not carried: it comes again
         else:
             message, offset = record.message, record.offset
-            if record.framed and offset == len(self._frame_of(message)):
+            # The frame is looked at in every state, as in `_decide`.
+            if offset == len(self._frame_of(message)) and record.framed:
                 message, offset = message + 1, 0
             following = self._decide(after, record.transitions + 1, message, offset, decided)
         if verdict.estimate is not None:
@@ -559,24 +560,21 @@ class ControllerCore:
         """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
 
         The record that follows has it, with where in the queue the next message symbol comes from.
+        Both decisions are made in both states, and one is taken, so that neither takes longer.
         Under the key stream the message symbol is decided, and each offer encrypts it anew
         (:meth:`_cipher`).
         """
         size, scheme = self.rules.size, self.rules.scheme
         pad = scheme.pad(state)
-        if pad == NO_SYMBOL and not scheme.from_stream:
-            return self.record._replace(
-                state=state,
-                cipher=self._fresh.symbol(transitions, size) if decided is None else decided,
-                message_symbol=NO_SYMBOL,
-                framed=False,
-                message=message,
-                offset=offset,
-            )
+        fresh = 0
+        if decided is not None:
+            fresh = decided
+        elif not scheme.from_stream:
+            fresh = self._fresh.symbol(transitions, size)
         symbols = self._frame_of(message)
         framed = bool(symbols)
         message_symbol = symbols[offset] if framed else IDLE
-        return self.record._replace(
+        carrying = self.record._replace(
             state=state,
             cipher=0 if scheme.from_stream else encrypt(message_symbol, pad, size),
             message_symbol=message_symbol,
@@ -584,6 +582,17 @@ class ControllerCore:
             message=message,
             offset=offset + framed,
         )
+        cover = self.record._replace(
+            state=state,
+            cipher=fresh,
+            message_symbol=NO_SYMBOL,
+            framed=False,
+            message=message,
+            offset=offset,
+        )
+        if pad == NO_SYMBOL and not scheme.from_stream:
+            return cover
+        return carrying
 
     def _frame_of(self, message: int) -> bytes:
         """The frame of a queued message, or nothing while there is none."""
@@ -883,7 +892,7 @@ class ControllerCore:
         self.keys.fail(command.reason)
         self._status_soon()
         notice = Notice(f"keys stop: {command.reason}", "error")
-        return Actions(notices=(notice,))
+        return self._saved(Actions(notices=(notice,), durable=True))
 
     # --- commands ---------------------------------------------------------------------------------
 

@@ -4,6 +4,7 @@ from runtime.health import look_at_status
 from runtime.services import (
     CONTROLLER_FIELD,
     CONTROLLER_MANAGEMENT,
+    END_STOP_S,
     PLANT_FIELD,
     PLANT_MANAGEMENT,
     Ends,
@@ -27,11 +28,9 @@ register(
                 "management/controller/hello",
                 "management/controller/status",
                 "management/reply/send",
-                "management/keys/word",
-                "management/keys/request",
-                "management/keys/answer",
             ),
         },
         health=look_at_status,
+        stop_s=END_STOP_S,
     )
 )

@@ -12,8 +12,14 @@ SOLVED_DEFLATION = 1e-6
 """Each T_i of three or four states, or of two inputs, is shrunk by at least this fraction: Qhull
 may drop a thinner facet, and a solver's answer may miss a constraint by its tolerance."""
 
+LARGEST_SPREAD = 1e6
+"""Sets of three or four states end where a facet adds up products this much larger than its bound.
+Qhull then drops facets that matter: beside an exact recursion of plants with three states the first
+set that held a state which no input steers had 4e7."""
+
 CONDITION = 1e8
-"""With a larger condition number A counts as singular: the state bounds limit the sets."""
+"""With a larger condition number, in the best units of the states, A counts as singular: the state
+bounds limit the sets."""
 
 GROWTH = 1e-8
 """The recursion ends when no facet of T_i moves by more than this fraction of its distance."""
@@ -26,6 +32,9 @@ TERMINAL_MARGIN = 1e-4
 
 SLOW_MARGINS = (1e-3, 1e-2)
 """The same where K brings the state back so slowly that less leaves no room."""
+
+THIN = 1e-9
+"""Where D_c reaches a facet of T_0 by less than this fraction, D_c is too thin, not K too slow."""
 
 TERMINAL_ERROR = 1e-3
 """Without a stated order, T_0 takes the first whose error bound is this part of its radius."""

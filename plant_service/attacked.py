@@ -39,7 +39,7 @@ class AttackedPlant:
 
     def __init__(self, plant: Plant, attacker: "Attacker", x: Vector) -> None:
         self._plant = plant
-        self._attacker = attacker
+        self.attacker = attacker
         self.device = plant.device
         self.truth: Truth | None = None
         self._x = x
@@ -53,18 +53,18 @@ class AttackedPlant:
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
         """Apply ``u``, or what an attack on the actuator makes of it, where the plant stands."""
-        at_actuator = self._attacker.at == "actuator"
-        self._u = self._attacker.input(k, u) if at_actuator else u
+        at_actuator = self.attacker.at == "actuator"
+        self._u = self.attacker.input(k, u) if at_actuator else u
         self._plant.begin(k, self._x, self._u)
 
     def end(self, k: int) -> Vector:
         """x(k+1) as it is reported; the true one is in :attr:`truth`."""
         self._x = reported = self._plant.end(k)
-        if self._attacker.at == "sensor":
+        if self.attacker.at == "sensor":
             heard = [self.heard.popleft() for _ in range(len(self.heard))]
-            reported = self._attacker.reading(k + 1, self._x, heard)
-        failed = "" if self._told else self._attacker.failed
-        self._told = self._attacker.failed
+            reported = self.attacker.reading(k + 1, self._x, heard)
+        failed = "" if self._told else self.attacker.failed
+        self._told = self.attacker.failed
         inner = self._plant.truth  # of noisy sensors
         self.truth = Truth(self._x if inner is None else inner.x_next, self._u, failed)
         return reported
@@ -75,7 +75,7 @@ class AttackedPlant:
 
     def close(self) -> str:
         """As the plant."""
-        self._attacker.sieve.tell()
+        self.attacker.sieve.tell()
         return self._plant.close()
 
     def overheard(self, bus: Bus, loop: str) -> Bus:

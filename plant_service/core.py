@@ -225,7 +225,6 @@ class PlantCore:
         self._last_at = -inf
         self._gives_up_at: float | None = None
         self._farewell_s = FAREWELL_S + round_trip_s
-        self._counted = False  # the last step, by the controller
 
     @property
     def under_way(self) -> Offer | None:
@@ -392,8 +391,8 @@ class PlantCore:
         """If the offer is for this step: toss the coin, and begin."""
         record, now = self.record, self.now
         if self._finished:  # all that matters now is that the last step was counted
-            if offer.k == record.k and not self._counted:
-                self._counted, self._last_at = True, now
+            if offer.k == record.k:  # the controller has counted the last step
+                self.code = DONE
             return NOTHING_TO_DO
         try:
             what = self._check(offer)
@@ -904,7 +903,7 @@ class PlantCore:
         now = self.now
         if self._gives_up_at is None:
             self._gives_up_at = now + self._farewell_s
-        if self._counted or now >= self._gives_up_at:
+        if now >= self._gives_up_at:
             self.code = DONE
             return NOTHING_TO_DO
         self._last_at = now + LOCKSTEP_REPEAT_S

@@ -1,7 +1,7 @@
 """The plant among the services."""
 
 from runtime.health import look_at_status
-from runtime.services import PLANT_FIELD, PLANT_MANAGEMENT, Ends, Service, register
+from runtime.services import END_STOP_S, PLANT_FIELD, PLANT_MANAGEMENT, Ends, Service, register
 
 register(
     Service(
@@ -16,11 +16,9 @@ register(
                 "management/plant/hello",
                 "management/plant/model",
                 "management/plant/status",
-                "management/keys/word",
-                "management/keys/request",
-                "management/keys/answer",
             ),
         },
         health=look_at_status,
+        stop_s=END_STOP_S,
     )
 )

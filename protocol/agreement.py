@@ -200,3 +200,16 @@ class AgreementRule:
         return AgreementResult(
             tuple(gauges), symbol if inside == 1 and possible else NO_SYMBOL, inside
         )
+
+
+def fails(gauges: Sequence[float], digit: int) -> bool:
+    """Whether a transition is not the keyed candidate's: g(x(k+1) - f_c(x(k), v + p_b)) > 1.
+
+    Parameters
+    ----------
+    gauges : sequence of float, M of them
+        :attr:`AgreementResult.gauges`, with its tolerance.
+    digit : int
+        b.
+    """
+    return not gauges[digit] <= INSIDE

@@ -8,7 +8,7 @@ floating point (Sterbenz), so the redundancy test is written in differences.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,6 +17,10 @@ from protocol.arrays import Array, Indices
 
 if TYPE_CHECKING:
     from scipy.spatial import ConvexHull
+
+
+UNEVEN: Final = 1024.0
+"""A set of three or four dimensions whose widths differ by more gets its corners in other units."""
 
 
 class SetError(Exception):
@@ -68,6 +72,14 @@ class Polytope:
     def scaled(self, factor: float) -> "Polytope":
         """The set ``factor`` times as large."""
         return Polytope(self.H, self.h * factor)
+
+    def in_units(self, units: Array | None) -> "Polytope":
+        """The set { w : units * w in this set }; the set itself where no units are given."""
+        if units is None:
+            return self
+        rows = self.H * units
+        lengths = np.sqrt((rows * rows).sum(axis=1))
+        return Polytope(rows / lengths[:, None], self.h / lengths)
 
     def excess(self, v: ArrayLike) -> float:
         """How far ``v`` is outside, in the unit of ``h``; zero or less inside."""
@@ -228,7 +240,21 @@ def corners(H: ArrayLike, h: ArrayLike) -> Array:
         return np.array([[-below], [above]])
     if p.dimension == 2:
         return planar_vertices(planar_reduce(p.H, p.h))
-    return spatial_reduce(p)[1]
+    units = _units_of(p)
+    V = spatial_reduce(p.in_units(units))[1]
+    return V if units is None else V * units
+
+
+def _units_of(p: Polytope) -> Array | None:
+    """Units in which a set is about as wide along each coordinate; None where its own will do.
+
+    Qhull's tolerances are those of the largest coordinate.
+    """
+    narrow = np.abs(p.H / p.h[:, None]).max(axis=0)
+    if not narrow.min() > 0 or narrow.max() <= UNEVEN * narrow.min():
+        return None
+    out: Array = 2.0 ** -np.round(np.log2(narrow))
+    return out
 
 
 def interval_reduce(p: Polytope) -> Polytope:
@@ -280,8 +306,8 @@ def _dual_hull(p: Polytope) -> "ConvexHull":
     return hull
 
 
-def spatial_faces(p: Polytope) -> tuple[Polytope, Indices]:
-    """Irredundant rows, and for each corner of the set n of the rows that meet in it.
+def spatial_faces(p: Polytope) -> tuple[Polytope, Indices, Array]:
+    """Irredundant rows, for each corner of the set n of the rows that meet in it, and the corners.
 
     Raises
     ------
@@ -290,7 +316,8 @@ def spatial_faces(p: Polytope) -> tuple[Polytope, Indices]:
     """
     hull = _dual_hull(p)
     keep = np.sort(hull.vertices)
-    return Polytope(p.H[keep], p.h[keep]), np.searchsorted(keep, hull.simplices)
+    V = hull.equations[:, :-1] / -hull.equations[:, -1:]
+    return Polytope(p.H[keep], p.h[keep]), np.searchsorted(keep, hull.simplices), V
 
 
 def spatial_add_segments(
@@ -315,7 +342,7 @@ def spatial_add_segments(
     """
     for number, (b, low, high) in enumerate(segments):
         if number:
-            p, faces = spatial_faces(p)
+            p, faces, _ = spatial_faces(p)
         n = p.dimension
         pairs = np.vstack([faces[:, [i, j]] for i in range(n) for j in range(i + 1, n)])
         g = p.H @ b

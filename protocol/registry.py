@@ -19,7 +19,8 @@ class UnknownError(LookupError):
     """A name that a registry does not know; the message lists those that it does."""
 
 
-_PROVIDERS: dict[str, list[str]] = {}
+PROVIDERS: dict[str, list[str]] = {}
+"""Modules to be imported before the first look-up of a kind of thing."""
 
 
 def provide(what: str, module: str) -> None:
@@ -28,7 +29,7 @@ def provide(what: str, module: str) -> None:
     A package states this in its ``__init__``, which stays light: nothing is loaded before it is
     asked for.
     """
-    _PROVIDERS.setdefault(what, []).append(module)
+    PROVIDERS.setdefault(what, []).append(module)
 
 
 class Registry(Generic[T]):
@@ -106,10 +107,10 @@ class Registry(Generic[T]):
     @property
     def served(self) -> bool:
         """Whether this process knows entries: a room that provides them was imported."""
-        return self.what in _PROVIDERS or bool(self._entries)
+        return self.what in PROVIDERS or bool(self._entries)
 
     def _all(self) -> dict[str, T]:
-        modules = _PROVIDERS.get(self.what, [])
+        modules = PROVIDERS.get(self.what, [])
         while (module := next((m for m in modules if m not in self._loading), None)) is not None:
             before = dict(self._entries)
             self._loading.add(module)

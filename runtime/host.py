@@ -152,7 +152,7 @@ class Host:
         self._extraction: Extraction | None = None
         self._health = HealthWriter()
         self.turns = FairLock()
-        self._turn = Turns()
+        self._turn = Turns(__name__)
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None

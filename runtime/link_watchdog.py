@@ -64,6 +64,8 @@ class LinkWatchdog:
     listens : Reopens, optional
         The one on which something comes as long as somebody is there; after a silence it is opened
         again, and the others with it.
+    silent_s : float
+        How long a silence is at least.
     settle : callable
         Waits some seconds.
     """
@@ -73,11 +75,12 @@ class LinkWatchdog:
         buses: Sequence[Reopens],
         log: logging.Logger,
         listens: Reopens | None = None,
+        silent_s: float = SILENT_S,
         settle: Callable[[float], object] = time.sleep,
     ) -> None:
         self._settle = settle
         self._buses, self._log, self._listens = buses, log, listens
-        self._patience_s = SILENT_S
+        self._least_s = self._patience_s = silent_s
         self._looked_at = inf
         self._since = self._came_at = inf
         self._received = -1
@@ -107,11 +110,11 @@ class LinkWatchdog:
         links = bus.links()
         if bus.received != self._received:
             apart_s = now - self._came_at
-            self._patience_s = min(max(SILENT_S, 2 * apart_s), SILENT_AT_MOST_S)
+            self._patience_s = min(max(self._least_s, 2 * apart_s), SILENT_AT_MOST_S)
             self._received, self._since = bus.received, now
             self._came_at = now
         elif links - self._links:  # somebody has just come
-            self._since, self._patience_s = now, SILENT_S
+            self._since, self._patience_s = now, self._least_s
         elif not links:
             self._since = now
         self._links = links
@@ -140,6 +143,7 @@ def watched(
     log: logging.Logger,
     *buses: Reopens,
     listens: Reopens | None = None,
+    silent_s: float = SILENT_S,
 ) -> Iterator[None]:
     """Look after buses on a thread of its own for as long as the block lasts.
 
@@ -150,7 +154,7 @@ def watched(
     Failure
         At the end, when one could not be opened again.
     """
-    watchdog = LinkWatchdog(buses, log, listens)
+    watchdog = LinkWatchdog(buses, log, listens, silent_s)
     over = threading.Event()
     failed: list[TransportError] = []
 

@@ -481,6 +481,7 @@ class TraceWriter:
         self._parts = Parts(path)
         self._most = self._bounds.of_a_part - END_BYTES
         self._open(max(self._parts.number, 0))
+        self.sync()  # without its header nothing of it could be read
 
     @property
     def lines(self) -> LineWriter:

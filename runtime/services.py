@@ -23,6 +23,11 @@ CONTROLLER_MANAGEMENT: Final = "tcp/127.0.0.1:7464"
 TAP_ADVERSARY: Final = "tcp/127.0.0.1:7465"
 
 
+END_STOP_S: Final = 30.0
+"""Seconds that an end of the loop has to stop: 20 for the keys that are being made, the rest for
+its last messages, its buses and its files."""
+
+
 class Ends(NamedTuple):
     """Where a service listens and connects on one bus when no option says otherwise.
 

@@ -30,9 +30,16 @@ ROOMS: Final = frozenset(
 
 
 class Turns:
-    """Whose turn it is, for the watch: set at the beginning of each turn, cleared at its end."""
+    """Whose turn it is, for the watch: set at the beginning of each turn, cleared at its end.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    module : str
+        That turns are begun in: frames below its own are no part of a turn.
+    """
+
+    def __init__(self, module: str) -> None:
+        self.module = module
         self.number = 0
         self.under_way = False
         self.thread = 0
@@ -81,15 +88,16 @@ class TurnWatch:
             times += 1
             if times == TICKS:
                 frame = sys._current_frames().get(thread)
-                said = f"wyner: {_call(frame)} has not returned for {TICKS * TICK_S:g} s"
+                call = _call(frame, self._turns.module)
+                said = f"wyner: {call} has not returned for {TICKS * TICK_S:g} s"
                 os.write(2, f"{said}; a file of one's own must return\n".encode())
                 self._end(FAILED)
 
 
-def _call(frame: FrameType | None) -> str:
+def _call(frame: FrameType | None, module: str) -> str:
     """The call that a turn made out of the program's own rooms; else where it is."""
     where, found = frame, frame
-    while frame is not None and frame.f_globals.get("__name__") != "runtime.host":
+    while frame is not None and frame.f_globals.get("__name__") != module:
         if str(frame.f_globals.get("__name__")).split(".")[0] not in ROOMS:
             found = frame  # the outermost within the turn
         frame = frame.f_back

@@ -581,16 +581,6 @@ def open_router(
     return ZenohBus(listen=listen, tls=tls, extra=extra)
 
 
-def log_access() -> None:
-    """Have Zenoh write a line to standard output for each message that access control judges.
-
-    Once in a process, and before its first session opens; an environment's RUST_LOG wins.
-    """
-    import zenoh
-
-    zenoh.init_log_from_env_or("zenoh::net::routing::interceptor::access_control=trace")
-
-
 def _open(
     settings: Mapping[str, Any], endpoints: Sequence[str], *, retry_until: float
 ) -> "zenoh.Session":

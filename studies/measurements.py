@@ -17,6 +17,7 @@ from studies import (
     other_sets,
     outputs,
     readings,
+    settled,
     shape,
     signalling,
     waiting,
@@ -87,7 +88,6 @@ FIGURE_SWEEPS: Final = (
     "sustained-long",
     "disturbances",
     "price",
-    "plants",
 )
 
 MEASUREMENTS: Final[dict[str, Measurement]] = {
@@ -96,6 +96,7 @@ MEASUREMENTS: Final[dict[str, Measurement]] = {
     "taps": of_rows(loops.TAP_COLUMNS, loops.tap_rows),
     "widths": of_rows(loops.WIDTH_COLUMNS, loops.width_rows),
     "sets": of_rows(loops.SET_COLUMNS, loops.set_rows),
+    "settled": of_rows(settled.COLUMNS, settled.settled_rows),
     **{
         f"secrecy-{name}": Measurement(study.measure_study(name), study.version)
         for name in study.STUDIES

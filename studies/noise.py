@@ -6,9 +6,9 @@ from typing import Any, Final
 import numpy as np
 
 from runtime.scenario_file import scenario_of
+from studies.bound.loop import LinearLoop
+from studies.bound.taps import block_left, smoother_left
 from studies.signalling import changed
-from wyner.bound.loop import LinearLoop
-from wyner.bound.taps import block_left, smoother_left
 
 SEED: Final = 7
 RATIOS: Final = (0.25, 0.5, 0.75, 1.0, 1.5, 2.0, 3.0, 4.0)

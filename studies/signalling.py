@@ -16,10 +16,10 @@ from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import Interval, mean_over_runs, normal_mean
 from runtime.scenario_file import scenario_of
+from studies.capacity.betting import DisturbanceLaw, best_bet
 from studies.capacity.blocks import chained_bits, finite_keys
+from studies.capacity.price import dither_price
 from studies.capacity.two_step import best_codes, single_step_keys
-from wyner.capacity.betting import DisturbanceLaw, best_bet
-from wyner.capacity.table import dither_price
 from wyner.simulate.engine import Runs, follow, simulate_runs
 
 SEED: Final = 7

@@ -13,6 +13,10 @@ from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
 from tap_service.sandboxed import sandboxed
 
+SILENT_S: Final = 20.0
+"""Seconds of silence after which the tap's session is opened again: later than those of the ends,
+for a loop that pauses is no fault of the tap's, and what is said meanwhile would be missed."""
+
 FINISH_S: Final = 20.0
 """Time the heavy eavesdroppers get, at the end, for what they have not read yet."""
 

@@ -18,7 +18,7 @@ from runtime.errors import DONE, Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.logs import logger
 from runtime.signals import stop_on_signals
-from tap_service.config import TapConfig
+from tap_service.config import SILENT_S, TapConfig
 from tap_service.eavesdroppers import KnowledgeError
 from tap_service.service import NICENESS, Note, TapService
 
@@ -164,7 +164,8 @@ def run_taps(
         taps = TapFleet(fleet, config_of)
         taps.attach(field_bus, adversary_bus)
         log = logger("tap")
-        stack.enter_context(watched(stopping, log, field_bus, told_on, listens=field_bus))
+        buses = field_bus, told_on
+        stack.enter_context(watched(stopping, log, *buses, listens=field_bus, silent_s=SILENT_S))
         os.nice(NICENESS)
         freeze_startup()
         taps.run(stopping)

@@ -32,7 +32,7 @@ from tap_service.analysis import Assignment, Listeners, listeners_of
 from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
-from tap_service.config import TapConfig, eighth
+from tap_service.config import SILENT_S, TapConfig, eighth
 from tap_service.heavy import HeavyProcess
 from tap_service.sandboxed import each_once, sandboxed
 from tap_service.status import (
@@ -103,7 +103,10 @@ def run_tap(config: TapConfig, note: Note) -> int:
         service = TapService(config, made)
         stack.callback(service.close)
         service.attach(field_bus, adversary_bus)
-        stack.enter_context(watched(stopping, service.log, field_bus, told_on, listens=field_bus))
+        buses = field_bus, told_on
+        stack.enter_context(
+            watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
+        )
         # On Linux this is the calling thread's alone: the transport's threads, already
         # running, still take messages off the wire at once.
         os.nice(NICENESS)

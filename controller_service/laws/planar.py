@@ -14,6 +14,7 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
 from controller_service.laws.online import Lookup, Table
 from controller_service.laws.programs import Quadratic
@@ -36,6 +37,11 @@ def pseudo_angle(x1: Array, x2: Array) -> Array:
 class Rows:
     """The rows of several planar sets, one set after the other.
 
+    Rows without an edge are left out. Where two rows are nearly parallel, rounding moves the corner
+    between them along both, by up to 1e-2 of its distance from the origin. It may then lie beyond
+    the next corner, and a state between them would be held against a facet on the other side. The
+    row between such corners bounds nothing that rounding does not cover.
+
     Attributes
     ----------
     H, h : array
@@ -52,9 +58,22 @@ class Rows:
         self.H = np.concatenate([H for H, _ in family])
         self.h = np.concatenate([h for _, h in family])
         self.sizes = np.array([len(h) for _, h in family])
-        self.edges = [0, *self.sizes.cumsum().tolist()]
-        second = np.ones(len(family), dtype=np.intp)
-        self.corners = row_crossings(self.H, self.h, self.from_row(second, 0))
+        while True:
+            self.edges = [0, *self.sizes.cumsum().tolist()]
+            second = np.ones(len(family), dtype=np.intp)
+            self.corners = row_crossings(self.H, self.h, self.from_row(second, 0))
+            none = self._without_edge()
+            if not none.any():
+                return
+            self.sizes = np.add.reduceat(~none, self.edges[:-1])
+            self.H, self.h = self.H[~none], self.h[~none]
+
+    def _without_edge(self) -> NDArray[np.bool_]:
+        """Rows whose two corners are out of order; of neighbours the first."""
+        before = self.from_row(self.sizes - 1, 0)
+        edge = self.corners - self.corners[before]
+        none: NDArray[np.bool_] = self.H[:, 0] * edge[:, 1] - self.H[:, 1] * edge[:, 0] < 0
+        return none & ~none[before]
 
     def from_row(self, start: Indices, more: int) -> Indices:
         """Each set's rows around it from row ``start[i]`` on, the first ``more`` of them twice."""

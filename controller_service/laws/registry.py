@@ -126,7 +126,13 @@ def synthesise(scenario: Scenario, progress: "Progress | None" = None) -> "Desig
     SynthesisError
         With one line, when there is none.
     """
-    return law_named(scenario.control.law).synthesise(scenario, progress)
+    from controller_service.sets.terminal import SynthesisError
+    from protocol.convex import SetError
+
+    try:
+        return law_named(scenario.control.law).synthesise(scenario, progress)
+    except SetError as error:
+        raise SynthesisError(f"control.law: {scenario.control.law}: {error}") from None
 
 
 def cached_design(

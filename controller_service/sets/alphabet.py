@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller_service.sets.polygon_alphabet import plane_offsets, plane_points
+from controller_service.sets.grid_alphabet import plane_offsets, plane_size
 from controller_service.sets.separation import APART, TOGETHER, AlphabetError, Separation
 from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import set_corners
@@ -234,4 +234,4 @@ def choose_alphabet(
 
 def largest_certain(sep: Separation, alpha: float) -> int:
     """The most candidates of which every transition agrees; one or two inputs."""
-    return line_size(sep, alpha) if sep.inputs == 1 else len(plane_points(sep, alpha))
+    return line_size(sep, alpha) if sep.inputs == 1 else plane_size(sep, alpha)

@@ -1,16 +1,30 @@
 """How long a dead link may last: steps from T_0 under the fallback until outside T_N."""
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from controller_service.sets.design import Design
+from controller_service.sets.recursion import support
 from controller_service.sets.terminal import set_corners
-from protocol.convex import corners
+from protocol.arrays import Array
+from protocol.convex import Polytope, corners, planar_reduce, planar_support
 from protocol.scenario import Scenario
 
 MOST_STEPS: Final = 1000
 """Steps after which a budget is not looked for any further."""
+
+
+def _support_of(H: ArrayLike, h: ArrayLike) -> Callable[[Array], Array]:
+    """The support function of a set; in the plane by angle, for it may have many corners."""
+    p = Polytope.from_rows(H, h)
+    if p.dimension == 2:
+        planar = planar_reduce(p.H, p.h)
+        return lambda directions: planar_support(planar, directions)
+    V = corners(p.H, p.h)
+    return lambda directions: support(V, directions)
 
 
 def dead_link_budget(scenario: Scenario, design: Design) -> int | None:
@@ -31,18 +45,18 @@ def dead_link_budget(scenario: Scenario, design: Design) -> int | None:
         return None if gain is not None and np.array_equal(design.K, gain) else 0
     A = design.A
     H, h = design.set(design.horizon)
-    V = corners(*design.set(0))
-    D = set_corners(scenario.control_set)
+    start = _support_of(*design.set(0))
+    disturbance = _support_of(*scenario.control_set.rows())
     U = set_corners(scenario.control.inputs) @ design.B.T
     held = scenario.link.fallback == "hold"
     forward = np.eye(len(A))
     summed = np.zeros_like(A)
     pushed = np.zeros(len(h))
     for k in range(1, MOST_STEPS + 1):
-        pushed = pushed + (D @ forward.T @ H.T).max(axis=0)
+        pushed = pushed + disturbance(H @ forward)
         summed = summed + forward
         forward = forward @ A
-        reach = (V @ forward.T @ H.T).max(axis=0) + pushed
+        reach = start(H @ forward) + pushed
         if held:
             reach = reach + (U @ summed.T @ H.T).max(axis=0)
         if not (reach <= h * (1 + 1e-12)).all():

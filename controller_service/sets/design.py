@@ -16,13 +16,15 @@ from controller_service.sets.terminal import (
     SynthesisError,
     Terminal,
     TooSlowError,
+    TooThinError,
     faster,
     feedback_gain,
     input_interval,
     set_corners,
     terminal_set,
 )
-from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN
+from controller_service.sets.units import in_units
+from controller_service.tolerances import SLOW_MARGINS, TERMINAL_MARGIN, THIN
 from protocol.arrays import Array
 from protocol.brief import Brief
 from protocol.convex import Polytope, SetError, corners
@@ -70,6 +72,9 @@ class Design(Brief):
         Time that the synthesis took.
     cached : bool
         Whether the design was read from the cache.
+    stopped : bool
+        Whether there are fewer sets than were asked because rounding would make more of them too
+        large; else there are fewer where they stop growing.
     offsets : array, shape (M, m), optional
         Of a packed alphabet; the sets are then those of D' = D_c + B conv P and U' = U less conv P,
         and the targets T_i ~ D'.
@@ -85,6 +90,7 @@ class Design(Brief):
     margins: tuple[float, ...]
     seconds: float
     cached: bool = False
+    stopped: bool = False
     offsets: Array | None = None
 
     def brief(self) -> dict[str, object]:
@@ -178,15 +184,16 @@ def invariant_start(K: Array, scenario: Scenario) -> InvariantSet:
     SetError
         When D_c is no compact set.
     """
-    refused: TooSlowError | None = None
+    refused: SynthesisError | None = None
     for margin in (TERMINAL_MARGIN, *SLOW_MARGINS):
         larger = scenario.control_set.scaled(1 + margin)
         r = recursion(scenario)
+        Ac = np.array(scenario.A) + np.array(scenario.B) @ K
         try:
-            T0, terminal = terminal_set(r.A + r.B @ K, larger, scenario.control.terminal_order)
+            T0, terminal = terminal_set(Ac, larger, scenario.control.terminal_order)
             V = corners(T0.H, T0.h)
-            _check_invariant(V, T0, K, r)
-        except TooSlowError as error:
+            _check_invariant(T0, Ac, r)
+        except (TooSlowError, TooThinError) as error:
             refused = error
             continue
         reaches = []
@@ -205,15 +212,19 @@ def _bounded(V: Array, K: Array, scenario: Scenario) -> list[tuple[Array, Convex
     return inputs if control.states is None else [*inputs, (V, control.states)]
 
 
-def _check_invariant(V: Array, T0: Polytope, K: Array, r: Recursion) -> None:
-    """T_0, whose corners are V, is robust invariant with the programs' margin to spare."""
-    needed = support(V @ (r.A + r.B @ K).T, T0.H) + support(r.DV, T0.H)
-    worst = float((needed / T0.h).max())
+def _check_invariant(T0: Polytope, Ac: Array, r: Recursion) -> None:
+    """T_0 is robust invariant under A + B K = Ac with the programs' margin to spare."""
+    p = r.enter(T0)
+    V, M = corners(p.H, p.h), in_units(Ac, r.units)
+    added = support(r.DV, p.H)
+    worst = float(((support(V @ M.T, p.H) + added) / p.h).max())
     # A state of T_0 then has u = K x as an answer to the programs with the tightened target 0.
-    if not worst <= 1 - r.erode(T0)[2]:
+    if not worst <= 1 - r.erode(p)[2]:
+        if (added / p.h).min() < THIN:
+            raise TooThinError(r.DV, np.abs(V @ M.T).max(axis=0))
         raise TooSlowError(
             f"control.gain: the terminal set is not invariant with a margin (reaches {worst:.9f} "
-            f"of itself): K is too slow; {faster(r.A + r.B @ K)}"
+            f"of itself): K is too slow; {faster(Ac)}"
         )
 
 
@@ -279,7 +290,8 @@ def synthesise(
     if scenario.n > 4 or scenario.m > 2:
         raise SynthesisError(
             f"plant: got {scenario.n} states and {scenario.m} inputs, expected 1 to 4 states and "
-            "1 or 2 inputs"
+            "1 or 2 inputs; a law of your own may serve more, by sets of its own (control.law, "
+            "docs/guides.md)"
         )
     r = recursion(scenario)
     K, T0, terminal = start(scenario)
@@ -293,8 +305,8 @@ def synthesise(
         if progress is not None:
             progress(i, scenario.control.horizon)
     return Design(
-        A=r.A,
-        B=r.B,
+        A=np.array(scenario.A),
+        B=np.array(scenario.B),
         K=K,
         T=tuple(T),
         targets=tuple(targets),
@@ -302,4 +314,5 @@ def synthesise(
         gain_given=scenario.control.gain is not None,
         margins=tuple(margins),
         seconds=time.perf_counter() - begin,
+        stopped=r.stopped,
     )

@@ -17,7 +17,7 @@ from controller_service.sets.design import Design, Terminal
 from runtime.cache_folder import cache_folder
 from runtime.files import PUBLIC_FILE, write_atomically
 
-MAGIC = b"wyner-design-5\n"
+MAGIC = b"wyner-design-6\n"
 
 
 def design_path(fingerprint: str, folder: Path | None = None) -> Path:
@@ -32,6 +32,7 @@ def _pack(design: Design, fingerprint: str) -> bytes:
         "gain_given": design.gain_given,
         "margins": design.margins,
         "seconds": design.seconds,
+        "stopped": design.stopped,
         "offsets": None if design.offsets is None else design.offsets.tolist(),
         "n": design.A.shape[0],
         "m": design.B.shape[1],
@@ -79,6 +80,7 @@ def _unpack(body: bytes, fingerprint: str) -> Design:
         margins=tuple(meta["margins"]),
         seconds=meta["seconds"],
         cached=True,
+        stopped=meta["stopped"],
         offsets=None if meta["offsets"] is None else np.array(meta["offsets"], dtype=float),
     )
 

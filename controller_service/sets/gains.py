@@ -12,7 +12,13 @@ from typing import Final
 import numpy as np
 
 from controller_service.sets.design import Start, invariant_start, stated_start
-from controller_service.sets.terminal import SynthesisError, regulator_gain
+from controller_service.sets.terminal import (
+    SynthesisError,
+    TooThinError,
+    regulator_gain,
+    set_corners,
+)
+from controller_service.sets.units import state_units
 from protocol.arrays import Array
 from protocol.convex import SetError
 from protocol.scenario import ConvexSet, Regulator, Scenario
@@ -72,6 +78,8 @@ def advised_start(scenario: Scenario) -> Start:
     """
     try:
         return stated_start(scenario)
+    except TooThinError:
+        raise
     except SynthesisError as error:
         found = find_gain(scenario)
         if found is None:
@@ -105,7 +113,7 @@ def find_gain(scenario: Scenario, shares: Sequence[float] = SHARES) -> FoundGain
 def gains(scenario: Scenario) -> Iterator[tuple[float, Array]]:
     """rho and K of each regulator that is tried, the softest first, as they are written."""
     stated = scenario.control.regulator
-    weights = stated or Regulator(next_state=(1.0,) * scenario.n, input=(1.0,) * scenario.m)
+    weights = stated or plain_weights(scenario)
     A, B, Q = np.array(scenario.A), np.array(scenario.B), np.diag(weights.next_state)
     for decay in DECAYS:
         for factor in WEIGHTS:
@@ -115,6 +123,13 @@ def gains(scenario: Scenario) -> Iterator[tuple[float, Array]]:
             except SynthesisError:
                 continue
             yield decay, np.array([[float(f"{v:.{DIGITS}g}") for v in row] for row in K])
+
+
+def plain_weights(scenario: Scenario) -> Regulator:
+    """Weights of one, for each state in the unit in which its sets are computed."""
+    units = state_units(np.array(scenario.A), set_corners(scenario.control_set))
+    states = np.ones(scenario.n) if units is None else units**-2.0
+    return Regulator(next_state=tuple(states.tolist()), input=(1.0,) * scenario.m)
 
 
 def _served(K: Array, scenario: Scenario) -> float:

@@ -17,11 +17,11 @@ from controller_service.sets.alphabet import (
     smaller_inputs,
 )
 from controller_service.sets.design import Start, stated_start
-from controller_service.sets.gains import find_gain, with_gain
+from controller_service.sets.gains import find_gain, plain_weights, with_gain
 from controller_service.sets.recursion import Recursion, recursion, support
 from controller_service.sets.separation import AlphabetError
-from controller_service.sets.terminal import SynthesisError, Terminal
-from controller_service.tolerances import TERMINAL_MARGIN
+from controller_service.sets.terminal import SynthesisError, Terminal, TooThinError
+from controller_service.tolerances import LARGEST_SPREAD, TERMINAL_MARGIN
 from protocol.convex import Polytope, SetError, corners
 from protocol.scenario import Regulator, Scenario
 
@@ -30,6 +30,13 @@ WEIGHTS = sorted((10.0 ** (k / 5) for k in range(-15, 11)), key=lambda f: abs(fl
 
 STEPS = 200
 """Steps after which no invariant set is expected any more."""
+
+MOST_ROWS = 50_000
+"""Facets of all the sets that are met on the way to an invariant one, about 20 s of work with four
+states; with two the steps end first."""
+
+MOST_FACETS = 5_000
+"""Facets of one of them."""
 
 
 def alphabet_of(scenario: Scenario, spacing: float) -> Alphabet:
@@ -100,6 +107,8 @@ def search_terminal(problem: Scenario) -> Start:
     """
     try:
         return stated_start(problem)
+    except TooThinError:
+        raise
     except SynthesisError:
         pass
     found = nearest_regulator(problem)
@@ -116,7 +125,7 @@ def search_terminal(problem: Scenario) -> Start:
 def nearest_regulator(problem: Scenario) -> Start | None:
     """K and T_0 by the regulator nearest to the stated weights that gives them, or None."""
     stated = problem.control.regulator
-    weights = stated or Regulator(next_state=(1.0,) * problem.n, input=(1.0,) * problem.m)
+    weights = stated or plain_weights(problem)
     for factor in WEIGHTS:
         regulator = Regulator(
             next_state=weights.next_state, input=tuple(factor * w for w in weights.input)
@@ -158,23 +167,32 @@ def invariant_set(problem: Scenario) -> tuple[Polytope, Terminal]:
         corners(*(np.array(a) for a in states.rows()))
     except SetError as error:
         raise SynthesisError(f"control.states: {error}, expected a compact set") from None
-    rows = Polytope.from_rows(*states.rows())
+    rows = wide.enter(Polytope.from_rows(*states.rows()))
+    met = 0
     try:
         for step in range(STEPS):
             T, S, deflation = wide.erode(rows)
-            if step and _kept(exact, T):
-                radius = float(np.abs(corners(T.H, T.h)).max())
-                return T, Terminal("invariant", step, 0.0, radius)
+            met += T.facets
+            if met > MOST_ROWS or T.facets > MOST_FACETS or wide.spread > LARGEST_SPREAD:
+                break
+            own = wide.leave(T)
+            if step and kept(exact, exact.enter(own)):
+                radius = float(np.abs(corners(own.H, own.h)).max())
+                return own, Terminal("invariant", step, 0.0, radius)
             rows = wide.backward(S, deflation)
     except SetError:
         raise SynthesisError(
             "control.states: no state within them can be kept there against D_c and the alphabet, "
             "expected wider bounds, larger inputs or fewer candidates"
         ) from None
-    raise SynthesisError(f"control.states: no invariant set after {STEPS} steps")
+    raise SynthesisError(
+        f"control.states: no invariant set after {step + 1} steps of the recursion from them, with "
+        f"{met} facets in all; narrower bounds, wider control.inputs, a smaller "
+        "defender.disturbance, fewer candidates, or a control.gain that keeps a set would do"
+    )
 
 
-def _kept(r: Recursion, T: Polytope) -> bool:
+def kept(r: Recursion, T: Polytope) -> bool:
     """Whether every state of T has an input into the target, tightened as the programs are."""
     T, S, deflation = r.erode(T)
     before = r.backward(S.scaled(1 - 2 * deflation), 0.0)

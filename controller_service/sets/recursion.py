@@ -9,11 +9,18 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from controller_service.sets.terminal import SynthesisError, input_interval, set_corners
+from controller_service.sets.terminal import (
+    PRODUCTS_AT_ONCE,
+    SynthesisError,
+    input_interval,
+    set_corners,
+)
+from controller_service.sets.units import in_units, state_units
 from controller_service.tolerances import (
     CONDITION,
     GROWTH,
     LARGEST_OFFSET,
+    LARGEST_SPREAD,
     LEAST_DEFLATION,
     ROUNDINGS,
     SOLVED_DEFLATION,
@@ -40,8 +47,10 @@ HALF_ULPS = ROUNDINGS * 0.5 * float(np.finfo(float).eps)
 
 
 def support(V: Array, H: Array) -> Array:
-    """Support of the hull of the points V in the directions H."""
-    out: Array = (V @ H.T).max(axis=0)
+    """Support of the hull of the points V in the directions H; few products at a time."""
+    step = max(1, PRODUCTS_AT_ONCE // len(V))
+    parts = [(V @ H[i : i + step].T).max(axis=0) for i in range(0, len(H), step)]
+    out: Array = parts[0] if len(parts) == 1 else np.concatenate(parts)
     return out
 
 
@@ -63,35 +72,58 @@ class Recursion(ABC):
 
     Parameters
     ----------
+    units : array, shape (n,), or None
+        Of the states here, where they are not the plant's; :meth:`enter` and :meth:`leave` convert
+        sets. Everything below is in these units.
     least : float
         The smallest fraction by which a set is shrunk.
     DV, BU : array, shapes (corners, n)
         Corners of D_c (of ``control.disturbance`` where given), and -B u at the corners of U.
     X : Polytope or None
         The state bounds.
+    spread : float
+        Of the set that :meth:`erode` met last: how much larger than a facet's bound the products
+        are that it adds up. 0 where every set is shrunk in proportion to it.
+    stopped : bool
+        Whether the sets ended where rounding would make them too large.
     """
+
+    spread = 0.0
+    stopped = False
 
     def __init__(self, scenario: Scenario) -> None:
         self.A, self.B = np.array(scenario.A), np.array(scenario.B)
         self.least = LEAST_DEFLATION if scenario.n <= 2 and scenario.m == 1 else SOLVED_DEFLATION
         which = "defender" if scenario.control.disturbance is None else "control"
         self.DV = _compact(f"{which}.disturbance", scenario.control_set)
+        self.units = state_units(self.A, self.DV)
+        if self.units is not None:
+            self.A = in_units(self.A, self.units)
+            self.B, self.DV = self.B / self.units[:, None], self.DV / self.units
         self.BU = -_compact("control.inputs", scenario.control.inputs) @ self.B.T
         self.X = None
         if scenario.control.states is not None:
-            self.X = Polytope.from_rows(*scenario.control.states.rows())
+            self.X = self.enter(Polytope.from_rows(*scenario.control.states.rows()))
+
+    def enter(self, p: Polytope) -> Polytope:
+        """A set in the plant's units, in the units here."""
+        return p.in_units(self.units)
+
+    def leave(self, p: Polytope) -> Polytope:
+        """A set in the units here, in the plant's."""
+        return p if self.units is None else p.in_units(1 / self.units)
 
     def run(self, T0: Polytope, horizon: int) -> Iterator[tuple[int, Polytope, Polytope, float]]:
         """Yield (i, T_i, T_i ~ D_c, deflation of T_(i+1)) for i = 0..horizon.
 
-        Ends earlier when the sets stop growing.
+        Ends earlier when the sets stop growing, or when rounding would make the next too large.
 
         Raises
         ------
         SynthesisError
             When a set is empty or unbounded.
         """
-        rows, previous = T0, None
+        rows, previous = self.enter(T0), None
         for i in range(horizon + 1):
             try:
                 if not rows.h.max() < LARGEST_OFFSET:
@@ -99,9 +131,13 @@ class Recursion(ABC):
                 T, S, deflation = self.erode(rows)
                 if previous is not None and _same(previous, T):
                     return
-                yield i, T, S, deflation
-                if i < horizon:
-                    rows, previous = self.backward(S, deflation), T
+                yield i, self.leave(T), self.leave(S), deflation
+                if i == horizon:
+                    return
+                if self.spread > LARGEST_SPREAD:
+                    self.stopped = True
+                    return
+                rows, previous = self.backward(S, deflation), T
             except SetError as error:
                 raise SynthesisError(_ended(i, error)) from None
 
@@ -130,8 +166,8 @@ class Recursion(ABC):
         """
         A, push = np.abs(self.A), np.abs(self.BU).max(axis=0)
         rest = push + np.abs(self.DV).max(axis=0)
-        if np.linalg.cond(self.A) < CONDITION:
-            M: Array = A @ np.abs(np.linalg.inv(self.A))
+        M = _condition_matrix(self.A)
+        if M is not None:
             return M, M @ push + rest
         if self.X is None:
             raise SynthesisError("control.states: got none, expected a set, for A is singular")
@@ -239,6 +275,7 @@ class SpatialRecursion(Recursion):
             None,
             np.zeros((0, scenario.n), dtype=np.intp),
         )
+        self.M, self.c = self._cancelling()
         self.intervals: list[tuple[float, float]] | None = None
         if scenario.m == 1:
             self.intervals = [input_interval(inputs)]
@@ -248,8 +285,11 @@ class SpatialRecursion(Recursion):
     def erode(self, T: Polytope) -> tuple[Polytope, Polytope, float]:
         """See :meth:`Recursion.erode`."""
         T = spatial_reduce(T)[0]
-        S, faces = spatial_faces(Polytope(T.H, T.h - support(self.DV, T.H)))
+        S, faces, V = spatial_faces(Polytope(T.H, T.h - support(self.DV, T.H)))
         self._faces = (S, faces)
+        # Of each facet at each of its corners.
+        added = np.abs(S.H)[faces] @ (np.abs(V) @ self.M.T + self.c)[:, :, None]
+        self.spread = float((added[:, :, 0] / S.h[faces]).max())
         return T, S, self.least
 
     def backward(self, S: Polytope, deflation: float) -> Polytope:
@@ -261,10 +301,24 @@ class SpatialRecursion(Recursion):
             # redundant rows go when the next `erode` meets them.
             known, faces = self._faces
             if known is not S:
-                S, faces = spatial_faces(S)
+                S, faces, _ = spatial_faces(S)
             segments = zip(self.B.T, self.intervals, strict=True)
             p = spatial_add_segments(S, faces, [(-b, *ends) for b, ends in segments])
         return self._back_through_plant(p, deflation)
+
+
+def _condition_matrix(A: Array) -> Array | None:
+    """abs(A) abs(A^-1); None where A counts as singular.
+
+    Its spectral radius is the least condition number of A in any units of the states (Bauer 1963).
+    """
+    try:
+        M: Array = np.abs(A) @ np.abs(np.linalg.inv(A))
+    except np.linalg.LinAlgError:
+        return None
+    if not np.isfinite(M).all() or not np.abs(np.linalg.eigvals(M)).max() < CONDITION:
+        return None
+    return M
 
 
 def _compact(field: str, s: ConvexSet) -> Array:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from controller_service.sets.units import in_units, state_units
 from controller_service.tolerances import NEARLY_PARALLEL, TERMINAL_ERROR
 from protocol.arrays import Array
 from protocol.convex import Polytope, corners, planar_reduce, planar_vertices
@@ -11,6 +12,15 @@ from protocol.scenario import ConvexSet, Scenario
 
 MOST_TERMS = 200
 """Terms of a sum after which T_0 is taken as it is, or K said to be too slow."""
+
+MOST_FACETS = 64
+"""Facets of D_c from which T_0 in the plane is made. T_0 has up to twice as many for each term."""
+
+PRODUCTS_AT_ONCE = 4_000_000
+"""Products of corners and directions held at a time (32 MB)."""
+
+QUICK = 1e-9
+"""Where A + B K makes a state smaller than this in MOST_TERMS steps, K is not what is too slow."""
 
 UNREACHED = 1e-9
 """A mode is not moved by B where its left eigenvector meets B by less than this part of B."""
@@ -22,6 +32,17 @@ class SynthesisError(Exception):
 
 class TooSlowError(SynthesisError):
     """K brings the state back so slowly that no terminal set has room for rounding."""
+
+
+class TooThinError(SynthesisError):
+    """D_c is so thin beside what the plant moves by that the loop's rounding fills it."""
+
+    def __init__(self, V: Array, moved: Array) -> None:
+        j = int((np.abs(V).max(axis=0) / moved).argmin()) + 1
+        super().__init__(
+            f"defender.disturbance: it is too thin in x_{j} for the rounding of the loop; a "
+            f"thousandth of what a step moves x_{j} by would do"
+        )
 
 
 @dataclass(frozen=True)
@@ -162,12 +183,21 @@ def terminal_set(Ac: Array, D: ConvexSet, order: int | None) -> tuple[Polytope, 
     SynthesisError
         When the route finds none; the message is one line.
     """
+    V = set_corners(D)
     if len(Ac) == 1:
-        return invariant_interval(float(Ac[0, 0]), set_corners(D)[:, 0])
+        return invariant_interval(float(Ac[0, 0]), V[:, 0])
+    units = state_units(Ac, V)
+    if units is not None:
+        Ac = in_units(Ac, units)
     if len(Ac) == 2:
-        H, h = D.rows()
-        return rakovic(Ac, (np.array(H), np.array(h)), order)
-    return modal(Ac, set_corners(D))
+        p = Polytope.from_rows(*D.rows()).in_units(units)
+        T0, terminal = rakovic(Ac, p, order)
+    else:
+        T0, terminal = modal(Ac, V if units is None else V / units)
+    if units is None:
+        return T0, terminal
+    # The largest unit is 1, so that no distance is larger in the plant's units.
+    return T0.in_units(1 / units), terminal
 
 
 def invariant_interval(a: float, D: Array) -> tuple[Polytope, Terminal]:
@@ -181,10 +211,9 @@ def invariant_interval(a: float, D: Array) -> tuple[Polytope, Terminal]:
     return p, Terminal("interval", 0, 0.0, 0.0)
 
 
-def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polytope, Terminal]:
+def rakovic(Ac: Array, D: Polytope, order: int | None) -> tuple[Polytope, Terminal]:
     """F(alpha, s) = (1 - alpha)^-1 (D + A_c D + ... + A_c^(s-1) D) in the plane."""
-    unit = Polytope.from_rows(*D)
-    D_c = planar_reduce(unit.H, unit.h)
+    D_c, excess = thinned(planar_reduce(D.H, D.h))
     V = planar_vertices(D_c)
     powers = [np.eye(2)]
     reach = np.zeros(2)
@@ -198,8 +227,10 @@ def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polyt
             radius = float(reach.max())
             bound = alpha / (1 - alpha) * radius
             if s == order or (order is None and bound <= TERMINAL_ERROR * radius):
+                bound += excess * radius
                 break
         if s >= MOST_TERMS and alpha < 1 and order is None:
+            bound += excess * radius
             break  # K is slow: a set that is larger than the smallest by more than we aim at
         if s == order:
             raise SynthesisError(
@@ -208,8 +239,10 @@ def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polyt
             )
         if s >= MOST_TERMS:
             radius = float(np.abs(np.linalg.eigvals(Ac)).max())
-            raise SynthesisError(
-                "control.regulator: K is too slow, the spectral radius of A + B K is "
+            if radius**MOST_TERMS < QUICK:
+                raise TooThinError(V, np.abs(V @ Ac.T).max(axis=0))
+            raise TooSlowError(
+                "control.gain: K is too slow, the spectral radius of A + B K is "
                 f"{radius:.4g}: after {s} steps a disturbance is still {alpha:.3g} times itself; "
                 f"{faster(Ac)}"
             )
@@ -222,9 +255,45 @@ def rakovic(Ac: Array, D: tuple[Array, Array], order: int | None) -> tuple[Polyt
     lengths = np.sqrt((normals * normals).sum(axis=1))
     normals = normals[lengths > 0] / lengths[lengths > 0, None]
     normals = np.vstack([normals, -normals])
-    support = (V @ terms.transpose(0, 2, 1) @ normals.T).max(axis=1).sum(axis=0)
-    rows = merged_directions(normals, support / (1 - alpha))
+    reach = sum_support(V, terms, normals)
+    rows = merged_directions(normals, reach / (1 - alpha))
     return planar_reduce(*rows), Terminal("rakovic", s, alpha, bound)
+
+
+def thinned(p: Polytope) -> tuple[Polytope, float]:
+    """A planar set with at most MOST_FACETS of a set's facets, which holds it.
+
+    Kept are the two facets that meet at the set's corner in each of MOST_FACETS / 2 directions, so
+    both sets touch there.
+
+    Returns
+    -------
+    Polytope, float
+        The second is the fraction by which the result may be larger: it is within 1 + it times p.
+    """
+    if p.facets <= MOST_FACETS:
+        return p, 0.0
+    turns = 2 * np.pi * np.arange(MOST_FACETS // 2) / (MOST_FACETS // 2)
+    directions = np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    corner = (planar_vertices(p) @ directions.T).argmax(axis=0)
+    keep = np.unique([corner, (corner + 1) % p.facets])
+    fewer = planar_reduce(p.H[keep], p.h[keep])
+    return fewer, float(((planar_vertices(fewer) @ p.H.T) / p.h).max()) - 1
+
+
+def sum_support(V: Array, terms: Array, directions: Array) -> Array:
+    """Support of the sum of hulls of the points V A', one for each A of ``terms``.
+
+    Products are held for one term and a part of the directions at a time: all at once they would
+    be terms * corners * directions numbers, 6 GB for a D_c of 200 facets.
+    """
+    out = np.zeros(len(directions))
+    step = max(1, PRODUCTS_AT_ONCE // len(V))
+    for start in range(0, len(directions), step):
+        part = directions[start : start + step].T
+        for A in terms:
+            out[start : start + step] += (V @ A.T @ part).max(axis=0)
+    return out
 
 
 def merged_directions(H: Array, h: Array) -> tuple[Array, Array]:

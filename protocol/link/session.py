@@ -38,6 +38,7 @@ from protocol.agreement import (
     AgreementResult,
     AgreementRule,
     Gauge,
+    fails,
     predict,
 )
 from protocol.box_observer import Box, Estimate
@@ -51,7 +52,6 @@ from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
-from protocol.secret.key_digits import fails
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOWHERE, Position
 from protocol.vectors import Vector

@@ -1,6 +1,7 @@
 """Adversary messages: what the tap tells whoever watches it."""
 
-from typing import Annotated, ClassVar, Self
+from collections.abc import Mapping
+from typing import Annotated, ClassVar, Final, Self
 
 from pydantic import Field, model_validator
 
@@ -113,6 +114,25 @@ class TapStatus(Message):
         if any(len(tail) != len(self.tail_agreed) for tail in tails):
             raise ValueError("expected tails of one length")
         return self
+
+
+DEAF: Final = 0.01
+"""Share of the steps that a tap could not use from which on it counts as deaf for that share."""
+
+
+def deaf_share(unused: Mapping[str, int], steps: int) -> float:
+    """Share of the steps that a tap could not use, 0 below :data:`DEAF`.
+
+    Parameters
+    ----------
+    unused : mapping of str to int
+        ``foreign``, ``late``, ``dropped`` and ``jumped`` of a status. A step has two messages.
+    steps : int
+        Steps that were looked at.
+    """
+    lost = (unused["foreign"] + unused["late"] + unused["dropped"]) / 2 + unused["jumped"]
+    share = lost / (lost + steps) if lost else 0.0
+    return share if share >= DEAF else 0.0
 
 
 ADVERSARY: tuple[type[Message], ...] = (TapStatus,)

@@ -9,7 +9,7 @@ from protocol.knowledge import NotNegative, Policy, PolicyCost
 from protocol.registry import names_a_file
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
-from protocol.scenario.sets import ConvexSet
+from protocol.scenario.sets import ConvexSet, Resisted, compact_problem
 from protocol.vectors import FiniteMatrix
 
 
@@ -71,7 +71,7 @@ class Control(ScenarioTable):
     """U, which no input leaves."""
     states: ConvexSet | None = None
     """X, which no state may leave; none where not given."""
-    disturbance: ConvexSet | None = None
+    disturbance: Resisted | None = None
     """What the sets resist; D_c where not given, and it contains D_c."""
     gain: FiniteMatrix | None = None
     """K of u = K x near the origin, m rows of n numbers; or `regulator`."""
@@ -96,10 +96,12 @@ class Control(ScenarioTable):
     def problems(self, n: int, m: int, candidates: int) -> Iterator[str]:
         """What does not fit a plant of ``n`` states and ``m`` inputs, a line each."""
         yield from shape_problem("control.inputs", self.inputs.dimension, m)
+        yield from compact_problem("control.inputs", self.inputs)
         if self.states is not None:
             yield from shape_problem("control.states", self.states.dimension, n)
         if self.disturbance is not None:
             yield from shape_problem("control.disturbance", self.disturbance.dimension, n)
+            yield from compact_problem("control.disturbance", self.disturbance)
         if self.gain is not None:
             yield from shape_problem("control.gain", shape(self.gain), (m, n))
         if self.regulator is not None:

@@ -8,7 +8,7 @@ from pydantic import Field
 from protocol.scenario.noise import NoiseSet
 from protocol.scenario.parts import Positive, ScenarioTable, shape, shape_problem
 from protocol.scenario.plant import Disturbance
-from protocol.scenario.sets import ConvexSet
+from protocol.scenario.sets import Resisted, compact_problem
 from protocol.vectors import FiniteMatrix
 
 
@@ -42,7 +42,7 @@ class Defender(ScenarioTable):
     """Input matrix of the identified model; the plant's own where not given."""
     model: str | None = None
     """A nonlinear f_c: the function predict(x, u), as 'file.py:predict'; A and B linearise it."""
-    disturbance: ConvexSet
+    disturbance: Resisted
     """D_c, which both ends know and she does not: it decides what a key is."""
     noise: NoiseSet | None = None
     """N, what both ends take the sensors to add at most; none where not given."""
@@ -58,8 +58,14 @@ class Defender(ScenarioTable):
         if self.B is not None:
             yield from shape_problem("defender.B", shape(self.B), (n, m))
         yield from shape_problem("defender.disturbance", self.disturbance.dimension, n)
+        yield from compact_problem(
+            "defender.disturbance",
+            self.disturbance,
+            " (a test on some of the states alone, Remark 3 of the paper, is not offered)",
+        )
         if self.noise is not None:
             yield from shape_problem("defender.noise", self.noise.dimension, readings)
+            yield from compact_problem("defender.noise", self.noise)
         if self.bounds is not None:
             yield from shape_problem("defender.bounds", len(self.bounds), n)
 

@@ -1,10 +1,10 @@
 """Compact convex sets as a scenario file states them."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
-from typing import Final, Self
+from typing import Annotated, Final, Self
 
-from pydantic import model_validator
+from pydantic import BeforeValidator, model_validator
 
 from protocol.knowledge import NotNegative
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix
@@ -104,6 +104,32 @@ class ConvexSet(SetTable):
             return ConvexSet(half_widths=tuple(factor * w for w in self.half_widths))
         assert self.h is not None
         return ConvexSet(H=self.H, h=tuple(factor * b for b in self.h))
+
+
+def _not_flat(value: object) -> object:
+    """Refuse a box of width 0 with what to write instead."""
+    if isinstance(value, dict) and 0 in (value.get("half_widths") or ()):
+        raise ValueError(
+            "expected every half-width greater than 0: for a state that nothing disturbs a small "
+            "one, such as a thousandth of what it moves by in a step"
+        )
+    return value
+
+
+Resisted = Annotated[ConvexSet, BeforeValidator(_not_flat)]
+"""A set of disturbances that the law's sets resist."""
+
+
+def compact_problem(field: str, s: SetTable, why: str = "") -> Iterator[str]:
+    """A line where a polytope has no interior or is unbounded."""
+    if s.half_widths is not None:
+        return
+    from protocol.convex import SetError
+
+    try:
+        s.corners()
+    except SetError as error:
+        yield f"{field}: {error}, expected a compact one{why}"
 
 
 @cache

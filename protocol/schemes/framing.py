@@ -127,8 +127,9 @@ class Deframer:
         """Take the next message symbol; the payload, where this one completed an intact frame.
 
         Outside a frame anything but the start symbol is idle. A block whose digits exceed its bytes
-        (possible where M is no power of two) refuses the frame.
+        (possible where M is no power of two) refuses the frame. A symbol may be of numpy's kind.
         """
+        symbol = int(symbol)
         if not self.symbols:
             if symbol == START:
                 self.symbols.append(symbol)

@@ -14,11 +14,8 @@ a device that dies within a step has applied it, and no transition counts it.
 Once x(k+1) is out, the digit is public: everybody sees which candidate explains it.
 """
 
-from collections.abc import Sequence
 from functools import lru_cache
 from typing import Final
-
-from protocol.agreement import INSIDE
 
 WORD_BITS: Final = 32
 """A key is read in words of so many bits, big-endian."""
@@ -76,16 +73,3 @@ def digits(key: bytes, size: int) -> tuple[int, ...]:
                 word, digit = divmod(word, size)
                 out.append(digit)
     return tuple(out)
-
-
-def fails(gauges: Sequence[float], digit: int) -> bool:
-    """Whether a transition is not the keyed candidate's: g(x(k+1) - f_c(x(k), v + p_b)) > 1.
-
-    Parameters
-    ----------
-    gauges : sequence of float, M of them
-        :attr:`protocol.agreement.AgreementResult.gauges`, with its tolerance.
-    digit : int
-        b.
-    """
-    return not gauges[digit] <= INSIDE

@@ -16,7 +16,7 @@ from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import feedback_gain
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
-from wyner.capacity.table import dither_price
+from studies.capacity.price import dither_price
 
 SIZES: Final = (2, 3, 4, 5, 6, 8, 12, 16)
 SCENARIO: Final = "packed"

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from controller_service.sets.clique import adjacency, largest_clique
 from studies.capacity.blocks import most_keys
+from studies.capacity.clique import adjacency, largest_clique
 
 Integers = NDArray[np.int64]
 

@@ -31,7 +31,7 @@ FIGURES: Final[dict[str, Kind]] = {
     "distance": Kind(loop.draw_distance, ("distance",), (6.4, 4.0)),
     "disturbances": Kind(loop.draw_disturbances, ("disturbances", "taps"), (9.0, 4.2)),
     "price": Kind(loop.draw_price, ("price",), (8.0, 3.8)),
-    "plants": Kind(loop.draw_plants, ("plants", "widths"), (8.0, 3.8)),
+    "plants": Kind(loop.draw_plants, ("settled", "widths"), (8.0, 3.8)),
     "sets": Kind(loop.draw_sets, ("sets",), (9.0, 4.4)),
     "idea": Kind(idea.draw_idea, ("sets",), (9.0, 3.6)),
     "secrecy-alpha": Kind(secrecy.draw_alpha, ("secrecy-alpha",), (7.0, 3.8)),

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 
 from protocol.statistics import Interval, normal_mean, wilson
 from studies.figures.rows import FigureError, plain_rows
+from studies.loops import BURN_IN
 from wyner.drawing.style import COLOURS, MARKERS
 from wyner.sweeps.grid import SweepError
 from wyner.sweeps.results import Summary, read_rows, summarise
@@ -265,24 +266,24 @@ def draw_price(figure: Figure, data: Path) -> str:
 
 def draw_plants(figure: Figure, data: Path) -> str:
     """The channel of other plants, and how far apart their candidates are."""
-    points = summaries(data, "plants")
+    settled = [row for row in plain_rows(data / "settled.csv") if row["group"] == "plant"]
     widths = plain_rows(data / "widths.csv")
     left, right = figure.subplots(1, 2)
-    for place, (name, group) in enumerate(by(points, lambda s: str(s.first["scenario"])).items()):
-        steps = [s.rate.scaled(s.first["period_s"]) for s in group]
-        alphas = [alpha_of(s) for s in group]
+    for place, name in enumerate(dict.fromkeys(row["name"] for row in settled)):
         colour = COLOURS[place]
-        left.fill_between(
-            alphas, [r.low for r in steps], [r.high for r in steps], color=colour, alpha=0.2, lw=0
-        )
-        left.plot(
-            alphas,
-            [r.value for r in steps],
-            color=colour,
-            label=name,
-            marker=MARKERS[place],
-            mfc="none",
-        )
+        for start, line in (("x(0)", "-"), ("origin", ":")):
+            group = [row for row in settled if (row["name"], row["start"]) == (name, start)]
+            alphas = [row["alpha"] for row in group]
+            low, high = ([row[key] for row in group] for key in ("bits_low", "bits_high"))
+            left.fill_between(alphas, low, high, color=colour, alpha=0.2, lw=0)
+            left.plot(
+                alphas,
+                [row["bits"] for row in group],
+                line,
+                color=colour,
+                marker=MARKERS[place],
+                mfc="none",
+            )
         mine = [r for r in widths if r["scenario"] == name]
         right.plot(
             [r["distance"] for r in mine], [r["quantile"] for r in mine], color=colour, label=name
@@ -290,16 +291,19 @@ def draw_plants(figure: Figure, data: Path) -> str:
     left.axhline(0.5, color="k", ls="--", lw=1)
     left.set_ylim(0, 0.55)
     left.set_xlabel(r"$\alpha$")
-    left.set_ylabel("message rate (bit a step)")
+    left.set_ylabel("settled message rate (bit a step)")
     right.set_xscale("symlog", linthresh=1)
     right.set_xlabel("distance of the centres, in units of D_c")
     right.set_ylabel("share of steps below")
     right.axvline(2, color="k", ls=":", lw=1)
     right.legend(fontsize=7, loc="lower right")
     figure.suptitle("Other plants (law sustained)")
-    first = widths[0]
-    return note_of(points) + (
-        f".\nRight: {first['runs']} runs of {first['steps']} steps, seed {first['seed']}; dashed: "
+    first, rate = widths[0], settled[0]
+    return (
+        f"{rate['runs']} runs of {rate['steps']} steps after {rate['burn_in']} a point, seed "
+        f"{rate['seed']}, from x(0) and (dotted) from the origin; bands: 95 % bootstrap intervals "
+        f"over runs.\nRight: {first['runs']} runs of {first['steps']} steps after {BURN_IN}, "
+        f"seed {first['seed']}; dashed: "
         "the ceiling; dotted: from distance 2 on the defender always tells the candidates apart"
     )
 

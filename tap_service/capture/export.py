@@ -11,7 +11,7 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
-from protocol.messages import FIELD, FieldMessage, Measurement
+from protocol.messages import FieldMessage, Measurement
 from protocol.topics import key_of
 from runtime.errors import needs
 from runtime.recording import first_part, parts_of
@@ -104,6 +104,8 @@ def _columns(names: list[str], t_ns: int, message: FieldMessage) -> dict[str, ob
 def to_mcap(reader: CaptureReader, path: Path) -> int:
     """Write an MCAP file, one channel a message type on its own key. Returns the messages.
 
+    A type of which there is no message has no channel: some readers refuse one without messages.
+
     Raises
     ------
     ExportError
@@ -118,17 +120,22 @@ def to_mcap(reader: CaptureReader, path: Path) -> int:
         writer: Any = Writer(file)
         writer.start(profile="", library="wyner")
         channels: dict[str, int] = {}
-        for kind in FIELD:
+
+        def channel_of(kind: type[FieldMessage]) -> int:
             schema = writer.register_schema(
                 name=kind.__name__,
                 encoding="jsonschema",
                 data=json.dumps(kind.model_json_schema()).encode(),
             )
-            channels[kind.topic] = writer.register_channel(
+            found: int = writer.register_channel(
                 topic=key_of(kind, _loop(reader)), message_encoding="json", schema_id=schema
             )
+            return found
+
         writer.add_metadata("capture", {k: json.dumps(v) for k, v in reader.header.items()})
         for t_ns, message in reader.records():
+            if message.topic not in channels:
+                channels[message.topic] = channel_of(type(message))
             writer.add_message(
                 channel_id=channels[message.topic],
                 log_time=t_ns,

@@ -273,12 +273,13 @@ class Transcript:
 
     def _follow(self, message: Measurement | Offer, finished: list[Transition]) -> None:
         """Go on with the session and the step of a message that others confirm."""
-        confirmed = self._together(message)
+        confirmed = [one for one in self._together(message) if one[1].k <= message.k + FAR_AHEAD]
         self._foreign += len(self._others.pop(message.session)) - len(confirmed)
         if message.session != self._session or message.k < self._next:
             self._end_session(finished)
             self._begin(message.session)
-        for _, one in confirmed:
+        # by step: one that is ahead of the others may be a stray, and must not begin the session
+        for one in sorted((one for _, one in confirmed), key=lambda one: one.k):
             self._take(one, finished)
 
     def _end_session(self, finished: list[Transition]) -> None:

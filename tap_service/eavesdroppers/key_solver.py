@@ -45,7 +45,7 @@ from tap_service.inference.miss_rate import ALL, Audit, worst
 KEPT_BLOCKS: Final = 64
 """Blocks that she has something of and keeps, and blocks that she tells of."""
 
-KEPT_SESSIONS: Final = 4
+KEPT_SESSIONS: Final = 8
 """Sessions of which steps are kept that are not settled: the one before may have some, and a
 message may be a stray."""
 
@@ -127,6 +127,7 @@ class KeySolver(Eavesdropper):
         self._blocks = self._broken = self._bits = self._unplaced = 0
         self._j = -1  # number of the last transition; -1 where she did not hear a session's first
         self._last_k = -1
+        self._session = ""  # of the last transition
         self._open: list[tuple[int, bytes | None, bytes | None]] = []
         self._open_steps = 0
         self._digits = knowledge.digits
@@ -160,8 +161,8 @@ class KeySolver(Eavesdropper):
 
     def _step(self, session: str, k: int) -> _Step:
         steps = self._steps[session] = self._steps.pop(session, {})  # in the order of last use
-        while len(self._steps) > KEPT_SESSIONS:
-            del self._steps[next(iter(self._steps))]
+        if len(self._steps) > KEPT_SESSIONS:
+            del self._steps[next(name for name in self._steps if name != self._session)]
         step = steps.setdefault(k, _Step())
         if len(steps) > KEPT_STEPS:
             del steps[next(iter(steps))]
@@ -187,7 +188,7 @@ class KeySolver(Eavesdropper):
             self._append(t.session, step)
         if self.scheme.from_stream and step.position != NOWHERE:
             self._read(t, step.position)
-        self._last_k = t.k
+        self._last_k, self._session = t.k, t.session
         for k in [k for k in steps if k <= t.k]:
             del steps[k]
         return Guess(t.k, self._even, 0.5)
@@ -281,7 +282,7 @@ class KeySolver(Eavesdropper):
     def digits(self, session: str, position: Position, count: int) -> tuple[int, ...] | None:
         """Digits of the key stream, where she can compute the keys that they come from."""
         at = position.at
-        for key in self._keys_of(session, position.block):
+        for key in self.keys_of(session, position.block):
             if key is None:
                 per_word, values = digits_per_word(self.size)
                 if values != 1 << 32:  # how many digits the key gives depends on it
@@ -296,7 +297,7 @@ class KeySolver(Eavesdropper):
             at -= len(found)
         return None
 
-    def _keys_of(self, session: str, number: int) -> tuple[bytes | None, ...]:
+    def keys_of(self, session: str, number: int) -> tuple[bytes | None, ...]:
         """The keys of a block, None for each that she cannot compute."""
         for solved in self._solved:
             if (solved.session, solved.number) == (session, number):
@@ -306,6 +307,13 @@ class KeySolver(Eavesdropper):
                     self._keys[place] = tuple(self._key(solved, row) for row in rows)
                 return self._keys[place]
         return ()
+
+    def known_words(self, session: str, number: int, row: int) -> tuple[bytes | None, ...]:
+        """A block's key in words of two bytes, None for those that she cannot compute."""
+        for solved in self._solved:
+            if (solved.session, solved.number) == (session, number) and row < solved.held.rows:
+                return tuple(self._word(solved, row, place) for place in range(WORDS))
+        return (None,) * WORDS
 
     def _key(self, solved: _Solved, row: int) -> bytes | None:
         found = [self._word(solved, row, place) for place in range(WORDS)]

@@ -69,7 +69,7 @@ def gymnasium_line() -> Any:
 
     class Env(gymnasium.Env):  # type: ignore[misc,name-defined]
         observation_space = gymnasium.spaces.Box(-100, 100, (2,))
-        action_space = gymnasium.spaces.Box(-1, 1, (1,))
+        action_space = gymnasium.spaces.Box(-2, 2, (1,))
 
         def reset(self, *, seed: int | None = None, options: Any = None) -> Any:
             super().reset(seed=seed)

@@ -300,8 +300,7 @@ class Line(PythonLine):
         flag = Path(__file__).with_name("killed")
         if Line.steps == 7 and not flag.exists():
             flag.write_text("once")
-            warden = Path(f"/proc/{os.getppid()}/stat").read_text()
-            os.kill(int(warden.rpartition(")")[2].split()[1]), 9)  # the service
+            os.kill(os.getpid(), 9)  # the service
             time.sleep(60)
         return super().step(u, period_s)
 """

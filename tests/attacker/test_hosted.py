@@ -226,7 +226,7 @@ def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind:
             assert plant.truth is not None
             assert not plant.truth.failed
             said.append([one]) if k == 0 else said[-1].append(one)
-        assert plant._attacker.sieve.ignored == (12 * 8 if junk else 0)
+        assert plant.attacker.sieve.ignored == (12 * 8 if junk else 0)
         assert plant.truth is not None
         assert one != plant.truth.x_next, "she goes on"
         plant.close()

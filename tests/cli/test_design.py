@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-import wyner.cli.design as command
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
+from wyner.advice import rate
 from wyner.cli.main import main
 
 PLANAR = """
@@ -57,8 +57,9 @@ alpha = 4.0
 def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A cache of the test's own, and a short simulation."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    monkeypatch.setattr(command, "RUNS", 6)
-    monkeypatch.setattr(command, "STEPS", 60)
+    monkeypatch.setattr(rate, "RUNS", 6)
+    monkeypatch.setattr(rate, "BURN_IN", 60)
+    monkeypatch.setattr(rate, "STEPS", 60)
 
 
 def scenario(folder: Path, text: str = PLANAR, **fields: Any) -> str:
@@ -86,8 +87,12 @@ def test_the_text_shows_sets_gain_and_rate(tmp_path: Path, capsys: Any) -> None:
     areas = [float(row.split()[2]) for row in table[:6]]
     assert areas == sorted(areas)
     assert "initial state [1.0, -0.5]: index" in out
-    assert "6 runs of 60 steps, seed 1, 95 % interval over runs" in out
+    assert (
+        "settled (6 runs, half from x(0), half from the origin: 60 steps after the first 60, "
+        "seed 1; 95 % intervals over runs)"
+    ) in out
     assert "ceiling 5 bit/s" in out
+    assert "which is not secrecy" in out
 
 
 def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
@@ -100,12 +105,14 @@ def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
     assert r["start"]["index"] >= 1
     assert 0 < r["largest_deflation"] < 1e-11
     assert r["seconds"] <= r["ready_seconds"]
-    rate = r["rate"]
-    p, (low, high) = rate["agreement_probability"], rate["agreement_interval_95"]
+    told = r["rate"]
+    p, (low, high) = told["agreement_probability"], told["agreement_interval_95"]
     assert 0 <= low <= p <= high <= 1
-    assert rate["bits_per_second"] == pytest.approx(p / (1 + p) / 0.1, rel=0.15)
-    low, high = rate["bits_per_second_interval_95"]
-    assert low <= rate["bits_per_second"] <= high <= rate["ceiling_bits_per_second"] == 5
+    assert told["bits_per_second"] == pytest.approx(p / (1 + p) / 0.1, rel=0.15)
+    low, high = told["bits_per_second_interval_95"]
+    assert low <= told["bits_per_second"] <= high <= told["ceiling_bits_per_second"] == 5
+    assert (told["runs"], told["burn_in"], told["steps"]) == (6, 60, 60)
+    assert (told["silent"], told["still_moves"]) == (False, None)
 
 
 @pytest.mark.parametrize(
@@ -113,7 +120,7 @@ def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
     [
         ("uniform", 0.26, 0.34),
         ("corners", 0.07, 0.13),
-        ("constant", 0.0, 0.02),
+        ("constant", -0.01, 0.01),
         ("sinusoid", 0.19, 0.25),
         ("truncated-gaussian", 0.22, 0.30),
     ],
@@ -126,14 +133,14 @@ def test_the_rate_is_that_of_the_scenarios_own_disturbance(
     capsys: Any,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """p of long runs of the engine at alpha 8: 0.294, 0.096, 0.006, 0.220 and 0.256."""
-    monkeypatch.setattr(command, "RUNS", 20)
-    monkeypatch.setattr(command, "STEPS", 250)
+    """Settled shares at alpha 8, of long runs of the engine."""
+    monkeypatch.setattr(rate, "RUNS", 20)
+    monkeypatch.setattr(rate, "STEPS", 250)
     text = PLANAR.replace("alpha = 4.0", "alpha = 8.0")
     text = text.replace("[plant.disturbance]", f'[plant.disturbance]\nkind = "{kind}"')
     assert main(["design", scenario(tmp_path, text), "--json"]) == 0
-    rate = json.loads(capsys.readouterr().out)["rate"]
-    assert low < rate["agreement_probability"] < high
+    told = json.loads(capsys.readouterr().out)["rate"]
+    assert low < told["agreement_probability"] < high
 
 
 def test_the_second_time_is_from_the_cache(tmp_path: Path, capsys: Any) -> None:
@@ -176,11 +183,11 @@ def test_one_state(tmp_path: Path, capsys: Any) -> None:
 
 def test_a_start_outside_every_set_is_said(tmp_path: Path, capsys: Any) -> None:
     path = scenario(tmp_path, start=[1e6, 0.0])
-    assert main(["design", path]) == 0
+    assert main(["design", path]) == 1
     out = capsys.readouterr().out
     assert "is outside T_12, the largest set" in out
-    assert "expected rate: none" in out
-    assert main(["design", path, "--json"]) == 0
+    assert "settled rate: none" in out
+    assert main(["design", path, "--json"]) == 1
     r = json.loads(capsys.readouterr().out)
     assert r["rate"] is None
     assert "outside" in r["start"]

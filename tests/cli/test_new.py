@@ -44,6 +44,30 @@ def test_a_new_scenario_is_read_back_and_has_a_design(
     assert "is there already" in capsys.readouterr().err
 
 
+UNITS = [(1e-4, 1e4), (1e4, 1.0), (100.0, 100.0), (1.0, 1e-4)]
+
+
+@pytest.mark.parametrize("units", UNITS)
+def test_the_same_plant_in_other_units_gets_the_same_design(
+    units: tuple[float, float], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A pendulum; its states are counted in units of other sizes."""
+    designs = []
+    for k, (p, q) in enumerate([(1.0, 1.0), units]):
+        path = tmp_path / f"p{k}.toml"
+        A, B = [[0, p / q], [9.81 * q / p, -0.1]], [[0], [q]]
+        written = ["--A", json.dumps(A), "--B", json.dumps(B), "--period", "0.05", "--continuous"]
+        assert main(["new", "p", *written, "--output", str(path)]) == 0
+        capsys.readouterr()
+        assert main(["design", str(path), "--json"]) == 0
+        made = json.loads(capsys.readouterr().out)
+        gain = [v * unit for v, unit in zip(made["gain"][0], (p, q), strict=True)]
+        areas = [s["area"] / (p * q) for s in made["sets"]]
+        designs.append((*gain, *areas, made["rate"]["bits_per_second"]))
+    assert designs[0] == pytest.approx(designs[1], rel=1e-6)
+    assert designs[0][-1] > 1
+
+
 def test_discrete_matrices_stand_as_they_are_given(tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     matrices = ["--A", "[[0.9, 0.1], [0, 0.8]]", "--B", "[[0, 1], [1, 0]]", "--period", "0.5"]
@@ -73,7 +97,8 @@ def test_a_motor_of_three_states_has_a_design_as_it_is_written(
 
 def with_weights(text: str, next_state: str) -> str:
     """The file with a regulator's weights in place of its gain, and few sets."""
-    found = re.search(r"^gain = .*$", text, re.MULTILINE)
+    table = r"^\[control\.regulator\].*\nnext_state = .*\ninput = .*$"
+    found = re.search(rf"^gain = .*$|{table}", text, re.MULTILINE)
     assert found is not None
     weights = f"[control.regulator]\nnext_state = {next_state}\ninput = [1.0]\n"
     text = text.replace(found[0], weights)

@@ -15,10 +15,11 @@ from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
 from tests.support.bare_figures import bare_figures
 from tests.support.patience import PATIENCE_S
-from wyner.cli import options
+from wyner.cli import options, send
 from wyner.cli.main import main
 from wyner.cli.options import joined
 from wyner.cli.send import REPEAT_S, answer, print_reply
+from wyner.deployment import running
 from wyner.deployment.running import RunningLoop, announced
 
 RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
@@ -30,6 +31,7 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A user without a run, on a machine without services started by hand."""
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(options, "CONTROLLER_MANAGEMENT", NOBODY)
+    monkeypatch.setattr(send, "CONTROLLER_MANAGEMENT", NOBODY)
 
 
 class CrowdedBus:
@@ -97,14 +99,42 @@ def test_the_wait_for_a_run_is_bounded_and_says_what_to_do() -> None:
 @pytest.mark.usefixtures("alone")
 def test_a_run_that_does_not_answer_yet_is_named(capsys: pytest.CaptureFixture[str]) -> None:
     with announced(RUN):
-        assert main(["send", "--timeout", "0.2", "--id", "mine", "hi"]) == 1
+        told = ["send", "--timeout", "0.2", "--id", "mine", "--run", "a/run", "hi"]
+        assert main(told) == 1
     said = capsys.readouterr().err
     assert "mine: the run /runs/a/run did not answer within 0.2 s" in said
     assert "(--timeout)" in said
 
 
+@pytest.mark.usefixtures("alone")
+def test_the_run_of_another_folder_is_refused_unless_it_is_named(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Typed where no loop of one's own ran, a message went into a stranger's."""
+    with announced(RUN):
+        assert main(["send", "--timeout", "0.2", "hi"]) == 2
+        said = capsys.readouterr().err
+        assert "/runs/a/run, is not of this folder; where it is meant expected --run run" in said
+    with monkeypatch.context() as by_hand:
+        by_hand.setattr(running, "listens", lambda _endpoint: True)
+        assert main(["send", "--timeout", "0.2", "hi"]) == 2
+    said = capsys.readouterr().err
+    assert "no run of this user on this machine, and services at tcp/127.0.0.1:9" in said
+    assert "--connect management=tcp/127.0.0.1:9" in said
+
+
+def test_the_answer_names_the_run_and_the_loop(capsys: pytest.CaptureFixture[str]) -> None:
+    reply = SendReply(id="m", accepted=True, queued=2)
+    print_reply(reply, 22, "loop", "runs/a", as_json=False)
+    print_reply(reply, 22, "boiler-1", None, as_json=False)
+    assert capsys.readouterr().out.splitlines() == [
+        "queued as m at run runs/a, loop loop: 22 bytes, 2 not delivered yet",
+        "queued as m at loop boiler-1: 22 bytes, 2 not delivered yet",
+    ]
+
+
 def test_for_machines_it_is_one_object(capsys: pytest.CaptureFixture[str]) -> None:
-    print_reply(SendReply(id="m", accepted=True, queued=2), 22, as_json=True)
+    print_reply(SendReply(id="m", accepted=True, queued=2), 22, "loop", "runs/a", as_json=True)
     told = json.loads(capsys.readouterr().out)
-    assert told == {"id": "m", "bytes": 22, "queued": 2}
+    assert told == {"id": "m", "bytes": 22, "queued": 2, "loop": "loop", "run": "runs/a"}
     assert list(bare_figures(told)) == []  # counts of this message, and no rate

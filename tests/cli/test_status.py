@@ -130,6 +130,24 @@ def test_what_the_tap_found_against_the_claim_is_a_warning(
     assert json.loads(capsys.readouterr().out)["warnings"] == [warning]
 
 
+def test_a_tap_that_could_not_use_what_it_heard_is_a_warning(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = changed(run_dir, tmp_path, PLANT_STATUS)
+    (folder / BELIEFS).parent.mkdir()
+    counts = {"foreign": 1, "late": 0, "dropped": 0, "jumped": 0, "malformed": 0, "restarts": 0}
+    record = {"keys": None, "steps": 500, "unused": counts}
+    (folder / BELIEFS).write_text(json.dumps({"text": record}))
+    assert main(["status", str(folder)]) == 0, "one stray message is no trouble"
+    capsys.readouterr()
+    counts["foreign"] = 600
+    (folder / BELIEFS).write_text(json.dumps({"text": record}))
+    assert main(["status", str(folder), "--json"]) == 1
+    assert json.loads(capsys.readouterr().out)["warnings"] == [
+        "eavesdropper text: not used of what the tap heard: 600 messages of other sessions"
+    ]
+
+
 def test_the_claim_is_that_of_the_runs_scenario(
     run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

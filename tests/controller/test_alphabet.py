@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import ConvexHull
 
 from controller_service.sets.alphabet import (
     ceilings,
@@ -17,11 +18,31 @@ from controller_service.sets.alphabet import (
     line_size,
     smaller_inputs,
 )
-from controller_service.sets.clique import adjacency, largest_clique
-from controller_service.sets.polygon_alphabet import balls, plane_bound, plane_points
+from controller_service.sets.grid_alphabet import plane_offsets, plane_size, polygon_rows
 from controller_service.sets.separation import AlphabetError, Separation
+from protocol.convex import corners
 from protocol.scenario import ConvexSet
 from tests.support.apart import distances
+
+
+def plane_bound(sep: Separation, alpha: float) -> int:
+    """No alphabet of two inputs is larger.
+
+    Where both polygons are one parallelogram but for its size, the count along both edges. Else by
+    Brunn's inequality: around points p of an alphabet the sets p + S / 2 are disjoint, within a set
+    X with X - X in W + S, and 4 vol X is at most vol(X - X).
+    """
+    if not sep.room(alpha) > 0:
+        return 1
+    apart, together = polygon_rows(sep.apart), polygon_rows(sep.together_at(alpha))
+    if len(apart) == len(together) == 2:
+        counts = np.linalg.norm(apart, axis=1) / np.linalg.norm(together, axis=1)
+        if np.allclose(apart, together * counts[:, None], rtol=0, atol=1e-12 * np.abs(apart).max()):
+            return int(np.maximum(1, np.ceil(counts)).prod())
+    S, W = (corners(np.vstack([r, -r]), np.ones(2 * len(r))) for r in (apart, together))
+    both = (S[:, None] + W[None]).reshape(-1, 2)
+    return math.floor(ConvexHull(both).volume / ConvexHull(S).volume + 1e-9)
+
 
 PAPER_B = ((0.0246,), (0.4877,))
 PAPER_D = ConvexSet(half_widths=(0.12, 0.12))
@@ -121,8 +142,7 @@ def test_refusals_name_the_largest_that_fits() -> None:
 @pytest.mark.parametrize(("alpha", "size"), [(3.0, 1), (3.5, 4), (5.5, 9), (8.0, 16), (10.0, 25)])
 def test_two_inputs_on_a_box_fill_a_grid(alpha: float, size: int) -> None:
     sep = Separation.of(TANK_B, TANK_D)
-    points = plane_points(sep, alpha)
-    assert len(points) == plane_bound(sep, alpha) == size
+    assert plane_size(sep, alpha) == plane_bound(sep, alpha) == size
     inputs = ConvexSet(half_widths=(3.0, 3.0))
     chosen = choose_alphabet(TANK_B, TANK_D, inputs, alpha=alpha, size=size).offsets
     if size > 1:
@@ -141,75 +161,20 @@ def test_fewer_candidates_take_the_closest_points() -> None:
     assert spreads == sorted(spreads)
 
 
-@pytest.mark.parametrize(
-    ("sides", "t", "found"),
-    [
-        (6, 1.01, 3), (6, 1.5001, 4), (6, 2.01, 7), (6, 2.5001, 9), (6, 3.01, 13),
-        (8, 1.01, 3), (8, 1.5001, 4), (8, 2.01, 7), (8, 3.01, 12),
-        (12, 1.5001, 3), (12, 2.01, 7), (12, 3.01, 12), (12, 3.5001, 16),
-    ],
-)  # fmt: skip
-def test_polygons_reach_the_known_sizes_below_the_bound(sides: int, t: float, found: int) -> None:
-    sep = Separation.of(np.eye(2), polygon(sides))
-    points = plane_points(sep, 1 + 2 * t)
+@pytest.mark.parametrize("shear", [((1.0, 0.0), (0.0, 1.0)), ((2.0, 0.3), (-0.4, 0.7))])
+@pytest.mark.parametrize("sides", [6, 8, 12])
+@pytest.mark.parametrize("t", [1.01, 1.5001, 2.01, 3.01])
+def test_two_inputs_in_a_polygon_are_apart_and_together(
+    sides: int, t: float, shear: tuple[tuple[float, float], ...]
+) -> None:
+    """No two rows decide here: the grid is not the largest alphabet, and certain all the same."""
+    sep = Separation.of(shear, polygon(sides))
+    size = plane_size(sep, 1 + 2 * t)
+    points = plane_offsets(sep, 1 + 2 * t, size)
     apart, together = distances(sep, points)
     assert apart.min() > 1
     assert together.max() <= 2 * t
-    assert len(points) >= found
-    assert len(points) <= plane_bound(sep, 1 + 2 * t)
-
-
-def test_a_change_of_inputs_changes_no_size() -> None:
-    shear = np.array([[2.0, 0.3], [-0.4, 0.7]])
-    plain, turned = (Separation.of(G, polygon(8)) for G in (np.eye(2), shear))
-    for t in (1.5001, 2.01, 3.01):
-        assert len(plane_points(plain, 1 + 2 * t)) == len(plane_points(turned, 1 + 2 * t))
-        assert plane_bound(plain, 1 + 2 * t) == plane_bound(turned, 1 + 2 * t)
-
-
-def test_clique_search_equals_an_integer_program() -> None:
-    """The same graph, the octagon's half lattice, by HiGHS: an independent exact answer."""
-    from scipy.optimize import Bounds, LinearConstraint, milp
-
-    apart, together = balls(Separation.of(np.eye(2), polygon(8)), 1 + 2 * 1.6)
-    side = np.linspace(-3.2, 3.2, 11)
-    points = np.array([(x, y) for x in side for y in side if (x, y) > (0, 0)])
-    points = points[(apart.norm(points) >= 1) & (together.norm(points) <= 1)]
-    d = points[:, None] - points[None]
-    joined = (apart.norm(d) >= 1) & (together.norm(d) <= 1)
-    rows = [
-        [float(k in (i, j)) for k in range(len(points))]
-        for i, j in itertools.combinations(range(len(points)), 2)
-        if not joined[i, j]
-    ]
-    best = milp(
-        -np.ones(len(points)),
-        constraints=LinearConstraint(np.array(rows), -np.inf, 1),
-        integrality=np.ones(len(points), dtype=int),
-        bounds=Bounds(0, 1),
-    )
-    clique = largest_clique(adjacency(joined))
-    assert clique.proved
-    assert best.fun is not None
-    assert len(clique.vertices) == round(-best.fun)
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.integers(1, 9), st.randoms(use_true_random=False))
-def test_cliques_of_small_graphs(size: int, random: object) -> None:
-    draw = random.random  # type: ignore[attr-defined]
-    joined = np.zeros((size, size), dtype=bool)
-    for i, j in itertools.combinations(range(size), 2):
-        joined[i, j] = joined[j, i] = draw() < 0.6
-    largest = max(
-        k
-        for k in range(1, size + 1)
-        for chosen in itertools.combinations(range(size), k)
-        if all(joined[i, j] for i, j in itertools.combinations(chosen, 2))
-    )
-    found = largest_clique(adjacency(joined)).vertices
-    assert len(found) == largest
-    assert all(joined[i, j] for i, j in itertools.combinations(found, 2))
+    assert (t > 1.1) * 2 <= size <= plane_bound(sep, 1 + 2 * t)
 
 
 def test_smaller_inputs_keep_their_form() -> None:

@@ -1,5 +1,7 @@
 """The design: soundness, the paper's figures, refusals and the cache."""
 
+import tracemalloc
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -11,13 +13,15 @@ from scipy.optimize import linprog
 from controller_service.laws.registry import cached_design
 from controller_service.sets.alphabet import choose_alphabet, larger_disturbance
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
-from controller_service.sets.design_cache import design_path
-from controller_service.sets.terminal import feedback_gain, terminal_set
-from protocol.convex import corners
+from controller_service.sets.design_cache import design_path, load, store
+from controller_service.sets.terminal import feedback_gain, rakovic, terminal_set
+from protocol.convex import Polytope, corners, planar_vertices
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
+from tests.support.exact_corners import eroded, every_corner, rational, steers
 from tests.support.exact_sets import exact_sets, relative_errors
 from tests.support.size import size
+from wyner.cli.main import main
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
@@ -208,6 +212,39 @@ def test_the_comparison_sees_a_missing_and_a_moved_facet(paper: Scenario, design
     assert relative_errors(H, moved, exact)[1] == pytest.approx(-0.01, rel=1e-3)
 
 
+def test_every_state_of_a_drives_sets_is_steered_in_rationals(tmp_path: Path) -> None:
+    """Its current decays by 12 a step: sets grew as fast, until rounding dropped their facets."""
+    path = tmp_path / "drive.toml"
+    matrices = ["--A", "[0 1 0; 0 -0.1 0.5; 0 -0.5 -50]", "--B", "[0; 0; 50]", "--continuous"]
+    assert main(["new", "drive", *matrices, "--period", "0.05", "--output", str(path)]) == 0
+    scenario = load_scenario(path)
+    design = synthesise(scenario)
+    widths, (u,) = scenario.control_set.half_widths, scenario.control.inputs.half_widths or ()
+    assert widths is not None
+    assert design.horizon >= 4
+    b = [row[0] for row in scenario.B]
+    for i in range(1, design.horizon + 1):
+        target = eroded(rational(*design.set(i - 1)), widths)
+        for x in every_corner(rational(*design.set(i))):
+            assert steers(x, scenario.A, b, target, u), i
+
+
+def test_a_disturbance_of_many_facets_is_designed_in_little_memory() -> None:
+    """Sums of supports were held for all terms at once: 22 GiB here."""
+    turn = 2 * np.pi * (np.arange(400) + 0.25) / 400
+    H = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    Ac = 0.96 * np.array([[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]])
+    D = Polytope(H, np.full(400, 0.12))
+    tracemalloc.start()
+    T0, terminal = rakovic(Ac, D, None)
+    assert tracemalloc.get_traced_memory()[1] < 200e6
+    tracemalloc.stop()
+    V = planar_vertices(T0)
+    needed = (V @ Ac.T @ T0.H.T).max(axis=0) + (planar_vertices(D) @ T0.H.T).max(axis=0)
+    assert (needed <= T0.h * (1 + 1e-12)).all()
+    assert terminal.order > 100
+
+
 def test_sets_that_stop_growing_end_the_recursion(tank: Scenario) -> None:
     stable = changed(tank, horizon=60, states={"half_widths": [1.5, 1.5, 1.2, 1.2]})
     design = synthesise(stable)
@@ -267,6 +304,10 @@ def test_cache(paper: Scenario, tmp_path: Path) -> None:
     assert np.array_equal(first.K, second.K)
     assert (first.margins, first.terminal) == (second.margins, second.terminal)
     assert len(list(tmp_path.iterdir())) == 1
+    assert store(replace(first, stopped=True), "of sets cut short", tmp_path)
+    cut = load("of sets cut short", tmp_path)
+    assert cut is not None
+    assert cut.stopped
 
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "empty", "foreign"])

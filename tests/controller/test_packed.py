@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -18,11 +19,12 @@ from controller_service.sets.alphabet import (
     line_offsets,
 )
 from controller_service.sets.design import Design, SynthesisError
+from controller_service.sets.invariance import invariance
 from controller_service.sets.packed_design import alphabet_of, invariant_set, reduced
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
-from protocol.scenario import Scenario, ScenarioError, parse_scenario
+from protocol.scenario import ConvexSet, Scenario, ScenarioError, parse_scenario
 from runtime.scenario_file import scenario_of
 from tests.support.apart import distances
 from tests.support.size import size
@@ -128,6 +130,29 @@ def test_the_papers_gain_serves_too() -> None:
     assert design.K.tolist() == [[-13.27, -2.26]]
     assert design.terminal.method == "rakovic"
     adversary(scenario, 20_000)
+
+
+@pytest.mark.parametrize("width", [0.01, 1e-8])
+def test_a_thin_disturbance_is_looked_up_as_it_is_scanned(width: float) -> None:
+    """Corners of nearly parallel rows were out of order, and states held against other facets."""
+    scenario = shipped("packed")
+    box = ConvexSet(half_widths=(width, width))
+    defender = scenario.defender.model_copy(update={"disturbance": box})
+    law, design = system(scenario.model_copy(update={"defender": defender}))
+    for i in range(1, 6):
+        V = corners(*design.set(i))
+        V = np.concatenate([V, 0.5 * (V + np.roll(V, 1, axis=0))])
+        X = np.concatenate([V * (1 - 1e-9), V * (1 + 1e-6)])
+        holds = [(h >= X @ H.T).all(axis=1) for H, h in design.T]
+        assert law.indices(X).tolist() == np.array(holds).argmax(axis=0).tolist()
+
+
+def test_what_keeps_the_terminal_set_is_checked() -> None:
+    found = {name: invariance(shipped(name), cached_design(shipped(name))) for name in SHIPPED[:2]}
+    assert found == {"packed": "gain", "packed-double-integrator": "control"}
+    scenario, design = shipped("packed"), cached_design(shipped("packed"))
+    T = ((design.T[0][0], design.T[0][1] * 0.5), *design.T[1:])
+    assert invariance(scenario, replace(design, T=T)) is None
 
 
 def test_terminal_sets_by_regulator_scan_and_invariance() -> None:
@@ -274,3 +299,19 @@ def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
             [sys.executable, "-c", lines.format(name)], capture_output=True, text=True, check=True
         ).stdout
         assert there.strip() == str(scenario_of(name).identity())
+
+
+@pytest.mark.parametrize(("most", "steps"), [(50_000, 200), (100, 12)])
+def test_a_search_for_an_invariant_set_ends_with_a_remedy(
+    most: int, steps: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """After too many steps, and after too much work."""
+    monkeypatch.setattr("controller_service.sets.packed_design.MOST_ROWS", most)
+    scenario = with_control(
+        shipped("packed-double-integrator"),
+        states=ConvexSet(half_widths=(2000.0, 200.0)),
+        inputs=ConvexSet(half_widths=(0.2,)),
+    )
+    with pytest.raises(SynthesisError, match="narrower bounds, wider") as caught:
+        invariant_set(scenario)
+    assert int(str(caught.value).split("after ")[1].split()[0]) <= steps

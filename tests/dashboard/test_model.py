@@ -309,7 +309,7 @@ def test_one_who_failed_or_does_not_guess_is_not_scored() -> None:
     assert own.why == f"at most {own.left.high:.0f} given English sentences, {by_keys}"
     unsure = blind(bits_left=11.551, solved_k=-1)  # what she can follow, of a message under way
     assert unsure.left == stated_left(11.551, unsure.claimed_bits)
-    assert "by her own account" in unsure.why
+    assert "by its own account" in unsure.why
     assert "no whole message" in unsure.why
     assert blind(bits_left=1651.9).left_bits == all_there_are
     keys_alone = told()
@@ -373,7 +373,7 @@ def test_a_tap_that_could_not_use_most_steps_keeps_no_secret_of_them() -> None:
     assert its.silent_bits == round(0.8 * its.claimed_bits)
     assert its.left_bits is not None
     assert its.left_bits < 0.2 * its.claimed_bits
-    assert "she could not use their steps" in its.why
+    assert "Eve could not use their steps" in its.why
     told = secrecy_line(replace(state, taps={"nearest-centre": one}))
     assert f"of {its.claimed_bits - its.silent_bits:.0f} bit (" in told
     # of one who heard all more is known, though she knows less

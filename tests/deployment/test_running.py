@@ -6,6 +6,7 @@ import os
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from runtime.errors import UsageError
+from tests.support.patience import PATIENCE_S
 from wyner.deployment.running import (
     RunningLoop,
     announced,
@@ -43,14 +45,14 @@ def runtime(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 @pytest.fixture
-def another() -> Iterator[None]:
+def another() -> Iterator[int]:
     """A second process that announces the run ``b``."""
     code = ANNOUNCES.format(asdict(loop_named("b")))
     pipe = subprocess.PIPE
     with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as process:
         assert process.stdout is not None
         process.stdout.readline()
-        yield
+        yield process.pid
         process.kill()
 
 
@@ -65,10 +67,10 @@ def test_a_note_stands_as_long_as_its_run(runtime: Path) -> None:
     assert (runtime / "wyner").stat().st_mode & 0o77 == 0
 
 
-def test_a_note_whose_process_was_killed_is_taken_away(another: None, runtime: Path) -> None:
+def test_a_note_whose_process_was_killed_is_taken_away(another: int, runtime: Path) -> None:
     (note,) = (runtime / "wyner").glob("*.json")
     assert running_loops() == [loop_named("b")]
-    os.kill(int(note.stem), 9)
+    os.kill(another, 9)
     while running_loops():
         pass
     assert not note.exists()
@@ -82,7 +84,7 @@ def test_a_note_that_is_looked_at_before_it_is_locked_is_made_anew(
     looked: list[int] = []
 
     def late(file: int, how: int) -> None:
-        if how == fcntl.LOCK_EX and len(looked) < 2:
+        if how & fcntl.LOCK_EX and len(looked) < 2:
             looked.append(len(running_loops()))
         lock(file, how)
 
@@ -93,7 +95,23 @@ def test_a_note_that_is_looked_at_before_it_is_locked_is_made_anew(
     assert not list(runtime.rglob("*.json"))
 
 
-def test_of_several_runs_one_must_be_named(another: None) -> None:
+def test_a_process_of_the_same_number_in_another_container_is_not_waited_for(
+    runtime: Path,
+) -> None:
+    """Its number says nothing where the folder is shared by two containers."""
+    with (notes_folder() / f"{os.getpid()}.json").open("w") as held:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        done = threading.Event()
+
+        def announce() -> None:
+            with announced(loop_named("a")):
+                done.set()
+
+        threading.Thread(target=announce, daemon=True).start()
+        assert done.wait(PATIENCE_S)
+
+
+def test_of_several_runs_one_must_be_named(another: int) -> None:
     with announced(loop_named("a")):
         with pytest.raises(UsageError, match="2 runs on this machine, expected --run with one"):
             chosen(None, NOBODY)

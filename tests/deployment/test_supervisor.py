@@ -7,7 +7,11 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from runtime.keys.worker import FINISH_S
 
+from runtime.host import LAST_S
+from runtime.services import SERVICES
+from runtime.zenoh_bus import CLOSE_S
 from tests.support.patience import PATIENCE_S
 from wyner.deployment.supervisor import Child
 
@@ -48,3 +52,10 @@ def test_what_a_killed_service_has_left_ends_with_it(killed: tuple[Child, Path],
     size = written.stat().st_size
     time.sleep(0.2)
     assert written.stat().st_size == size
+
+
+@pytest.mark.parametrize("end", ["plant", "controller"])
+def test_an_end_is_given_the_time_that_it_takes_to_stop(end: str) -> None:
+    """It was killed after five seconds, in the midst of the twenty that its keys may take."""
+    longest_s = FINISH_S + 2 * LAST_S + 2 * CLOSE_S
+    assert SERVICES[end].stop_s >= longest_s

@@ -29,7 +29,7 @@ SAYS = {
     "own_scenario": "control.inputs: got shape 2, expected 1",
     "own_eavesdropper": "speed-watcher",
     "data_frame": "True",
-    "certificate": "confidence 0.999: 688 sessions",
+    "certificate": "none of 1000 sessions left D_c: at most 0.0069, confidence 0.999",
     "gymnasium_plant": "recovered [b'gym']",
     "lossy_network": "the plant has [b'first', b'second']",
     "modbus_plant": "150 of 150 tested steps agreed; recovered [b'tank']",

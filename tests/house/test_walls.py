@@ -118,13 +118,17 @@ def test_the_shell_imports_the_protocol_and_itself_only() -> None:
 
 
 def test_a_run_is_read_by_its_one_reader() -> None:
-    """A check compares files with each other, line by line; nobody else opens a trace."""
+    """A check compares files with each other, line by line; nobody else opens a trace.
+
+    Who starts the services says where their traces will stand, and opens none.
+    """
     for path in inside("wyner"):
         name = name_of(path)
         if name != "wyner.runs.run" and not name.startswith("wyner.runs.check"):
             text = path.read_text(encoding="utf-8")
             for named in ("PLANT_TRACE", "CONTROLLER_TRACE", "TraceReader"):
-                assert not re.search(rf"\b{named}\b", text), (name, named)
+                starts = name == "wyner.deployment.one_machine" and named.endswith("_TRACE")
+                assert starts or not re.search(rf"\b{named}\b", text), (name, named)
 
 
 def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:

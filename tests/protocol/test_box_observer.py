@@ -2,14 +2,14 @@
 
 import json
 import random
-from pathlib import Path
 
 import pytest
 
 from protocol.agreement import predict
 from protocol.box_observer import Box, BoxObserver
+from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.cli.main import main
+from wyner.advice.outputs import outputs_verdict
 
 MOTOR = BoxObserver(
     A=((1.0, 0.0909), (0.0, 0.8187)),
@@ -104,21 +104,15 @@ def test_a_reading_that_nothing_explains_begins_anew() -> None:
 
 
 @pytest.mark.parametrize(("alpha", "carries"), [(8.0, False), (20.0, True)])
-def test_design_says_whether_an_encoder_is_enough(
-    alpha: float, carries: bool, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
+def test_whether_an_encoder_is_enough(alpha: float, carries: bool) -> None:
     """The shipped motor: inputs must be 0.724 apart, and she allows 0.0515 (alpha - 1)."""
-    text = (SCENARIOS / "motor.toml").read_text()
-    text = text.replace("alpha = 8.0", f"alpha = {alpha}").split("[defender.calibration]")[0]
-    file = tmp_path / "motor.toml"
-    file.write_text(text)
-    assert main(["design", str(file), "--outputs", "1:0.0005", "--json"]) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["carries"] is carries
-    assert said["needed"] == pytest.approx(0.724, abs=1e-3)
-    assert said["possible"] == pytest.approx(0.05157 * (alpha - 1), rel=1e-2)
-    assert main(["design", "sustained", "--outputs", "1:0.001"]) == 0
-    assert "no key is sure" in capsys.readouterr().out
-    for wrong in ("1", "3:0.1", "1:-1"):
-        assert main(["design", "sustained", "--outputs", wrong]) == 2
-        assert capsys.readouterr().err.startswith("wyner: --outputs: ")
+    scenario = load_scenario(SCENARIOS / "motor.toml")
+    secrecy = scenario.secrecy.model_copy(update={"alpha": alpha})
+    found = outputs_verdict(scenario.model_copy(update={"secrecy": secrecy}), (1,), (0.0005,))
+    assert found.carries is carries
+    assert found.needed == pytest.approx(0.724, abs=1e-3)
+    assert found.possible == pytest.approx(0.05157 * (alpha - 1), rel=1e-2)
+    sustained = load_scenario(SCENARIOS / "sustained.toml")
+    assert "no key is sure" in outputs_verdict(sustained, (1,), (0.001,)).line()
+    with pytest.raises(ValueError, match="expected states from 1 to 2"):
+        outputs_verdict(sustained, (3,), (0.1,))

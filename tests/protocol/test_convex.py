@@ -91,7 +91,7 @@ def test_adding_a_segment_is_the_hull_of_both_shifts(n: int, seed: int) -> None:
     H = np.vstack([np.eye(n), -np.eye(n), rng.normal(size=(6, n))])
     p, V = spatial_reduce(Polytope.from_rows(H, rng.uniform(0.5, 1.5, len(H))))
     b = rng.normal(size=n)
-    q = spatial_add_segments(*spatial_faces(p), [(b, -0.7, 0.9)])
+    q = spatial_add_segments(*spatial_faces(p)[:2], [(b, -0.7, 0.9)])
     hull = ConvexHull(np.vstack([V - 0.7 * b, V + 0.9 * b]))
     # The same set: equal volume, and the hull's points satisfy every row.
     assert (hull.points @ q.H.T <= q.h + 1e-9).all()

@@ -23,7 +23,7 @@ def test_a_provider_that_cannot_be_loaded_is_named_at_every_look_up(
 ) -> None:
     """And its names are there once it can: none of them is "unknown" meanwhile."""
     monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(registry, "_PROVIDERS", {})
+    monkeypatch.setattr(registry, "PROVIDERS", {})
     provider = tmp_path / "provider_of_a_test.py"
     provider.write_text(PROVIDER.format(missing="library_that_is_not_there"))
     provide(KINDS.what, "provider_of_a_test")

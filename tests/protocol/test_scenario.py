@@ -73,7 +73,7 @@ def problems(data: Table) -> tuple[str, ...]:
         ("plant.disturbance.half_widths", [-0.1, 0.1], "greater than or equal to 0"),
         ("plant.disturbance.cycle_steps", 1, "greater than or equal to 2"),
         ("defender.A", [[1.0]], "got shape (1, 1), expected (2, 2)"),
-        ("defender.disturbance.half_widths", [0.12, 0.0], "greater than 0"),
+        ("defender.disturbance", {"half_widths": [0.12, 0.0]}, "a small one, such as a thousandth"),
         ("defender.disturbance.half_widths", [0.12] * 3, "got shape 3, expected 2"),
         ("defender.disturbance", {"H": [[1.0, 0.0]]}, "expected half_widths = [...], or H"),
         ("defender.disturbance.H", [[1.0, 0.0]], "and not both"),

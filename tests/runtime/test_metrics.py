@@ -19,7 +19,7 @@ from runtime.host import Host
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
-from tests.support.patience import PATIENCE_S
+from tests.support.patience import PATIENCE_S, wait_for
 
 pytest.importorskip("prometheus_client")
 
@@ -103,23 +103,30 @@ def test_an_address_in_use_is_told() -> None:
 
 
 def test_nothing_is_told_of_a_loop_that_has_left(
-    sustained: Scenario, sustained_law: CandidateLaw, tmp_path: Path
+    sustained: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Its last figures stood there for ever, as if it were still running."""
-    statuses: Statuses = {}
-    management = NotedBus(MemoryBus(MemoryHub()), statuses)
-    host = Host(MemoryBus(MemoryHub()), management, threading.Event(), fleet=True)
-    for loop in ("a", "b"):
-        config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
-        host.add(loop, *open_plant(config, 0.0), logging.getLogger("metrics"))
 
     def fails(_now: float) -> NoReturn:
         raise ArithmeticError("an odd set")
 
-    with host.turns:
-        host._do("a", fails)
-    core, _ = open_plant(PlantConfig(sustained, tmp_path / "c", "c", Pace("realtime")), 0.0)
-    management.publisher(key_of(PlantStatus, "b")).put(core.status(0.0).wire())
-    assert {loop for _, loop, _ in statuses} == {"b"}
-    host.close()
+    statuses: Statuses = {}
+    management = NotedBus(MemoryBus(MemoryHub()), statuses)
+    stopping = threading.Event()
+    host = Host(MemoryBus(MemoryHub()), management, stopping, fleet=True)
+    for loop in ("a", "b"):
+        config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
+        core, files = open_plant(config, 0.0)
+        management.publisher(key_of(PlantStatus, loop)).put(core.status(0.0).wire())
+        if loop == "a":
+            monkeypatch.setattr(core, "start", fails)
+        host.add(loop, core, files, logging.getLogger("metrics"))
+    assert {loop for _, loop, _ in statuses} == {"a", "b"}
+    thread = threading.Thread(target=host.run)
+    thread.start()
+    try:
+        wait_for(lambda: {loop for _, loop, _ in statuses} == {"b"})
+    finally:
+        stopping.set()
+        thread.join(PATIENCE_S)
     assert statuses == {}

@@ -19,6 +19,7 @@ from runtime.addresses import Addresses, TlsFiles, check_endpoint, free_endpoint
 from runtime.bus import Bus, ChannelClosed, TransportError
 from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.zenoh_bus import (
+    CLOSE_S,
     LARGEST_MESSAGE,
     ZenohBus,
     ZenohPublisher,
@@ -596,3 +597,41 @@ def test_closing_waits_for_an_attempt_to_connect_and_that_is_short() -> None:
         before = time.monotonic()
         bus.close()
         assert time.monotonic() - before < OPEN_MS / 1000 + 0.5
+
+
+NEVER_CLOSES = """
+import sys, threading
+import runtime.zenoh_bus
+from runtime.command import entered
+from runtime.signals import stop_on_signals
+
+runtime.zenoh_bus._close_session = lambda _session: threading.Event().wait()
+
+def command():
+    with stop_on_signals() as stopping, runtime.zenoh_bus.ZenohBus():
+        print("ready", flush=True)
+        stopping.wait()
+    print("ended")
+    return 5
+
+sys.exit(entered(command))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.integration
+def test_a_service_whose_session_never_closes_obeys_a_signal() -> None:
+    """After a storm of declarations Zenoh's close() did not come back, and nothing ended it."""
+    with subprocess.Popen(
+        [sys.executable, "-c", NEVER_CLOSES], stdout=subprocess.PIPE, text=True
+    ) as child:
+        try:
+            assert child.stdout is not None
+            assert child.stdout.readline() == "ready\n"
+            began = time.monotonic()
+            child.terminate()
+            assert child.communicate(timeout=PATIENCE_S)[0] == "ended\n"
+            assert child.returncode == 5
+            assert time.monotonic() - began < CLOSE_S + 5.0
+        finally:
+            child.kill()

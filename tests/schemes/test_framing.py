@@ -5,6 +5,7 @@ import random
 import zlib
 from itertools import pairwise
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -190,3 +191,9 @@ def test_reset_forgets_the_frame_under_way() -> None:
 def test_readable_is_one_printable_line() -> None:
     assert readable(b"Z\xc3\xbcrich") == "Zürich"
     assert readable(b"a\nb\x00c\xff\x1b[2J") == "a·b·c··[2J"
+
+
+def test_symbols_of_numpys_kind_are_taken() -> None:
+    deframer, cipher = Deframer(2), np.array(list(encode_frame(b"Hi", 2)))
+    assert [p for p in map(deframer.push, (cipher + 2) % 2) if p is not None] == [b"Hi"]
+    assert bytes(deframer.symbols) == b""

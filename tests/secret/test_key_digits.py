@@ -6,12 +6,12 @@ import secrets
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-
-from protocol.agreement import INSIDE
 from protocol.link.coins import AppliedCoins
-from protocol.messages import Offer
-from protocol.secret.key_digits import WORD_BITS, digits, digits_per_word, fails
 from protocol.secret.records import Key
+
+from protocol.agreement import INSIDE, fails
+from protocol.messages import Offer
+from protocol.secret.key_digits import WORD_BITS, digits, digits_per_word
 
 SIZES = st.integers(2, 256)
 KEYS = st.binary(min_size=32, max_size=32)

@@ -48,7 +48,6 @@ class SealedEnds(KeyedEnds):
             self.received.append(actions.received)
             assert self.received == list(PAYLOADS[: len(self.received)])
 
-
     def traced(self, side: Name, event: Event) -> None:
         super().traced(side, event)
         refused = isinstance(event, CountedTransition) and event.refused
@@ -121,7 +120,7 @@ def the_position_does_not_move_on(patch: pytest.MonkeyPatch) -> None:
 def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
     init = Stream.__init__
 
-    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:  # noqa: ARG001
+    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:
         init(self, size, parts)
 
     patch.setattr(Stream, "__init__", begins)
@@ -129,7 +128,7 @@ def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
 
 
 def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
-    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:  # noqa: ARG001
+    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:
         return ()
 
     patch.setattr(Stream, "drop_before", keeps)

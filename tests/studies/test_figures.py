@@ -16,7 +16,8 @@ from matplotlib.image import imread
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean, wilson
-from studies import DATA, FIGURES_FOLDER
+from runtime.scenario_file import scenario_of
+from studies import DATA, FIGURES_FOLDER, settled
 from studies.figures import FIGURES, FigureError, draw
 from studies.figures.__main__ import main as figures
 from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
@@ -26,6 +27,7 @@ from studies.measurements import MEASUREMENTS, stale, write
 from studies.secrecy.tables import PAGE
 from tests.support.patience import PATIENCE_S
 from tests.support.size import size
+from wyner.advice.rate import long_runs, settled_rate
 from wyner.drawing.style import drawing, save
 from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.code import ROOT
@@ -234,7 +236,7 @@ def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price", "plants"])
+@pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price"])
 def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
     MEASUREMENTS[name].measure(tmp_path / "now.csv")
     now, shipped = read_rows(tmp_path / "now.csv"), read_rows(DATA / f"{name}.csv")
@@ -284,22 +286,52 @@ def test_the_documents_numbers_are_the_datas() -> None:
         "Gaussian, 41 % outside": "Gaussian, 41 %",
     }
     taps = {r["variant"]: r for r in plain_rows(DATA / "taps.csv")}
+    rates = settled_rates()
     found = {
         str(s.first["variant"]): s for s in summaries(DATA, "disturbances") if alpha_of(s) == 8
     }
     for kind, start in lines.items():
         line = row_with(text, start)
         s = found[kind]
-        assert f"| {s.rate.value:.2f} |" in line
+        assert f"| {rates['disturbance', kind, 8.0][0]:.2f} |" in line
         wrong = 100 * s.counts["mistaken"] / s.counts["agreements"]
         assert ("never" if wrong == 0 else f"{wrong:.2g} % of keys") in line
         assert (taps[kind]["nearest_right"] == taps[kind]["agreements"]) == ("always" in line)
     text = text.partition("# Other plants\n")[2].partition("\n#")[0]
-    for s in summaries(DATA, "plants"):
-        if alpha_of(s) in (1.5, 8.0):
-            name = str(s.first["scenario"]).replace("-", " ")
+    for (group, kind, alpha), (_, bits) in rates.items():
+        if group == "plant" and alpha in (1.5, 8.0):
+            name = kind.replace("-", " ")
             line = row_with(text, "paper's plant" if name == "sustained" else name)
-            assert f"{s.rate.value * s.first['period_s']:.3f}" in line
+            assert f"{bits:.3f}" in line
+
+
+def settled_rates() -> dict[tuple[str, str, float], tuple[float, float]]:
+    """Bit/s and bits a step of each settled loop, the mean from both starts."""
+    found: dict[tuple[str, str, float], list[tuple[float, float]]] = {}
+    for row in plain_rows(DATA / "settled.csv"):
+        bits, key = row["bits"], (row["group"], row["name"], row["alpha"])
+        found.setdefault(key, []).append((bits / row["period_s"], bits))
+    return {
+        key: (sum(a for a, _ in rates) / len(rates), sum(b for _, b in rates) / len(rates))
+        for key, rates in found.items()
+    }
+
+
+def test_the_table_of_settled_rates_is_that_of_the_data() -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    assert settled.written(page, settled.recorded()) == page
+    rates = settled_rates()
+    assert rates["scenario", "double-integrator", 8.0][0] == 0
+    assert rates["disturbance", "constant bias", 8.0][0] == 0
+
+
+def test_the_rate_that_design_states_is_that_after_ten_thousand_steps() -> None:
+    """Its 1000 steps of burn-in are enough: the double integrator, whose start is all there is."""
+    scenario = scenario_of("double-integrator")
+    rate = settled_rate(long_runs(scenario, make_law(scenario, cached_design(scenario))))
+    assert rate.silent
+    assert rate.last_key == 7
+    assert rate.starts_otherwise
 
 
 # --- what the figures say ------------------------------------------------------------------------

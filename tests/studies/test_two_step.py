@@ -7,8 +7,11 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from studies.capacity.blocks import chained_keys, most_keys
+from studies.capacity.clique import adjacency, largest_clique
 from studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
 from wyner.sweeps.code import ROOT
 
@@ -129,3 +132,21 @@ def test_no_code_has_more_keys_than_the_volume_allows() -> None:
 def test_the_check_refuses_a_code_at_too_small_an_alpha(found: dict[float, TwoStepCode]) -> None:
     with pytest.raises(AssertionError):
         check(found[2.75], 2.2)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 9), st.randoms(use_true_random=False))
+def test_cliques_of_small_graphs(size: int, random: object) -> None:
+    draw = random.random  # type: ignore[attr-defined]
+    joined = np.zeros((size, size), dtype=bool)
+    for i, j in itertools.combinations(range(size), 2):
+        joined[i, j] = joined[j, i] = draw() < 0.6
+    largest = max(
+        k
+        for k in range(1, size + 1)
+        for chosen in itertools.combinations(range(size), k)
+        if all(joined[i, j] for i, j in itertools.combinations(chosen, 2))
+    )
+    found = largest_clique(adjacency(joined)).vertices
+    assert len(found) == largest
+    assert all(joined[i, j] for i, j in itertools.combinations(found, 2))

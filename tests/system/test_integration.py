@@ -389,8 +389,10 @@ def test_a_run_can_be_joined_without_an_option(
     ) as process:
         try:
             wait_for(lambda: status(tmp_path / "joined", "plant").get("k", 0) > 0)
-            sent = wyner("send", "second")
+            assert wyner("send", "second").returncode == 2, "it is of another folder"
+            sent = wyner("send", "second", "--run", "joined")
             assert sent.returncode == 0, sent.stderr
+            assert f"at run {tmp_path / 'joined'}, loop loop: 6 bytes" in sent.stdout
             assert "2 not delivered yet" in sent.stdout
             with subprocess.Popen(
                 [sys.executable, "-m", "wyner", "dashboard"],

@@ -25,7 +25,7 @@ def result(case: Case, folder: Path, seed: int = 1) -> Result:
     return got
 
 
-@pytest.mark.parametrize("receivers", size([3], [1, 3]))
+@pytest.mark.parametrize("receivers", size([4], [1, 3, 4]))
 def test_over_multicast_a_message_leaves_once_and_the_keys_hold(
     receivers: int, tmp_path: Path
 ) -> None:

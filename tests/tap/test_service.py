@@ -92,6 +92,11 @@ def lines(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_bytes().splitlines()]
 
 
+def health_in(run_dir: Path) -> str:
+    told: str = json.loads((run_dir / TAP_STATUS).read_bytes())["health"]
+    return told
+
+
 @pytest.fixture(scope="module")
 def run() -> Run:
     return simulate(300, 11)
@@ -218,7 +223,7 @@ def test_what_the_tap_could_not_use_is_in_its_status_its_beliefs_and_its_health(
         record = json.loads((tmp_path / BELIEFS).read_bytes())[name]
         assert record["unused"]["foreign"] == 30
         assert record["unused"]["late"] == 1
-    health = (tmp_path / "tap" / "health").read_text()
+    health = health_in(tmp_path)
     assert health.startswith("bad: ")
     assert "not used: 30 messages of other sessions, 1 late, 0 dropped" in health
     holes = [e["k"] for e in lines(tmp_path / GUESSES) if e.get("hole")]
@@ -337,7 +342,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         wire.service.write_beliefs()
         record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
         assert record["failed"] == dead.failed
-        assert "her process died" in (tmp_path / "tap" / "health").read_text()
+        assert "her process died" in health_in(tmp_path)
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
     assert any("started again" in line for line in knowledge_of)
     assert wire.service.heavy.process is not process
@@ -397,7 +402,7 @@ def test_an_eavesdropper_who_raises_is_told_of_in_the_status_the_log_and_the_rec
     assert last["set-membership"].steps == 300
     record = json.loads((tmp_path / BELIEFS).read_bytes())["nearest-centre"]
     assert (record["failed"], record["symbols"]) == (why, None)
-    assert "nearest-centre failed" in (tmp_path / "tap" / "health").read_text()
+    assert "nearest-centre failed" in health_in(tmp_path)
 
 
 def wait_for(condition: Callable[[], bool], what: str, timeout_s: float = PATIENCE_S) -> None:

@@ -198,6 +198,14 @@ def test_one_stray_message_costs_nothing_and_is_counted(
     assert transcript.unused == Unused(foreign=1)
 
 
+def test_a_stray_before_its_session_is_followed_costs_nothing() -> None:
+    """It is of the second session, and came while the first was followed."""
+    second = of_session(B, lock_step(100))
+    for stray in (measurement(100, 99, B), offer(30, B), measurement(200, 1, B)):
+        first = lock_step(10)
+        assert hear([*first[:9], stray, *first[9:], *second]) == hear([*first, *second])
+
+
 def test_strays_again_and_again_cost_nothing_either() -> None:
     messages = lock_step(1000)
     transcript = Transcript()

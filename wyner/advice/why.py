@@ -1,5 +1,6 @@
 """Why a link has the rate it has: what became of the tested steps, and what would change it."""
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final
 
@@ -8,17 +9,18 @@ import numpy.typing as npt
 
 from protocol.agreement import INSIDE
 from protocol.statistics import Interval, share_over_runs
+from wyner.advice import rate
 
 if TYPE_CHECKING:
-    from controller_service.laws.base import CandidateLaw
     from protocol.scenario import Scenario
+    from wyner.simulate.engine import Runs
 
-RUNS: Final = 16
-STEPS: Final = 250
-SEED: Final = 1
+TRIED_RUNS, TRIED_STEPS, TRIED_SETTLED, SEED = 10, 1000, 500, 1
+"""The simulation that tries what would make a silent law talk, and how many of its steps are left
+out before those that count."""
 
-SETTLED: Final = 50
-"""Steps at the start of each run that are left out: the way to the target set is another loop."""
+SOFTER: Final = (100.0, 1000.0)
+"""Factors by which the inputs' weights are raised, for a softer regulator."""
 
 EQUAL: Final = 1e-3
 """Candidates whose predictions are no further apart than this, in D_c's gauge, are one."""
@@ -40,7 +42,7 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Why:
-    """What became of the steps of a short simulation, as shares of all after the first `SETTLED`.
+    """What became of the steps of the loop once it has settled, as shares of all.
 
     Their intervals are over runs.
 
@@ -57,6 +59,7 @@ class Why:
         Share of the steps in which an input of a candidate is at a bound of U.
     remedies : tuple of str
         What to change, the most promising first.
+    runs : int
     """
 
     agreed: Interval
@@ -67,6 +70,7 @@ class Why:
     distance: float
     saturated: Interval
     remedies: tuple[str, ...]
+    runs: int
 
     def as_json(self) -> dict[str, Any]:
         """One object for machines."""
@@ -76,42 +80,39 @@ class Why:
     def lines(self) -> list[str]:
         """For people."""
         told = [
-            f"of 100 steps {_hundred(self.agreed)} could agree a key; in {_hundred(self.several)} "
-            f"several inputs explain the state, in {_hundred(self.none)} none does, in "
-            f"{_hundred(self.beyond)} it is outside a D_e ({RUNS} runs)",
+            f"in {_hundred(self.agreed)} of 100 settled steps a key can be made; in "
+            f"{_hundred(self.several)} the inputs cannot be told apart, in {_hundred(self.none)} "
+            f"no input explains the state, in {_hundred(self.beyond)} the state is outside D_e of "
+            f"an input ({self.runs} runs)",
             f"the two closest predictions are {self.distance:.2g} half-widths of D_c apart "
             f"(median; from {APART:g} on each step agrees), and one and the same in "
             f"{_hundred(self.equal)} of 100 steps",
         ]
-        return told + [f"to raise the rate: {remedy}" for remedy in self.remedies]
+        aim = "to raise the rate" if self.agreed.value else "to keep it talking"
+        return told + [f"{aim}: {remedy}" for remedy in self.remedies]
 
 
 def _hundred(share: Interval) -> str:
     return share.scaled(100.0).text(".0f")
 
 
-def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
-    """Simulate `RUNS` runs and count.
+def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
+    """Count what became of the settled steps.
 
-    Raises
-    ------
-    wyner.simulate.engine.SimulationError
-        When a run leaves the sets.
+    Parameters
+    ----------
+    scenario : Scenario
+    parts : sequence of Runs
+        Those of :func:`wyner.advice.rate.long_runs`, recorded, and without missed steps.
     """
-    from wyner.simulate.engine import simulate_runs
-
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(RUNS), steps=SETTLED + STEPS, record=True
-    )
-    assert runs.candidates is not None
-    assert runs.gauges is not None
-    gauges = runs.gauges[SETTLED:]
+    gauges = np.concatenate([_settled(runs.gauges) for runs in parts], axis=-1)
+    candidates = np.concatenate([_settled(runs.candidates) for runs in parts], axis=-1)
+    largest = np.concatenate([_settled(runs.largest) for runs in parts], axis=-1)
+    steps = len(largest)
     inside = (gauges <= INSIDE).sum(axis=1)
-    largest = runs.largest[SETTLED:]
     held = largest <= scenario.secrecy.alpha
     one = inside == 1
     U, bound = (np.array(v) for v in scenario.control.inputs.rows())
-    candidates = runs.candidates[SETTLED:]
     reach = np.einsum("rm,kjmn->kjrn", U, candidates)
     at_bound = (reach >= bound[None, None, :, None] * (1 - 1e-6)).any(axis=(1, 2))
     apart = closest_predictions(scenario, candidates)
@@ -124,8 +125,8 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
         "saturated": at_bound,
     }
     shares = {
-        name: share_over_runs((int(n), STEPS) for n in steps.sum(axis=0))
-        for name, steps in found.items()
+        name: share_over_runs((int(n), steps) for n in flags.sum(axis=0))
+        for name, flags in found.items()
     }
     # The same states judged by the smallest D_c that still holds D, and by its D_e; of a shape of
     # its own it stays.
@@ -135,7 +136,18 @@ def why(scenario: "Scenario", law: "CandidateLaw") -> Why:
     alone = one & (largest <= scenario.secrecy.alpha * hers)
     values = {name: share.value for name, share in shares.items()}
     remedies = _remedies(scenario, values, float(alone.mean()))
-    return Why(**shares, distance=float(np.median(apart)), remedies=tuple(remedies))
+    return Why(
+        **shares,
+        distance=float(np.median(apart)),
+        remedies=tuple(remedies),
+        runs=largest.shape[-1],
+    )
+
+
+def _settled(values: Array | None) -> Array:
+    """The steps after the burn-in."""
+    assert values is not None, "the runs were recorded"
+    return values[rate.BURN_IN :]
 
 
 def closest_predictions(scenario: "Scenario", candidates: Array) -> Array:
@@ -207,18 +219,15 @@ def _remedies(scenario: "Scenario", found: dict[str, float], tight: float) -> li
     control, remedies = scenario.control, []
     if found["agreed"] >= FULL:
         return []
-    if found["equal"] >= OFTEN and control.law == "paper":
-        remedies.append(
-            'control.law = "sustained": inside T_0 the law paper applies u = K x in both programs, '
-            "so that the candidates are one"
-        )
+    if not found["agreed"]:
+        remedies += _talking(scenario)
     elif found["equal"] >= OFTEN:
         remedies.append(
             "a larger target set: smaller control.regulator.next_state or larger "
             "control.regulator.input make a softer K and a wider T_0, in which the candidates can "
             "lie apart"
         )
-    if found["several"] >= OFTEN:
+    if found["agreed"] and found["several"] >= OFTEN:
         if control.law != "packed" and packs(scenario):
             remedies.append(
                 'control.law = "packed", with one table [[control.costs]]: it keeps the '
@@ -231,11 +240,84 @@ def _remedies(scenario: "Scenario", found: dict[str, float], tight: float) -> li
             )
     if found["several"] >= OFTEN and tight > found["agreed"] + WORTH:
         remedies.append(
-            f"a smaller defender.disturbance: D takes {room_in(scenario):.2f} of it; so small, and "
-            f"with today's kept as control.disturbance, {100 * tight:.0f} of 100 steps could agree"
+            "a D_c no larger than the disturbance needs: set defender.disturbance to "
+            f"{room_in(scenario):.2f} of it and keep today's under control.disturbance, and "
+            f"{100 * tight:.0f} of 100 steps make a key"
         )
     if found["beyond"] > 1 - OFTEN or found["beyond"] > found["agreed"]:
         remedies.append("a larger secrecy.alpha, if she really knows so little")
     if found["none"] > 1 - FULL:
         remedies.append("a larger defender.disturbance: the state leaves every D_c")
     return remedies
+
+
+def _talking(scenario: "Scenario") -> list[str]:
+    """Changes under which a silent scenario agrees keys in the long run, each tried."""
+    remedies = []
+    for text, changed in _louder(scenario):
+        share = 0.0 if changed is None else _settled_share(changed)
+        if share:
+            remedies.append(f"{text} ({100 * share:.3g} of 100 steps make a key there, simulated)")
+    return remedies
+
+
+def _louder(scenario: "Scenario") -> "Iterator[tuple[str, Scenario | None]]":
+    """Changes that may make a silent scenario talk; None where one makes no scenario."""
+    if scenario.control.law == "paper":
+        yield (
+            'control.law = "sustained": inside T_0 the law paper applies u = K x in both programs, '
+            "so that the candidates are one",
+            _with_control(scenario, law="sustained"),
+        )
+    regulator = scenario.control.regulator
+    for factor in SOFTER if regulator is not None else ():
+        assert regulator is not None
+        weights = [factor * weight for weight in regulator.input]
+        softer = {"next_state": regulator.next_state, "input": weights}
+        yield (
+            f"control.regulator.input = {[float(f'{w:.3g}') for w in weights]}: a softer K and a "
+            "wider T_0, in which the candidates can lie apart",
+            _with_control(scenario, regulator=softer),
+        )
+    if scenario.control.law != "packed" and packs(scenario):
+        yield (
+            'control.law = "packed", with one table [[control.costs]]: it keeps the predictions '
+            "apart by as much as you say",
+            packed(scenario),
+        )
+
+
+def _with_control(scenario: "Scenario", **fields: object) -> "Scenario | None":
+    from pydantic import ValidationError
+
+    data = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
+    try:
+        return type(scenario).model_validate({**data, "control": {**data["control"], **fields}})
+    except ValidationError:
+        return None
+
+
+def _settled_share(scenario: "Scenario") -> float:
+    """The share of steps that agree once the loop from the origin has settled; 0 where none does.
+
+    Also where there is no design.
+    """
+    from controller_service.laws.online import ProgramError
+    from controller_service.laws.registry import make_law, synthesise
+    from controller_service.sets.design import SynthesisError
+    from wyner.simulate.engine import SimulationError, simulate_runs
+
+    plant = scenario.plant.model_copy(update={"initial_state": (0.0,) * scenario.n})
+    quiet = scenario.model_copy(update={"plant": plant, "network": None})
+    try:
+        runs = simulate_runs(
+            quiet,
+            make_law(quiet, synthesise(quiet)),
+            seed=SEED,
+            runs=range(TRIED_RUNS),
+            steps=TRIED_STEPS,
+        )
+    except (SynthesisError, ProgramError, SimulationError):
+        return 0.0
+    could = (runs.symbol >= 0) & (runs.largest <= scenario.secrecy.alpha)
+    return float(could[TRIED_SETTLED:].mean())

@@ -56,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
     if not loops:
         results = results_of(args.run_dir)
         if args.json:
-            print(json.dumps(summary_of(args.run_dir, results), ensure_ascii=False))
+            print(json.dumps(summary_of(args.run_dir, results)))
         else:
             for result in results:
                 print("\n".join(printable(line) for line in lines_of(result)))
@@ -74,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     failed = sum(not summary["passed"] for summary in summaries)
     if args.json:
         whole = {"run_dir": str(args.run_dir), "passed": not failed, "loops": summaries}
-        print(json.dumps(whole, ensure_ascii=False))
+        print(json.dumps(whole))
     else:
         print(f"{len(loops) - failed} of {len(loops)} loops PASS")
     return FAILED if failed else DONE

@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from wyner.dashboard.model import Arrival
@@ -114,10 +114,10 @@ def _watch(replay: "Replay") -> None:
         run_headless(source, until=lambda: source.exhausted)
 
 
-def _print(report: dict[str, object]) -> None:
+def _print(report: dict[str, Any]) -> None:
     from protocol.text import printable
     from tap_service.eavesdroppers.base import KeysHeld
-    from wyner.runs.score.report import held_line
+    from wyner.runs.score.report import held_line, unused_in_words
     from wyner.runs.score.score import ONE_RUN
     from wyner.runs.score.summary import in_short
 
@@ -125,6 +125,9 @@ def _print(report: dict[str, object]) -> None:
     assert isinstance(taps, dict)
     scores = report.get("score")
     print(f"{report['transitions']} transitions, {report['holes']} with something missing")
+    unused = {name: report[name] for name in ("foreign", "late", "jumped")}
+    if told := unused_in_words(unused):
+        print(f"not used of what the tap heard: {told}")
     for name, tap in taps.items():
         if tap["failed"]:
             print(printable(f"{name}: she failed: {tap['failed']}"))
@@ -142,14 +145,14 @@ def _print(report: dict[str, object]) -> None:
         print(ONE_RUN)
 
 
-def describe(score: dict[str, float | None]) -> str:
+def describe(score: dict[str, Any]) -> str:
     """A score in words."""
 
     def share(value: float | None) -> str:
         return "no" if value is None else f"{100 * value:.1f} % of"
 
     return (
-        f"{share(score['symbol_accuracy'])} key symbols, "
+        f"{share(score['symbols_known'])} key symbols{' relabelled' if score['labels'] else ''}, "
         f"{share(score['message_bit_accuracy'])} message symbols right, "
         f"{score['messages_exact']} messages exact"
     )

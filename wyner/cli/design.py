@@ -1,15 +1,11 @@
-"""``wyner design``: a scenario's sets, gains and expected rate."""
+"""``wyner design``: a scenario's sets, gains and settled rate."""
 
 import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
 from protocol.statistics import COMPUTED
-from runtime.errors import DONE, Failure, UsageError
-from runtime.options import picked
-from wyner.cli.alphas import ABOUT, show_alphas
-from wyner.cli.noise import NoiseOptions, refuse_alone, show_noise
-from wyner.cli.noise import add_arguments as add_noise_arguments
+from runtime.errors import DONE, FAILED, Failure, UsageError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -19,11 +15,8 @@ if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
-    from protocol.statistics import Interval
+    from wyner.advice.rate import SettledRate
     from wyner.advice.why import Why
-
-RUNS, STEPS, SEED = 40, 250, 1
-"""The simulation behind the expected rate: 10,000 steps, about a second or less."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -32,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.description = (
         "Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
-        "them, and estimate the link's rate by a short seeded simulation of the control law."
+        "them, and estimate the rate at which the link settles by seeded simulations of the loop."
     )
     parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -45,21 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"refuse a design that will take longer (default: {PATIENCE_S:g} seconds)",
     )
     parser.add_argument("--plot", metavar="F", help="draw what is shown, as F.png, F.pdf or F.svg")
-    parser.add_argument(
-        "--alphas",
-        nargs="?",
-        const="",
-        metavar="A,B,...",
-        help=f"instead: how many symbols the inputs can carry. {ABOUT} (default: 1.5 to 10 and "
-        "the scenario's)",
-    )
-    parser.add_argument(
-        "--outputs",
-        metavar="I:W,...",
-        help="instead: whether it carries keys if read by these states alone, the Ith with a noise "
-        "of half-width W",
-    )
-    add_noise_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -74,19 +52,6 @@ def run(args: argparse.Namespace) -> int:
     from runtime.shipped import scenario_file_of
 
     scenario = scenario_of(args.scenario)
-    asked = picked(NoiseOptions, vars(args))
-    tables = {"--outputs": args.outputs, "--alphas": args.alphas, "--noise": asked.noise}
-    given = [option for option, value in tables.items() if value is not None]
-    if len(given) > 1:
-        raise UsageError(f"{given[1]}: expected without {given[0]}, which is another table")
-    if asked.noise is None:
-        refuse_alone(asked)
-    if args.outputs is not None:
-        return show_outputs(scenario, args.outputs, as_json=args.json)
-    if args.alphas is not None:
-        return show_alphas(scenario, args.alphas, as_json=args.json, figure=args.plot)
-    if asked.noise is not None:
-        return show_noise(scenario, asked, as_json=args.json, figure=args.plot)
     if not args.patience > 0:
         raise UsageError(f"--patience: got {args.patience:g}, expected more than 0")
     begin = time.perf_counter()
@@ -101,43 +66,29 @@ def run(args: argparse.Namespace) -> int:
     result["ready_seconds"] = round(time.perf_counter() - begin, 4)
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
     folder = scenario_file_of(args.scenario).parent
-    result["rate"] = expected_rate(scenario, law, folder) if linear else None
+    rate, reasons = (linear and _rate(scenario, law, folder)) or (None, None)
+    result["rate"] = None if rate is None else rate.as_json()
     result["simulated"] = linear
     result["network"] = expected_misses(scenario, folder)
-    whole = scenario.plant.C is None
-    reasons = _why(scenario, law) if result["rate"] is not None and whole else None
-    result["outputs"] = None if whole else _output_line(scenario)
+    result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
     if args.plot is not None:
         _plot(args.plot, scenario, design, law)
-    print(json.dumps(result) if args.json else render(result))
-    if reasons is not None and not args.json:
-        print("\n".join(reasons.lines()))
-    return DONE
+    if args.json:
+        print(json.dumps(result))
+    else:
+        shown = [render(result), *_rate_lines(rate, linear=linear)]
+        print("\n".join([*shown, *(() if reasons is None else reasons.lines())]))
+    return FAILED if linear and rate is None else DONE
 
 
-def show_outputs(scenario: "Scenario", text: str, *, as_json: bool) -> int:
-    """Whether the plant carries keys where some states alone are read."""
-    from dataclasses import asdict
-
-    from wyner.advice.outputs import outputs_verdict
-
-    try:
-        pairs = [part.split(":") for part in text.split(",")]
-        read = {int(state): float(width) for state, width in pairs}
-        if not all(0 <= width < float("inf") for width in read.values()):
-            raise ValueError
-    except ValueError:
-        raise UsageError(
-            f"--outputs: got {text!r}, expected a state and its noise, such as 1:0.001"
-        ) from None
-    try:
-        verdict = outputs_verdict(scenario, tuple(read), tuple(read.values()))
-    except ValueError as error:
-        raise UsageError(f"--outputs: {error}") from None
-    said = {**asdict(verdict), "carries": verdict.carries}
-    print(json.dumps(said) if as_json else f"{scenario.name}, {verdict.line()}")
-    return DONE
+def _rate_lines(rate: "SettledRate | None", *, linear: bool) -> list[str]:
+    """The rate for people, or why there is none."""
+    if rate is not None:
+        return rate.lines()
+    if linear:
+        return ["settled rate: none, the loop cannot start or leaves the sets"]
+    return ["settled rate: not simulated, as plant code runs in the plant alone"]
 
 
 def _output_line(scenario: "Scenario") -> str | None:
@@ -153,15 +104,28 @@ def _output_line(scenario: "Scenario") -> str | None:
         return None
 
 
-def _why(scenario: "Scenario", law: "CandidateLaw") -> "Why | None":
-    """Why the rate is what it is; None where the loop leaves its sets meanwhile."""
+def _rate(
+    scenario: "Scenario", law: "CandidateLaw", folder: "Path"
+) -> "tuple[SettledRate, Why | None] | None":
+    """The rate, and why it is what it is; None where the loop cannot start or leaves the sets."""
+    from wyner.advice.rate import long_runs, settled_rate
     from wyner.advice.why import why
     from wyner.simulate.engine import SimulationError
 
     try:
-        return why(scenario.model_copy(update={"network": None}), law)
+        runs = long_runs(scenario, law, folder, record=True)
     except SimulationError:
         return None
+    rate = settled_rate(runs)
+    if scenario.plant.C is not None:
+        return rate, None
+    if scenario.network is not None:
+        whole = scenario.model_copy(update={"network": None})
+        try:
+            runs = long_runs(whole, law, folder, record=True)
+        except SimulationError:
+            return rate, None
+    return rate, why(scenario, runs)
 
 
 def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> None:
@@ -183,6 +147,7 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
     """The design's figures as one object for machines."""
     from controller_service.laws.online import OutsideError
     from controller_service.sets.dead_link import dead_link_budget
+    from controller_service.sets.invariance import invariance
     from protocol.convex import Polytope, corners, planar_area
 
     N, found = design.horizon, scenario.defender.calibration
@@ -208,9 +173,11 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
         "inputs": scenario.m,
         "horizon": N,
         "horizon_asked": scenario.control.horizon,
+        "stopped": design.stopped,
         "gain": design.K.tolist(),
         "gain_source": "given" if design.gain_given else "linear quadratic regulator",
         "terminal": vars(design.terminal),
+        "invariance": invariance(scenario, design),
         "sets": sets,
         "largest_deflation": 2 * max(design.margins),
         "start": start,
@@ -224,53 +191,6 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
     }
 
 
-def expected_rate(
-    scenario: "Scenario", law: "CandidateLaw", folder: "Path"
-) -> dict[str, Any] | None:
-    """Simulate the loop under the scenario's own plant, disturbance and scheme; p and the rate.
-
-    p is the share of tested transitions that agree; its interval is over runs, for the steps of
-    one run depend on each other. The rate counts message symbols; its interval resamples runs.
-    None when the loop cannot start or leaves the sets.
-    """
-    from collections import Counter
-
-    import numpy as np
-
-    from protocol.schemes.registry import make_scheme
-    from protocol.schemes.table import advance_many
-    from protocol.statistics import mean_over_runs, share_over_runs
-    from wyner.simulate.engine import SimulationError, follow, simulate_runs
-
-    M, T = scenario.secrecy.candidates, scenario.plant.period_s
-    try:
-        runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
-    except SimulationError:
-        return None
-    link = follow(runs, [scenario.secrecy.alpha])
-    tested, agreed = link.tested[0], link.agreements[0]
-    p = share_over_runs(zip(agreed.tolist(), tested.tolist(), strict=True)).as_json()
-    bits = float(np.log2(M)) / (STEPS * T)
-    carried = Counter(link.message_symbols[0].tolist())
-    rate = mean_over_runs(carried).scaled(bits).as_json()
-    scheme = make_scheme(scenario.secrecy.scheme, M)
-    most = advance_many(scheme, np.zeros((STEPS, 1), dtype=np.int8)).pad >= 0
-    return {
-        "runs": RUNS,
-        "steps": STEPS,
-        "seed": SEED,
-        "agreement_probability": p["value"],
-        "agreement_interval_95": [p["low"], p["high"]],
-        "bits_per_second": rate["value"],
-        "bits_per_second_interval_95": [rate["low"], rate["high"]],
-        "ceiling_bits_per_second": float(most.sum()) * bits,
-        "no_interval": {
-            "ceiling_bits_per_second": COMPUTED,
-            **({"bits_per_second": rate["no_interval"]} if "no_interval" in rate else {}),
-        },
-    }
-
-
 def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | None:
     """The share of missed steps to expect of the scenario's network; None where it has none.
 
@@ -279,6 +199,7 @@ def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | No
     """
     from protocol.statistics import share_over_runs
     from wyner.advice.missed_share import expected_missed_share
+    from wyner.advice.rate import RUNS, SEED, STEPS
     from wyner.simulate.missed import missed_steps
 
     network = scenario.network
@@ -315,6 +236,24 @@ def network_lines(found: dict[str, Any] | None) -> list[str]:
     ]
 
 
+INVARIANCE = {
+    "gain": "T_0 is robust invariant under u = K x, and K T_0 is within U (checked to 1e-9)",
+    "control": "T_0 is robust invariant under some input in U at each state, not u = K x (checked)",
+    None: "T_0 was not found to be robust invariant, under u = K x or any input in U",
+}
+"""What was found of T_0, by :func:`controller_service.sets.invariance.invariance`."""
+
+
+def _ended(r: dict[str, Any]) -> str:
+    """Why there are fewer sets than were asked."""
+    if r["stopped"]:
+        return (
+            "larger ones are so long beside their width that rounding could put states into them "
+            "that no input steers"
+        )
+    return "they stop growing there"
+
+
 def render(r: dict[str, Any]) -> str:
     """The object in lines for people."""
     import numpy as np
@@ -324,7 +263,7 @@ def render(r: dict[str, Any]) -> str:
         f"{r['scenario']}: {r['states']} state(s), {r['inputs']} input(s), law {r['law']}",
         f"sets T_0..T_{r['horizon']} {when} {r['seconds']:.3f} s"
         + (
-            f" (they stop growing there; {r['horizon_asked']} were asked)"
+            f" ({_ended(r)}; {r['horizon_asked']} were asked)"
             if r["horizon"] < r["horizon_asked"]
             else ""
         ),
@@ -338,9 +277,13 @@ def render(r: dict[str, Any]) -> str:
         )
     elif t["method"] == "interval":
         lines.append("T_0: the minimal invariant interval")
-    else:
+    elif t["method"] == "modal":
         lines.append(f"T_0: parallelepiped in the modes of A + B K, radius {t['bound']:.3g}")
-    lines.append("T_0 is robust invariant and K T_0 is within U (checked)")
+    elif t["method"] == "invariant":
+        lines.append(f"T_0: the largest set that any control keeps, radius {t['bound']:.3g}")
+    else:
+        lines.append(f"T_0: {t['method']}")
+    lines.append(INVARIANCE[r["invariance"]])
     extent = next((name for name in ("area", "interval") if name in r["sets"][0]), "")
     lines.append(f"{'index':>7} {'facets':>7}  {extent}".rstrip())
     for s in r["sets"]:
@@ -360,29 +303,7 @@ def render(r: dict[str, Any]) -> str:
     lines += network_lines(r["network"])
     if r["outputs"] is not None:
         lines.append(r["outputs"])
-    rate = r["rate"]
-    if not r["simulated"]:
-        lines.append("expected rate: not simulated, as plant code runs in the plant alone")
-    elif rate is None:
-        lines.append("expected rate: none, the loop cannot start or leaves the sets")
-    else:
-        p = _interval(rate, "agreement_probability", "agreement_interval_95")
-        bits = _interval(rate, "bits_per_second", "bits_per_second_interval_95")
-        lines += [
-            f"agreement p = {p.text('.3f')} a tested step ({rate['runs']} runs of {rate['steps']} "
-            f"steps, seed {rate['seed']}, 95 % interval over runs)",
-            f"expected rate {bits.text('.3g')} bit/s, ceiling "
-            f"{rate['ceiling_bits_per_second']:.3g} bit/s",
-        ]
     return "\n".join(lines)
-
-
-def _interval(rate: dict[str, Any], value: str, limits: str) -> "Interval":
-    """A figure of :func:`expected_rate` with its limits, where it has any."""
-    from protocol.statistics import Interval
-
-    found = (rate[value], *rate[limits])
-    return Interval(*(float("nan") if x is None else x for x in found))
 
 
 def safety_lines(r: dict[str, Any]) -> list[str]:

@@ -29,7 +29,7 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     },
     "design": {
         "new": "a scenario file of one's own, with comments",
-        "design": "sets, gains, rate; --alphas, --noise, --outputs",
+        "design": "sets, gains, and the rate in the long run",
         "fit": "a plant and a certified D_c from recordings",
         "scenarios": "what is shipped; --knowledge: what she is told",
         "sweep": "a grid of experiments; --plot its rows",

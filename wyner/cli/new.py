@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from runtime.errors import DONE, Failure, UsageError
 
 if TYPE_CHECKING:
+    from protocol.arrays import Array
     from protocol.scenario import Scenario
 
 EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
@@ -36,7 +37,11 @@ SHARES: Final = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
 for which there is a terminal set."""
 
 WEIGHTS: Final = (1.0, 0.1, 0.01, 10.0)
-"""Input weights of the regulator, in the order in which they are tried."""
+"""Weights of the inputs, each in units of its bound, in the order in which they are tried. Beside
+them each state has a weight of one in units of its reach."""
+
+REACH_STEPS: Final = 10
+"""A state's reach is as far as the inputs take it in so many steps."""
 
 WIDER: Final = 1.2
 """D_c over D, the ratio of the paper's example."""
@@ -141,19 +146,26 @@ def _first_that_starts(
     """
     from controller_service.sets.gains import find_gain
 
-    def written(widths: list[float], gain: str) -> str:
-        return scenario_text(args.name, A, B, period_s, args.input, widths, gain)
+    pushes = pushed(A, B, args.input)
+    weights = state_weights(pushes)
+    m = len(B[0])
 
-    n, m = len(A), len(B[0])
-    all_widths = list(widths_of(B, args.input, args.disturbance))
-    first = written(all_widths[0], by_weights(n, m, WEIGHTS[0]))
+    def written(widths: list[float], gain: str) -> str:
+        return scenario_text(args.name, A, B, period_s, args.input, widths, weights, gain)
+
+    def regulator(weight: float) -> str:
+        inputs = [weight / args.input**2] * m
+        return BY_WEIGHTS.format(next_state=_list(weights), input=_list(inputs))
+
+    all_widths = list(widths_of(pushes, args.disturbance))
+    first = written(all_widths[0], regulator(WEIGHTS[0]))
     for widths in all_widths:
         for weight in WEIGHTS:
-            text = written(widths, by_weights(n, m, weight))
+            text = written(widths, regulator(weight))
             if _starts(text, path):
                 return text, True
     for widths in all_widths:
-        found = find_gain(_parsed(written(widths, by_weights(n, m, 1.0)), path), shares=(1.0,))
+        found = find_gain(_parsed(written(widths, regulator(1.0)), path), shares=(1.0,))
         if found is not None:
             text = written(widths, BY_GAIN.format(gain=found.written(), decay=found.decay))
             if _starts(text, path):
@@ -161,16 +173,41 @@ def _first_that_starts(
     return first, False
 
 
-def widths_of(
-    B: list[list[float]], bound: float, disturbance: float | None
-) -> Iterator[list[float]]:
-    """Half-widths of D to be tried, the widest first."""
+def pushed(A: list[list[float]], B: list[list[float]], bound: float) -> "Array":
+    """How far the largest inputs push each state k steps later, shape (REACH_STEPS, n).
+
+    In other units of a state its column alone changes, by their ratio. A state that no input moves
+    is counted in what it takes of it to push another as far as the inputs do.
+    """
+    import numpy as np
+
+    M = np.array(A)
+    push = np.array(B) * bound
+    out = []
+    for _ in range(REACH_STEPS):
+        out.append(np.abs(push).sum(axis=1))
+        push = M @ push
+    rows = np.array(out)
+    for j in np.flatnonzero(~rows.any(axis=0)):
+        column = np.abs(M[:, j])
+        moves = rows[0][column > 0] / column[column > 0]
+        rows[:, j] = min(moves[moves > 0], default=bound)
+    return rows
+
+
+def state_weights(pushes: "Array") -> list[float]:
+    """One over the square of each state's reach."""
+    return [float(v) for v in pushes.sum(axis=0) ** -2.0]
+
+
+def widths_of(pushes: "Array", disturbance: float | None) -> Iterator[list[float]]:
+    """Half-widths of D to be tried, the widest first: shares of the first push of each state."""
     if disturbance is not None:
-        yield [disturbance] * len(B)
+        yield [disturbance] * pushes.shape[1]
         return
-    moved = [bound * sum(abs(b) for b in row) for row in B]
+    first = [float(next(v for v in column if v > 0)) for column in pushes.T]
     for share in SHARES:
-        yield [share * (step or max(moved) or bound) for step in moved]
+        yield [share * push for push in first]
 
 
 def _starts(text: str, path: Path) -> bool:
@@ -237,6 +274,7 @@ def scenario_text(
     period_s: float,
     bound: float,
     widths: list[float],
+    weights: list[float],
     gain: str,
 ) -> str:
     """The file, each field with a line that says why."""
@@ -249,16 +287,12 @@ def scenario_text(
         "start": _list([0.0] * n),
         "D": _list(widths),
         "D_c": _list([WIDER * w for w in widths]),
+        "weights": _list(weights),
         "horizon": HORIZONS[n, m],
         "gain": gain,
         "U": _list([bound] * m),
     }
     return TEMPLATE.format(**values)
-
-
-def by_weights(n: int, m: int, weight: float) -> str:
-    """The table of the regulator that gives K."""
-    return BY_WEIGHTS.format(next_state=_list([1.0] * n), input=_list([weight] * m))
 
 
 def _sizes(A: list[list[float]], B: list[list[float]]) -> str:
@@ -319,8 +353,8 @@ horizon = {horizon:<22} # sets T_1 to T_N: more states to start from, more time 
 [control.inputs]                 # U: no input leaves it
 half_widths = {U}
 
-[[control.costs]]                # candidate 0 goes home fast
-next_state = 1.0
+[[control.costs]]                # candidate 0 goes home fast; each state counts in units of
+next_state = {weights:<19} # what the inputs move it by in ten steps
 input = 0.0
 
 [[control.costs]]                # candidate 1 spares the input

@@ -29,6 +29,12 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def is_told(buses: BusOptions) -> bool:
+    """Whether an option says where the loop is, or which one is meant."""
+    where = buses.connect or buses.listen or buses.client or buses.scouting
+    return bool(where) or buses.loop != DEFAULT_LOOP
+
+
 def joined(
     buses: BusOptions, run_name: str | None, service: str, wait_s: float = 0.0
 ) -> "tuple[RunningLoop | None, BusOptions]":
@@ -59,8 +65,7 @@ def joined(
     """
     from wyner.deployment.running import chosen, is_there
 
-    told = buses.connect or buses.listen or buses.client or buses.scouting
-    if (told or buses.loop != DEFAULT_LOOP) and run_name is None:
+    if is_told(buses) and run_name is None:
         return None, buses
     if wait_s and not is_there(run_name, CONTROLLER_MANAGEMENT):
         which = "no run" if run_name is None else f"no run {run_name!r}"

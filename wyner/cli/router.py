@@ -6,7 +6,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from runtime.errors import DONE, UsageError
-from runtime.logs import RateLimitedLog, logger
+from runtime.logs import logger
 from runtime.services import BUSES, bus_names
 from runtime.signals import stop_on_signals
 
@@ -16,7 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Relay a bus between services that connect as clients (--client BUS). Each bus "
         "gets a router of its own inside the process, so that nothing crosses from one to another. "
-        "With --guard, the names in the certificates decide who may publish what."
+        "With --guard, the names in the certificates decide who may publish what; a message that "
+        "they do not allow is dropped without a word. Routers are not joined to one another: all "
+        "services of a bus connect to the same one."
     )
     parser.add_argument(
         "--listen",
@@ -101,9 +103,8 @@ def run(args: argparse.Namespace) -> int:
     from runtime.addresses import TlsFiles, check_endpoint
     from runtime.bus import TransportError
     from runtime.link_watchdog import watched
-    from runtime.zenoh_bus import ZenohBus, log_access, open_router
+    from runtime.zenoh_bus import ZenohBus, open_router
     from wyner.deployment.access import access_control
-    from wyner.deployment.denials import denials_told
 
     listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
     check_guards(args.guard, listens, folders)
@@ -113,9 +114,6 @@ def run(args: argparse.Namespace) -> int:
             for endpoint in endpoints:
                 check_endpoint(endpoint, f"--listen {bus}", tls=bus in folders)
         with stop_on_signals() as stopping, ExitStack() as stack:
-            if args.guard:
-                stack.enter_context(denials_told(RateLimitedLog(log)))
-                log_access()
             routers: list[ZenohBus] = []
             for bus, endpoints in listens.items():
                 tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None

@@ -16,10 +16,13 @@ from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
 from runtime.options import message_of, picked
-from wyner.cli.options import add_run_argument, joined
+from runtime.services import CONTROLLER_MANAGEMENT
+from wyner.cli.options import add_run_argument, is_told, joined
+from wyner.deployment.running import names_of
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
+    from wyner.deployment.running import RunningLoop
 
 REPEAT_S: Final = 0.1
 
@@ -75,6 +78,7 @@ def run(args: argparse.Namespace) -> int:
         ) from None
     told = picked(BusOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout)
+    _check_own(run, told, args.run_name)
     loop = loop_of(buses)
     ends = endpoints_of(buses, "operator", "management")
     until = time.monotonic() + args.timeout
@@ -86,7 +90,8 @@ def run(args: argparse.Namespace) -> int:
     if reply is not None:
         if not reply.accepted:
             raise Failure(reply.detail)
-        print_reply(reply, len(payload), as_json=args.json)
+        at = None if run is None else run.seen_from(Path.cwd())
+        print_reply(reply, len(payload), loop, at, as_json=args.json)
         return DONE
     if run is not None:
         where = printable(run.seen_from(Path.cwd()))
@@ -101,12 +106,37 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def print_reply(reply: SendReply, size: int, *, as_json: bool) -> None:
-    """Tell that a message was taken in."""
+def _check_own(run: "RunningLoop | None", told: BusOptions, run_name: str | None) -> None:
+    """Refuse a loop that nobody named and that is not of this folder: it may be a stranger's.
+
+    Raises
+    ------
+    UsageError
+        When it is another folder's run, or services that somebody started by hand.
+    """
+    if run_name is not None or is_told(told):
+        return
+    if run is None:
+        raise UsageError(
+            f"no run of this user on this machine, and services at {CONTROLLER_MANAGEMENT} that "
+            "may be anybody's; where they are meant expected "
+            f"--connect management={CONTROLLER_MANAGEMENT}"
+        )
+    if not Path(run.run_dir).is_relative_to(Path.cwd()):
+        raise UsageError(
+            f"the one run on this machine, {printable(run.run_dir)}, is not of this folder; where "
+            f"it is meant expected --run {printable(names_of([run]))}"
+        )
+
+
+def print_reply(reply: SendReply, size: int, loop: str, run: str | None, *, as_json: bool) -> None:
+    """Tell that a message was taken in, and by which loop of which run."""
     if as_json:
-        print(json.dumps({"id": reply.id, "bytes": size, "queued": reply.queued}))
+        told = {"id": reply.id, "bytes": size, "queued": reply.queued, "loop": loop, "run": run}
+        print(json.dumps(told))
     else:
-        print(f"queued as {reply.id}: {size} bytes, {reply.queued} not delivered yet")
+        where = f"loop {loop}" if run is None else f"run {printable(run)}, loop {loop}"
+        print(f"queued as {reply.id} at {where}: {size} bytes, {reply.queued} not delivered yet")
 
 
 def answer(management: "Bus", loop: str, command: SendCommand, until: float) -> SendReply | None:

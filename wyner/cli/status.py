@@ -167,8 +167,10 @@ def _lines_of_appearances(
 
 
 def _warnings_of_taps(run_dir: Path) -> list[str]:
-    """Who of a tap in the same folder failed, and what was found against the keys' claim."""
+    """Who of a tap in the same folder failed or was deaf, and what speaks against the claim."""
+    from protocol.messages.adversary import deaf_share
     from wyner.runs.run import Run, RunError
+    from wyner.runs.score.report import unused_in_words
 
     try:
         told = Run.load(run_dir).beliefs()
@@ -176,6 +178,11 @@ def _warnings_of_taps(run_dir: Path) -> list[str]:
             f"eavesdropper {name} failed: {one['failed']}"
             for name, one in told.items()
             if one.get("failed")
+        ]
+        found += [
+            f"eavesdropper {name}: not used of what the tap heard: {unused_in_words(one['unused'])}"
+            for name, one in told.items()
+            if "unused" in one and deaf_share(one["unused"], one["steps"])
         ]
         keys = [one["keys"] for one in told.values() if one.get("keys")]
         found += [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]

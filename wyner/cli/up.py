@@ -105,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
         )
     )
     summary = outcome.summary
-    print(json.dumps(summary, ensure_ascii=False) if args.json else render(summary))
+    print(json.dumps(summary) if args.json else render(summary))
     if outcome.failure is not None:
         raise outcome.failure
     if outcome.interrupted:
@@ -224,7 +224,7 @@ def run_session(
     finally:
         conclude()
     try:
-        seal(run_dir, json.dumps(summary, indent=2, ensure_ascii=False).encode() + b"\n")
+        seal(run_dir, json.dumps(summary, indent=2).encode() + b"\n")
     except OSError as error:
         why = f"{error.filename or run_dir}: {error.strerror}"
         failure = failure or Failure(f"{why}: the run was not sealed")

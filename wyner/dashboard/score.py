@@ -11,15 +11,12 @@ from dataclasses import dataclass
 from typing import Final
 
 from protocol.agreement import Gauge
-from protocol.messages import PlantModel, TapStatus
+from protocol.messages import PlantModel
+from protocol.messages.adversary import deaf_share
 from protocol.relabelling import Labels, known
 from protocol.statistics import CONFIDENCE, Interval, bits_left, stated_left
 from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
 from wyner.dashboard.text import letters, number
-
-DEAF: Final = 0.01
-"""Share of the steps that a tap could not use from which on it counts: what she leaves of them is
-not known."""
 
 ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
 """Chance of a false alarm because of one tap, however long one watches: all of them share 5 %."""
@@ -138,13 +135,6 @@ def _carried(state: State) -> int:
     return state.plant.agreements - unsaid
 
 
-def unused_share(status: TapStatus) -> float:
-    """Share of the steps that a tap could not use; 0 where it is hardly any."""
-    unused = (status.foreign + status.late + status.dropped) / 2 + status.jumped
-    share = unused / (unused + status.steps) if unused else 0.0
-    return share if share >= DEAF else 0.0
-
-
 @dataclass(frozen=True, slots=True)
 class Left:
     """Bits that one tap leaves of the agreed keys, of the steps that she could use.
@@ -177,7 +167,7 @@ def left_by(state: State, tap: TapState, its: Score) -> Left:
     if tap.status.failed:
         return Left(None, None)
     keys = _carried(state)
-    silent = round(keys * unused_share(tap.status))
+    silent = round(keys * deaf_share(vars(tap.status), tap.status.steps))
     bit = math.log2(its.size)
     by_keys = bits_left(keys - silent, its.size, its.guessed) if its.scored else None
     stated, bits = None, tap.status.bits_left
@@ -240,7 +230,7 @@ def _rests_on(tap: TapState, its: Score, left: Left) -> str:
     found = []
     if left.stated is not None:
         expectation = tap.status.given
-        account = f"given {expectation}" if expectation else "by her own account"
+        account = f"given {expectation}" if expectation else "by its own account"
         if left.by_keys is not None:
             account = (
                 f"at most {left.stated.high:.0f} {account}, by keys alone {left.by_keys.high:.0f}"
@@ -249,9 +239,9 @@ def _rests_on(tap: TapState, its: Score, left: Left) -> str:
         if tap.status.solved_k < 0:
             found.append("she has no whole message yet")
     if its.labels:
-        found.append("her symbols relabelled")
+        found.append("its symbols relabelled")
     if left.silent:
-        found.append(f"of {left.silent:.0f} bit more nobody knows, she could not use their steps")
+        found.append(f"of {left.silent:.0f} bit more nobody knows: Eve could not use their steps")
     return "; ".join(found)
 
 

@@ -8,6 +8,7 @@ nobody holds is of a run that ended, however it ended, and goes.
 import fcntl
 import json
 import os
+import secrets
 import socket
 import stat
 import tempfile
@@ -18,6 +19,9 @@ from pathlib import Path
 from typing import Final
 
 from runtime.errors import UsageError
+
+TRIES: Final = 100
+"""Notes that are tried, where others take them away before they are locked."""
 
 KNOCK_S: Final = 0.2
 """Seconds to wait for a listener on this machine."""
@@ -83,8 +87,7 @@ def notes_folder() -> Path:
 def announced(loop: RunningLoop) -> Iterator[None]:
     """Keep a note of a running loop; where none can be kept, the loop runs all the same."""
     try:
-        path = notes_folder() / f"{os.getpid()}.json"
-        descriptor = _locked(path)
+        path, descriptor = _new_note(notes_folder())
     except OSError:
         yield
         return
@@ -98,15 +101,28 @@ def announced(loop: RunningLoop) -> Iterator[None]:
         os.close(descriptor)
 
 
-def _locked(path: Path) -> int:
-    """The note, open and locked; made anew where somebody took it for a stale one meanwhile."""
-    while True:
-        descriptor = os.open(path, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
-        fcntl.flock(descriptor, fcntl.LOCK_EX)
-        with suppress(FileNotFoundError):
+def _new_note(folder: Path) -> tuple[Path, int]:
+    """A note of a name that nobody else has, open and locked; nobody is waited for.
+
+    Processes of two containers that share the folder may have one number, so it is none's name.
+    Where somebody took the note for a stale one before it was locked, it is made anew.
+
+    Raises
+    ------
+    OSError
+        When none can be made.
+    """
+    for _ in range(TRIES):
+        path = folder / f"{secrets.token_hex(8)}.json"
+        flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW
+        descriptor = os.open(path, flags, 0o600)
+        with suppress(BlockingIOError, FileNotFoundError):
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
             if os.path.samestat(os.fstat(descriptor), path.lstat()):
-                return descriptor
+                return path, descriptor
         os.close(descriptor)
+        path.unlink(missing_ok=True)
+    raise OSError(f"{folder}: a note of this run is taken away each time")
 
 
 def running_loops() -> list[RunningLoop]:

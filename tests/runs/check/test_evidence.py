@@ -103,7 +103,8 @@ def test_no_evidence_changes_unseen(run: Path, tmp_path: Path, how: Callable[[Pa
         name = path.relative_to(run)
         folder = Path(shutil.copytree(run, tmp_path / "copy"))
         how(folder / name)
-        if not same(path, folder / name):  # an end that has stopped leaves an empty step log
+        nothing_given = name.match("*-given") and not (folder / name).exists()
+        if not same(path, folder / name) and not nothing_given:  # a count of 0 is begun anew
             assert seal_says(folder) or not passes(folder), f"{name}: {how.__name__}"
         shutil.rmtree(folder)
 

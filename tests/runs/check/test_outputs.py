@@ -1,19 +1,24 @@
 """``wyner check`` of a plant that is read through some outputs alone: its box, and its truth."""
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from protocol.box_observer import Box, BoxObserver, Observed
+from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.shipped import SCENARIOS
+from tests.support import recorded_loop
 from tests.support.checked_runs import failed
 from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import read_lines, write_lines
 from tests.support.two_ends import SIDES
 
 Line = dict[str, Any]
+Inputs = Sequence[Sequence[float]]
 
 
 @pytest.fixture(scope="module")
@@ -34,6 +39,51 @@ def test_a_clean_run_passes(clean: Path) -> None:
     assert failed(clean) == set()
     lines = read_lines(clean / PLANT_TRACE)
     assert sum(line.get("symbol", -1) >= 0 for line in lines) > 50
+
+
+TWO = (
+    ("C = [[1.0, 0.0]] ", "C = [[1.0, 0.0], [0.4, 1.0]] "),
+    ("half_widths = [0.0001]", "half_widths = [0.0001, 0.02]"),
+    ("half_widths = [0.00012]", "half_widths = [0.00012, 0.024]"),
+)
+"""The encoder beside a poor sensor of a mixture of position and speed."""
+
+
+def of_two_outputs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[set[str], int]:
+    """The checks that a run of two outputs fails, and its keys."""
+    text = (SCENARIOS / "encoder.toml").read_text()
+    for old, new in TWO:
+        assert old in text
+        text = text.replace(old, new)
+    (folder / "encoder.toml").write_text(text)
+    monkeypatch.setattr(recorded_loop, "SCENARIOS", folder)
+    loop = RecordedLoop(folder / "run", b"hi", "encoder")
+    loop.run(lambda: loop.transitions >= 120)
+    loop.stop()
+    lines = read_lines(loop.folder / PLANT_TRACE)
+    return failed(loop.folder), sum(line.get("symbol", -1) >= 0 for line in lines)
+
+
+def test_a_clean_run_of_two_outputs_passes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, keys = of_two_outputs(tmp_path, monkeypatch)
+    assert found == set()
+    assert keys > 50
+
+
+def test_ends_that_refuse_a_key_of_two_outputs_fail_the_second_opinion_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A replay asks the ends' own observer, and finds that it was asked correctly."""
+    step = BoxObserver.step
+
+    def wary(self: BoxObserver, box: Box, candidates: Inputs, y_next: Vector) -> Observed:
+        """No candidate is ruled out where the reading is above 0.05."""
+        found = step(self, box, candidates, y_next)
+        return found._replace(possible=(0, 1)) if y_next[0] > 0.05 else found
+
+    monkeypatch.setattr(BoxObserver, "step", wary)
+    found, _ = of_two_outputs(tmp_path, monkeypatch)
+    assert found == {"paper"}
 
 
 def low(line: Line) -> None:

@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, predict
+from protocol.box_observer import Box, BoxObserver
 from protocol.schemes.base import Carry
 from protocol.schemes.switched import State, Switched
 from tests.support.small_run import SmallRun
 from wyner.runs.check import check
 from wyner.runs.check.base import Result
 from wyner.runs.check.evidence import read_evidence
-from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, scale
+from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, output_scale, scale
 from wyner.runs.check.paper import key_symbols as keys_of_scales
 
 BOX = np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), np.full(4, 0.5)
@@ -123,3 +124,42 @@ def test_ends_whose_automata_are_not_the_papers_fail_it(
     findings = recorded(tmp_path)
     assert findings["sender"].result == findings["receiver"].result == "PASS"
     assert findings["paper"].result == "FAIL"
+
+
+@pytest.mark.parametrize("outputs", [1, 2, 3])
+def test_which_candidates_explain_a_reading_of_outputs(outputs: int) -> None:
+    """As the ends' own box says, which rounds outwards; readings lie about as far as they may."""
+    draw = np.random.default_rng(outputs)
+    n, m, M, K = 3, 2, 4, 300
+    edges = alone = 0
+    for _ in range(10):
+        A, B = draw.normal(size=(n, n)), draw.normal(size=(n, m))
+        C = draw.normal(size=(outputs, n)) * (draw.random((outputs, n)) < 0.7)
+        C[:, 0] += 0.1
+        D_c, N = draw.uniform(0.01, 0.1, n), draw.uniform(0.01, 0.1, outputs)
+        observer = BoxObserver(
+            A=tuple(map(tuple, A.tolist())),
+            B=tuple(map(tuple, B.tolist())),
+            C=tuple(map(tuple, C.tolist())),
+            disturbance=tuple(D_c.tolist()),
+            noise=tuple(N.tolist()),
+            bounds=(1e3,) * n,
+        )
+        low = draw.normal(size=(K, n))
+        box = np.stack([low, low + draw.uniform(0.0, 0.2, (K, n))], axis=1)
+        u = 0.3 * draw.normal(size=(K, M, m))
+        x = box[:, 0] + (box[:, 1] - box[:, 0]) * draw.random((K, n))
+        d = D_c * draw.uniform(-1.5, 1.5, (K, n))
+        noise = N * draw.uniform(-1.5, 1.5, (K, outputs))
+        y = (x @ A.T + u[:, 0] @ B.T + d) @ C.T + noise
+        found = output_scale(A, B, C, box, u, D_c, N, y)
+        assert set(found.ravel()) <= {0.0, 1.0, 2.0}
+        for i in range(K):
+            its = Box(*(tuple(v) for v in box[i].tolist()))
+            told = set(observer.step(its, u[i].tolist(), y[i].tolist()).possible)
+            sure, most = (set(np.flatnonzero(found[i] <= edge).tolist()) for edge in (0.5, 1.5))
+            assert sure <= told <= most
+            edges += sure != most
+            alone += len(told) == 1
+    assert edges <= 2
+    assert alone > 300

@@ -1,18 +1,24 @@
 """Runs that seldom happen, and pass; and what is said where one of them is wrong."""
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CONTROLLER_JOURNAL, CONTROLLER_TRACE, PLANT_TRACE
+from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from wyner.runs.check import check, evidence
+from wyner.runs.check.attacked import unlike_manifest
 from wyner.runs.check.base import EDGE, Place, Result
 from wyner.runs.check.evidence import read_evidence
+from wyner.runs.check.records import AttackLine
 
 
 def findings(folder: Path) -> dict[str, Result]:
@@ -116,3 +122,33 @@ def test_a_run_is_judged_the_same_in_smaller_parts(
     seen = [len(part.seen) for part in parts if part.seen]
     assert set(seen[:-1]) == {20}
     assert sum(seen) == len(one[0].seen)
+
+
+@pytest.mark.parametrize("number", [0, 1, 2])
+def test_a_message_that_is_gone_from_the_controllers_queue_is_missed(
+    tmp_path: Path, number: int
+) -> None:
+    """The first was delivered; of the two that wait one is taken away, also the last."""
+    ended_run(tmp_path, (b"hi", b"later", b"last"))
+    assert failed(tmp_path) == set()
+    with closing(sqlite3.connect(tmp_path / CONTROLLER_JOURNAL)) as db, db:
+        db.execute("DELETE FROM outbox WHERE number = ?", (number,))
+    found = failed(tmp_path)
+    assert found == ({"scenario"} if number == 1 else {"messages"} if number == 2 else set())
+
+
+@pytest.mark.parametrize("field", ["onset", "knows", "options"])
+def test_an_attack_that_is_told_otherwise_than_the_manifest_has_it_is_seen(field: str) -> None:
+    line: dict[str, Any] = {
+        "event": "attack",
+        "kind": "ghost",
+        "at": "sensor",
+        "onset": 5,
+        "knows": ("bus",),
+    }
+    line["options"] = {"share": 0.5}
+    attack = AttackLine(**line)
+    said = {name: value for name, value in line.items() if name != "event"} | {"knows": ["bus"]}
+    assert unlike_manifest(attack, said) == ""
+    other: dict[str, Any] = {"onset": 6, "knows": [], "options": {"share": 0.25}}
+    assert "the manifest" in unlike_manifest(attack, said | {field: other[field]})

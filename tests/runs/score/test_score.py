@@ -309,7 +309,7 @@ def test_bits_left_by_her_own_account_stand_in_place_of_her_guesses() -> None:
     accounts = f"({high:.1f} given English sentences, by keys alone 10.0)"
     assert accounts in r.verdict()
     (remark,) = reporting.remarks(r.strongest)
-    assert "bits left, given English sentences; by her keys" in remark
+    assert "bits left, given English sentences; by its keys" in remark
     assert r.strongest.left is not None
     assert r.strongest.left.low == 0.0 < r.strongest.left.value == 3.25 < r.strongest.left.high
     assert not r.exceeds  # her word is no proof: nothing of hers was right beyond chance

@@ -3,6 +3,8 @@
 From the onset on the plant's rules see the true state, and the controller's see what is reported.
 """
 
+from dataclasses import fields
+
 from wyner.runs.check.records import AttackLine, MissedLine, TracedTransition
 
 
@@ -51,6 +53,6 @@ def unlike_manifest(attack: AttackLine | None, said: object) -> str:
     """How what the trace names differs from the manifest; empty where it does not."""
     if said is None or attack is None:
         return ""
-    told = {"kind": attack.kind, "at": attack.at, "onset": attack.onset}
-    expected = {name: said.get(name) for name in told} if isinstance(said, dict) else said
-    return "" if told == expected else f"the trace names {told}, the manifest {expected}"
+    told = {f.name: getattr(attack, f.name) for f in fields(attack) if f.name != "event"}
+    told["knows"] = list(attack.knows)
+    return "" if told == said else f"the trace names {told}, the manifest {said}"

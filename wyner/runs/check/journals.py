@@ -45,6 +45,8 @@ class JournalState:
         Identifier and text of the messages that the controller has still to deliver.
     last : bytes, optional
         The message that the plant received last.
+    newest : str
+        Identifier of the message that was queued last.
     k : int
         Step that the plant has come to.
     x : tuple of float
@@ -59,6 +61,7 @@ class JournalState:
     delivered: int = 0
     waiting: tuple[tuple[str, bytes], ...] = ()
     last: bytes | None = None
+    newest: str = ""
     k: int = -1
     x: tuple[float, ...] = ()
 
@@ -88,12 +91,19 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                     if isinstance(event, CountedTransition):
                         pending = event.as_event()
             record = core.record
+            for number in range(record.message, journal.queued):
+                journal.identifier(number)  # one that is missing is named
+            if record.message > journal.queued:
+                raise JournalError(
+                    f"{record.message} messages were delivered, and {journal.queued} queued"
+                )
             return JournalState(
                 session=record.session,
                 transitions=record.transitions,
                 pending=pending,
                 s=record.s,
                 messages=journal.queued,
+                newest=journal.identifier(journal.queued - 1) if journal.queued else "",
                 delivered=record.message,
                 waiting=tuple(
                     (identifier, payload)

@@ -82,13 +82,8 @@ class _Opinion:
         reached = output_scale(A, B, C, box, u, D_c, N, y_next)
         moved = u @ B.T
         hers = np.max([scale(*self._room, c, moved) for c in moved.swapaxes(0, 1)], axis=0)
-        keys = key_symbols(reached, hers).tolist()
-        if np.count_nonzero(C) > 1:  # a box contracted through several may rule out more than each
-            keys = [
-                [*row, NO_SYMBOL, *(i for i, g in enumerate(gauges) if g <= 1 + ROUNDING)]
-                for row, gauges in zip(keys, reached.tolist(), strict=True)
-            ]
-        rows = zip(ts, keys, reached.tolist(), strict=True)
+        keys = key_symbols(reached, hers)
+        rows = zip(ts, keys.tolist(), reached.tolist(), strict=True)
         return [self._wrong(*row) for row in rows]
 
     def _wrong(self, t: TracedTransition, keys: list[int], reached: list[float]) -> str:

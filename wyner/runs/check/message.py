@@ -237,11 +237,22 @@ class _Queue:
     doubtful: dict[str, int] = field(default_factory=dict)
     void: set[int] = field(default_factory=set)
     latest: str = ""
+    session: str = ""
+    died: bool = False
+    lost: bool = False
+    """Whether the journal may have been lost since the last message was queued: another session
+    was met by another process.
+    """
 
     def feed(self, item: Item) -> None:
         latest, self.latest = self.latest, ""
+        if isinstance(item, Walked):  # the session goes on: so does the journal
+            self.died = self.died and item.t.session != self.session
+            self.session = item.t.session
+        if isinstance(item, OtherLine) and isinstance(item.line, SessionLine):
+            self.lost = self.lost or self.died
         if isinstance(item, Break):
-            self.restarted = True
+            self.restarted = self.died = True
             if latest and not item.ended:
                 self.doubtful[latest] = len(self.told) - 1
         elif isinstance(item, OtherLine) and isinstance(item.line, QueuedLine):
@@ -260,9 +271,16 @@ class _Queue:
                 self.counter.fail("", -1, -1, f"message {name} was queued twice without a restart")
             self.begins.add(len(self.told))
             self.known = {}
-        self.restarted = False
+        self.restarted = self.died = self.lost = False
         self.known[name] = payload
         self.told.append((name, payload))
+
+    @property
+    def newest(self) -> str:
+        """The message that the journal must have as its last; empty where that cannot be told."""
+        doubtful = self.doubtful.values()
+        sure = [i for i in range(len(self.told)) if i not in self.void and i not in doubtful]
+        return "" if self.lost or not sure else self.told[sure[-1]][0]
 
     def following(self, place: int) -> set[int]:
         """Places of the messages that may come after the one at ``place``."""
@@ -292,6 +310,8 @@ class Messages(Check):
     def __init__(self, evidence: Evidence, counter: Counter) -> None:
         super().__init__(evidence, counter)
         self._queue = _Queue(counter)
+        controller = evidence.controller
+        self._put_back = False if controller is None else bool(controller.behind)
         self._framing = Framing("plant", evidence.rules.size, Counter())
         self._places = {-1}  # of the last that was recovered: messages may be alike
         self._session = ""
@@ -341,6 +361,11 @@ class Messages(Check):
             for name, payload in journal.waiting:
                 text = f"message {name} is in the controller's journal, and not in its trace"
                 self.counter.count((name, payload) in queue.told, "", -1, -1, text)
+            newest = queue.newest
+            if newest and not self._put_back and journal.newest not in (newest, *queue.doubtful):
+                text = f"message {newest} was queued last, the controller's journal has "
+                text += f"{journal.newest or 'none'}"
+                self.counter.count(False, "", -1, -1, text)
         queued = len(queue.told) - len(queue.void)
         if not self.counter.counted and queued:
             self.counter.skipped = "no message has arrived"

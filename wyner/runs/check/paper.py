@@ -65,16 +65,69 @@ def key_symbols(of_defender: Array, of_eavesdropper: Array) -> Keys:
 def output_scale(
     A: Array, B: Array, C: Array, box: Array, u: Array, D_c: Array, N: Array, y_next: Array
 ) -> Array:
-    """How much x, d and n must grow about their centres for y(k+1) = C (A x + B u + d) + n.
+    """Which candidates explain y(k+1) = C (A x + B u + d) + n, as a scale for :func:`key_symbols`.
 
     The states x are in a ``box``, shape (K, 2, n), low and high; d and n are in boxes of these
-    half-widths. Up to 1 a candidate explains the reading; of several outputs each by itself.
+    half-widths. Returned is 0 where a candidate explains the reading in any case, 1 where it does
+    to rounding, and 2 where it does not; shape (K, M).
+
+    Two ends that hold a box decide by intervals: the box is cut down by each output in turn and
+    back through A, twice, and a candidate is ruled out where nothing of the box is left. This is
+    the project's, as outputs are.
     """
-    centre, radius = box.mean(axis=1), np.ptp(box, axis=1) / 2
-    reach = radius @ np.abs(C @ A).T + np.abs(C) @ D_c + N
-    away = np.abs(y_next[:, None, :] - f_c(A, B, centre, u) @ C.T)
-    found: Array = np.max(away / reach[:, None, :], axis=2)
+    found = np.full(u.shape[:2], 2.0)
+    for value, edge in ((1.0, 1 + ROUNDING), (0.0, 1 - ROUNDING)):
+        centre, radius = box.mean(axis=1), edge * np.ptp(box, axis=1) / 2
+        before = Boxes((centre - radius)[:, None, :], (centre + radius)[:, None, :])
+        found[_left(before, A, C, u @ B.T, edge * D_c, edge * N, y_next)] = value
     return found
+
+
+class Boxes(NamedTuple):
+    """Boxes of vectors, low and high of shape (..., n); nothing is left of one where low > high."""
+
+    low: Array
+    high: Array
+
+    def cut(self, row: Array, least: Array, most: Array) -> "Boxes":
+        """Each without what has ``row`` x below ``least`` or above ``most`` for certain."""
+        low, high = self.low.copy(), self.high.copy()
+        for j in np.flatnonzero(row):
+            others = np.delete(row, j)
+            ends = [np.delete(v, j, axis=-1) * others for v in (low, high)]
+            one = (least - np.maximum(*ends).sum(axis=-1)) / row[j]
+            other = (most - np.minimum(*ends).sum(axis=-1)) / row[j]
+            low[..., j] = np.maximum(low[..., j], np.minimum(one, other))
+            high[..., j] = np.minimum(high[..., j], np.maximum(one, other))
+        return Boxes(low, high)
+
+
+TWICE: Final = 2
+
+
+def _left(
+    before: Boxes, A: Array, C: Array, pushes: Array, D_c: Array, N: Array, y_next: Array
+) -> np.ndarray[Any, np.dtype[np.bool_]]:
+    """Where something is left of ``before`` once y(k+1) is known, shape (K, M)."""
+    shape = pushes.shape
+    before = Boxes(*(np.broadcast_to(v, shape).copy() for v in before))
+    left = np.ones(shape[:2], dtype=bool)
+    for _ in range(TWICE):
+        ends = [v[..., None, :] * A for v in before]
+        after = Boxes(
+            np.minimum(*ends).sum(axis=-1) + pushes - D_c,
+            np.maximum(*ends).sum(axis=-1) + pushes + D_c,
+        )
+        for _ in range(TWICE):
+            for row, y, n in zip(C, y_next.T, N, strict=True):
+                after = after.cut(row, (y - n)[:, None], (y + n)[:, None])
+                left &= (after.low <= after.high).all(axis=-1)
+        for i, row in enumerate(A):
+            push = pushes[..., i]
+            least, most = after.low[..., i] - push - D_c[i], after.high[..., i] - push + D_c[i]
+            before = before.cut(row, least, most)
+            left &= (before.low <= before.high).all(axis=-1)
+    return left
 
 
 class Line(NamedTuple):

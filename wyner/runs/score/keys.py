@@ -17,7 +17,7 @@ from protocol.statistics import COUNTED, POOLED
 from runtime.recording import TraceError
 from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
-from tap_service.inference.miss_rate import AWAY, Audit, MissRate
+from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
 from wyner.runs.resolve import Event
 from wyner.runs.run import Run
 from wyner.runs.score.by_step import BySteps
@@ -213,8 +213,9 @@ class KeyAudit:
     @property
     def missed(self) -> float | None:
         """Share of copies 0 that she missed while she was there; None where she never was."""
-        copies = sum(rate.copies for rate in self.rates.values())
-        return sum(rate.missed for rate in self.rates.values()) / copies if copies else None
+        classes = [rate for name, rate in self.rates.items() if name != ALL]
+        copies = sum(rate.copies for rate in classes)
+        return sum(rate.missed for rate in classes) / copies if copies else None
 
     @property
     def first_key_s(self) -> float | None:
@@ -237,7 +238,7 @@ class KeyAudit:
                 )
             if rate.bursts:
                 found.append(f"her misses of {name} come in bursts ({rate.lag} copies apart)")
-            if not rate.copies and rate.absent:
+            if not rate.copies and rate.absent and name != ALL:
                 found.append(f"she was not there: of {rate.absent} {name} she heard one at most")
         return tuple(found)
 

@@ -407,16 +407,16 @@ def remarks(t: TapReport) -> list[str]:
     if t.labels:
         alike = len(set(t.labels)) == 1
         how = in_words(t.labels[0]) if alike and t.size <= WORDED else "by run, in --json"
-        found.append(f"her symbols count relabelled: {how}")
+        found.append(f"its symbols count relabelled: {how}")
     if t.stated is not None and t.by_keys is not None:
         found.append(
-            f"states at most {t.stated.high:.1f} bits left, {given(t.given)}; by her keys, which "
+            f"states at most {t.stated.high:.1f} bits left, {given(t.given)}; by its keys, which "
             f"suppose nothing of the message, at most {t.by_keys.high:.1f}"
         )
     if t.silent:
         steps = t.silent + t.agreed_steps
         found.append(
-            f"could not use {t.silent} of {steps} agreed steps: nothing is known of what she "
+            f"could not use {t.silent} of {steps} agreed steps: nothing is known of what it "
             "leaves of them"
         )
     if told := unused_in_words(t.unused):
@@ -444,7 +444,7 @@ def unused_in_words(unused: Mapping[str, int]) -> str:
 
 def given(expectation: str) -> str:
     """What an eavesdropper's own account rests on."""
-    return f"given {expectation}" if expectation else "by her own account"
+    return f"given {expectation}" if expectation else "by its own account"
 
 
 def held_line(held: KeysHeld) -> str:

@@ -32,7 +32,7 @@ ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them
 
 UNFINISHED: Final = "she did not finish"
 SILENT: Final = "she guesses at no symbol of the loop"
-DEAF: Final = "she could use none of the steps that agreed a key"
+DEAF: Final = "it could use none of the steps that agreed a key"
 
 
 class ScoreError(RunError):

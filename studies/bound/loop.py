@@ -10,7 +10,7 @@ from controller_service.sets.packed_design import alphabet_of
 from controller_service.sets.terminal import SynthesisError, feedback_gain, set_corners
 from protocol.arrays import Array
 from protocol.scenario import Scenario
-from wyner.bound.coins import Coin, largest_gain
+from studies.bound.coins import Coin, largest_gain
 
 Offers = Literal["none", "noisy", "clear"]
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from protocol.arrays import Array
 from protocol.scenario import Scenario
+from studies.bound.loop import LinearLoop
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
-from wyner.bound.loop import LinearLoop
 
 TAIL: Final = 16
 """Steps that she goes on watching after a block's last coin."""

@@ -11,7 +11,7 @@ from controller_service.sets.separation import Separation
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE
 from protocol.scenario import ConvexSet, Disturbance
-from wyner.capacity.betting import (
+from studies.capacity.betting import (
     DisturbanceLaw,
     best_bet,
     chances,

@@ -1,21 +1,18 @@
 """What any tap leaves who watches through noise: closed forms, enumeration, taps, and pitfalls."""
 
 import itertools
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.stats import norm
 
 from runtime.scenario_file import scenario_of
+from studies.bound.coins import Coin, largest_gain
+from studies.bound.loop import BoundError, LinearLoop
+from studies.bound.taps import block_left, response, smoother_left
 from studies.signalling import changed
 from tests.support.toeplitz import toeplitz
-from wyner.bound.coins import Coin, largest_gain
-from wyner.bound.loop import BoundError, LinearLoop
-from wyner.bound.taps import block_left, response, smoother_left
-from wyner.cli.main import main
 
 HALF_WIDTH = 0.12
 D = np.array([0.1, 0.1])
@@ -215,16 +212,9 @@ def test_who_sees_less_leaves_more(four: LinearLoop) -> None:
     assert four.coin(HALF_WIDTH, states=(1,)).bits > everything.bits
 
 
-def test_a_constraint_that_may_be_active_leaves_nothing(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """K x + p may need 1.55 times U on the double integrator."""
+def test_a_constraint_may_be_active_on_the_double_integrator() -> None:
+    """K x + p may need 1.55 times U there, and the bound says nothing."""
     assert LinearLoop.of(scenario_of("packed-double-integrator")).used > 1
-    assert main(["design", "packed-double-integrator", "--noise", "--json"]) == 0
-    table = json.loads(capsys.readouterr().out)
-    assert "control.inputs" in table["nothing_because"]
-    assert {row["bits_per_coin"] for row in table["rows"]} == {0.0}
-    assert {row["key_bits"] for row in table["rows"]} == {0}
 
 
 def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: LinearLoop) -> None:
@@ -237,55 +227,17 @@ def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: Linea
     assert four.used == pytest.approx(reach + push / 6.0, rel=1e-6)
 
 
-# --- the command ---------------------------------------------------------------------------------
+def test_the_papers_plant_behind_noise_as_large_as_its_disturbance() -> None:
+    coin = LinearLoop.of(scenario_of("packed")).coin(0.12, "none", ())
+    assert 1 / coin.deviation == pytest.approx(4.351, abs=5e-4)
+    assert coin.guess == pytest.approx(0.7867, abs=5e-5)
+    assert coin.bits == pytest.approx(0.709, abs=5e-4)
+    assert coin.key_bits(1000, 1e-12) == 475
 
 
-def test_the_table_says_what_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "packed", "--noise", "0.12"]) == 0
-    out = capsys.readouterr().out
-    assert "never proved" in out
-    assert "not for the programs" in out
-    (row,) = [line.split() for line in out.splitlines() if line.startswith("     0.12")]
-    assert row == ["0.12", "1", "4.351", "0.7867", "0.709", "475"]
-
-
-def test_the_measured_tap_and_the_figure(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "bound.svg"
-    argv = ["design", "packed", "--noise", "0.12,0.24", "--measure", "--json", "--plot", str(path)]
-    assert main(argv) == 0
-    table = json.loads(capsys.readouterr().out.splitlines()[0])
-    for row in table["rows"]:
-        assert row["bits_per_coin"] < row["measured"]["interval_95"][0]
-        assert row["measured"]["interval_95"][1] < table["claimed_bits"]
-    assert path.read_text().startswith("<?xml")
-
-
-@pytest.mark.parametrize(
-    ("arguments", "line"),
-    [
-        (["packed", "--noise", "-1"], "--noise: got '-1', expected numbers of 0 or more"),
-        (["packed", "--noise", "--watch", "3"], "--watch: got '3', expected states from 1 to 2"),
-        (["packed", "--noise", "--coins", "0"], "--coins: got 0, expected 1 to"),
-        (["packed", "--noise", "--eps", "2"], "--eps: got 2, expected between 0 and 1"),
-        (["packed", "--noise", "--plot", "a.pdf"], "--plot: got 'a.pdf'"),
-        (["packed", "--watch", "1"], "--watch: got '1', expected --noise beside it"),
-        (
-            ["packed", "--noise", "--measure", "--offers", "noisy"],
-            "--measure: expected all states",
-        ),
-        (["sustained", "--noise"], "control.law: got 'sustained', expected 'packed'"),
-    ],
-)
-def test_wrong_arguments_are_one_line(
-    arguments: list[str], line: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["design", *arguments]) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert line in captured.err
-    assert captured.err.count("\n") == 1
+def test_a_law_that_is_not_packed_is_refused() -> None:
+    with pytest.raises(BoundError, match=r"control\.law: got 'sustained', expected 'packed'"):
+        LinearLoop.of(scenario_of("sustained"))
 
 
 def test_a_plant_of_one_s_own_code_is_refused() -> None:

@@ -1,1 +1,0 @@
-"""``wyner design --alphas``: how many bits the paper's rule allows, at what price."""
