@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from protocol.messages import ControllerHello, Message, Offer, PlantHello
-from protocol.secret.stream import Position
 from tests.campaigns.end import Doing, Side, View
 from tests.campaigns.ends import Ends, Messages, Outcome
 from tests.campaigns.loop import rules_of
+from tests.support.safety import differing_key
 
 BITS: Final = 28
 """Of each of a state's numbers."""
@@ -284,18 +284,10 @@ def _keys_differ(mine: View, other: View) -> str:
         return ""
     if mine.confirmed > other.announced:
         return f"block {mine.confirmed} was confirmed, and the other end has not announced it"
-    theirs = {(part.block, part.number): part for part in other.parts}
-    for part in mine.parts:
-        if part.block > mine.confirmed:
-            return f"digits of block {part.block} are held before it is confirmed"
-        same = theirs.get((part.block, part.number))
-        if same is None:
-            continue
-        first = max(part.first, same.first)
-        at = Position(part.block, first)
-        if part.since(at).digits != same.since(at).digits:
-            return f"key {part.number} of block {part.block} differs between the two ends"
-    return ""
+    early = [part.block for part in mine.parts if part.block > mine.confirmed]
+    if early:
+        return f"digits of block {early[0]} are held before it is confirmed"
+    return differing_key(mine.parts, other.parts)
 
 
 class Start(NamedTuple):
