@@ -235,7 +235,7 @@ class Watched(Simulation):
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
-        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # the stream was dry
+        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # keys are short here
         assert honest, "an honest step made an alarm"
         if isinstance(event, BlockEnded):
             assert event.what != "unequal", "the ends hold different blocks"
