@@ -66,7 +66,11 @@ class KeyRows(NamedTuple):
 
     def and_then(self, later: "KeyRows") -> "KeyRows":
         """These rows and then ``later`` ones, in one save."""
-        return KeyRows(*[mine + theirs for mine, theirs in zip(self, later, strict=True)])
+        return KeyRows(
+            self.contributions + later.contributions,
+            self.obsolete_rows + later.obsolete_rows,
+            self.parts + later.parts,
+        )
 
 
 NO_ROWS: Final = KeyRows()

@@ -242,6 +242,7 @@ class Watched(Simulation):
             self.blocks[event.session, event.number] = event.keys
         if isinstance(event, CountedTransition):
             self.digits.counted(event, coins=self.scenario.defence.keyed)
+            assert not event.refused, "a frame arrived broken"
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
