@@ -5,7 +5,7 @@ import json
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -15,7 +15,7 @@ from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
 from protocol.secret.stream import Part, Position, Stream
 from runtime.chance import fresh_nonce
-from runtime.journal import ControllerJournal, PlantJournal
+from runtime.journal import ControllerJournal, Loaded, PlantJournal
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
@@ -118,9 +118,7 @@ def test_no_nonce_or_key_of_a_block_that_is_over_is_in_any_file(
 def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -> None:
     """A digit is a byte of a part in the journal; those of one key stand side by side there."""
     files = contents(stopped.folder, side)
-    trace = read_trace(stopped.folder / TRACES[side])
-    served = [e.get("digits") for e in trace.of("transition")]
-    newest = max(Position(*at) for at in served if at is not None)
+    last = newest(stopped, side)
     looked_at, left = 0, False
     for block, keys in stopped.keys.items():
         first = 0
@@ -129,7 +127,7 @@ def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -
             for at in range(0, len(row) - RUN + 1, RUN):
                 run = row[at : at + RUN]
                 there = any(run in data for data in files.values())
-                if Position(block, first + at + RUN - 1) <= newest:
+                if Position(block, first + at + RUN - 1) <= last:
                     looked_at += 1
                     assert not there, f"digits of block {block} that have served"
                 left |= there
@@ -138,18 +136,34 @@ def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -
     assert left, "such a look finds digits that are to come"
 
 
-@pytest.mark.parametrize("side", SIDES)
-def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side: Side) -> None:
-    scenario = load_scenario(stopped.folder / SCENARIO)
-    assert scenario.keys is not None
-    schedule = scenario.keys.schedule()
+def loaded_of(stopped: Stopped, side: Side) -> Loaded[Any]:
+    """What an end's journal holds."""
     path = stopped.folder / (PLANT_JOURNAL if side == "plant" else CONTROLLER_JOURNAL)
     kind = PlantJournal if side == "plant" else ControllerJournal
-    with kind(path, scenario.fingerprint()) as journal:
-        loaded = journal.load()
-    assert loaded.record is not None
-    assert loaded.record.session is not None
+    with kind(path, load_scenario(stopped.folder / SCENARIO).fingerprint()) as journal:
+        return journal.load()
+
+
+def newest(stopped: Stopped, side: Side) -> Position:
+    """Of the digits that have served, as an end has counted."""
+    trace = read_trace(stopped.folder / TRACES[side])
+    return max(Position(*e["digits"]) for e in trace.of("transition") if e.get("keyed"))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_last_digit_that_has_served_is_no_part_of_a_journal(
+    stopped: Stopped, side: Side
+) -> None:
+    parts = loaded_of(stopped, side).parts
+    assert parts
+    assert min(part.begins for part in parts) > newest(stopped, side)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side: Side) -> None:
+    loaded, scenario = loaded_of(stopped, side), load_scenario(stopped.folder / SCENARIO)
+    assert scenario.keys is not None
     assert loaded.rows
-    keys = Distiller(schedule, 4, fresh_nonce)
+    keys = Distiller(scenario.keys.schedule(), 4, fresh_nonce)
     keys.begin(loaded.record.session, rows=loaded.rows)
     assert not [block.number for block in keys.tasks() if block.number in stopped.keys]
