@@ -163,6 +163,7 @@ def test_the_last_digit_that_has_served_is_no_part_of_a_journal(
 def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side: Side) -> None:
     loaded, scenario = loaded_of(stopped, side), load_scenario(stopped.folder / SCENARIO)
     assert scenario.keys is not None
+    assert loaded.record is not None
     assert loaded.rows
     keys = Distiller(scenario.keys.schedule(), 4, fresh_nonce)
     keys.begin(loaded.record.session, rows=loaded.rows)
