@@ -413,6 +413,8 @@ class PlantCore:
             self._telemetry.answered(now - self.measured_at)
         self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
         self._taken = self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        if not self._taken and self.keys.awaits(position_of(offer).block):
+            return NOTHING_TO_DO  # the offer comes again, when its digits are there
         if self.rules.keyed and self._taken:
             return self._begin(offer, self._taken[0])
         return self._begin(offer, self.coin.toss(record.transitions))

@@ -295,6 +295,14 @@ class Distiller:
             if self.confirmed < number <= message.block:
                 self._confirm(self._extracted[number])
 
+    def awaits(self, block: int) -> bool:
+        """Whether this end has announced a block, and is yet to confirm it.
+
+        So it is after a death, until the block is extracted again; or while the next block, which
+        the partner has announced by now, is not extracted here.
+        """
+        return self.confirmed < block <= self.block and not self.broken
+
     def _confirm(self, block: ExtractedBlock) -> None:
         assert self.schedule is not None
         self.confirmed = block.number
