@@ -520,8 +520,8 @@ class ControllerCore:
     def _failure(self, verdict: AgreementResult, expected: int, offer: Offer) -> Reason:
         """What speaks against a transition; nothing where it passes its test.
 
-        A plant that has the offer's digits uses them. It has them, for it has confirmed their block
-        by this offer at the latest.
+        A plant that has the offer's digits uses them. It has them: once it has announced
+        their block it takes no step before it has confirmed it.
         """
         if self.rules.fails(verdict, expected):
             return "unexplained" if expected == NO_SYMBOL else "another candidate"
