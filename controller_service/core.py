@@ -520,8 +520,8 @@ class ControllerCore:
     def _failure(self, verdict: AgreementResult, expected: int, offer: Offer) -> Reason:
         """What speaks against a transition; nothing where it passes its test.
 
-        A plant that has the offer's digits uses them. It has them, for it has confirmed their block
-        by this offer at the latest.
+        A plant that has the offer's digits uses them. It has them: once it has announced
+        their block it takes no step before it has confirmed it.
         """
         if self.rules.fails(verdict, expected):
             return "unexplained" if expected == NO_SYMBOL else "another candidate"
@@ -684,9 +684,15 @@ class ControllerCore:
         return self._saved(actions)._replace(durable=True)
 
     def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it."""
+        """``actions``, which save the record as it is now, with all that belongs to it.
+
+        They may save it already, as it was before.
+        """
         self.record = self.record._replace(confirmed=self.keys.confirmed)
-        return actions._replace(record=self.record, rows=self.keys.rows())
+        rows = self.keys.rows()
+        if actions.record is not None:
+            rows = actions.rows.and_then(rows)
+        return actions._replace(record=self.record, rows=rows)
 
     def _alarm(self, transition: CountedTransition, applied: Offer, reason: Reason) -> Alarm:
         """What was read and what was expected, of a transition that makes an alarm."""

@@ -413,6 +413,8 @@ class PlantCore:
             self._telemetry.answered(now - self.measured_at)
         self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
         self._taken = self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        if not self._taken and self.keys.awaits(position_of(offer).block):
+            return NOTHING_TO_DO  # the offer comes again, when its digits are there
         if self.rules.keyed and self._taken:
             return self._begin(offer, self._taken[0])
         return self._begin(offer, self.coin.toss(record.transitions))
@@ -501,9 +503,15 @@ class PlantCore:
         return self._last_symbol and carried
 
     def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it."""
+        """``actions``, which save the record as it is now, with all that belongs to it.
+
+        They may save it already, as it was before.
+        """
         self.record = self.record._replace(confirmed=self.keys.confirmed)
-        return actions._replace(record=self.record, rows=self.keys.rows())
+        rows = self.keys.rows()
+        if actions.record is not None:
+            rows = actions.rows.and_then(rows)
+        return actions._replace(record=self.record, rows=rows)
 
     def _report(self, offer: Offer, x_next: Vector) -> Measurement:
         """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""

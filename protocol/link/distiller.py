@@ -64,6 +64,14 @@ class KeyRows(NamedTuple):
     obsolete_rows: tuple[range, ...] = ()
     parts: tuple[Part, ...] = ()
 
+    def and_then(self, later: "KeyRows") -> "KeyRows":
+        """These rows and then ``later`` ones, in one save."""
+        return KeyRows(
+            self.contributions + later.contributions,
+            self.obsolete_rows + later.obsolete_rows,
+            self.parts + later.parts,
+        )
+
 
 NO_ROWS: Final = KeyRows()
 
@@ -286,6 +294,14 @@ class Distiller:
         for number in sorted(self._extracted):
             if self.confirmed < number <= message.block:
                 self._confirm(self._extracted[number])
+
+    def awaits(self, block: int) -> bool:
+        """Whether this end has announced a block, and is yet to confirm it.
+
+        So it is after a death, until the block is extracted again; or while the next block, which
+        the partner has announced by now, is not extracted here.
+        """
+        return self.confirmed < block <= self.block and not self.broken
 
     def _confirm(self, block: ExtractedBlock) -> None:
         assert self.schedule is not None

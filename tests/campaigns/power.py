@@ -23,8 +23,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from unittest.mock import patch
 
-from protocol.secret.records import Side
-
+from protocol.link.records import Side
 from protocol.messages import SendReply
 from runtime import journal as journals
 from tests.support.mail import Mail
@@ -78,8 +77,8 @@ class _Acknowledging(RecordedLoop):
             assert reply.accepted
             self._mark(f"accepted {reply.id}")
 
-    def step(self, *, key_makers: bool = True) -> None:
-        super().step(key_makers=key_makers)
+    def step(self, *, extracts: bool = True) -> None:
+        super().step(extracts=extracts)
         while self._told < self.delivered:
             self._mark(f"delivered {self._told}")
             self._told += 1

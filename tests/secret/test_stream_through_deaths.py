@@ -153,4 +153,5 @@ def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> N
         wrong(patch)
         for seed in range(8):
             test_digits_serve_once_and_are_gone_through_deaths(SealedEnds)
+            test_sealed_messages_arrive_through_deaths()
             shaken(SealedEnds(), seed).close()

@@ -15,6 +15,7 @@ from protocol.secret.stream import Part
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
 from tests.support.once import Copies, Digits
+from tests.support.safety import differing_key
 from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
@@ -84,10 +85,5 @@ class KeyedEnds(LineEnds):
             return
         if mine.record.session != theirs.record.session:
             return
-        other = self.parts("controller")
-        for at, part in self.parts("plant").items():
-            if at in other:
-                end = part.first + len(part.digits)
-                assert end == other[at].first + len(other[at].digits), "a key has two lengths"
-                both = min(len(part.digits), len(other[at].digits))
-                assert part.digits[-both:] == other[at].digits[-both:], "a key differs"
+        wrong = differing_key(mine.parts, theirs.parts)
+        assert not wrong, wrong
