@@ -288,7 +288,6 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     if args.record is not None:
         recorded(args.record, args.seed)
-    logging.disable()
     counts: Counter[str] = Counter()
     wrong: list[str] = []
     for seed in range(args.seed, args.seed - (-args.images // args.of_a_run)):
@@ -303,4 +302,5 @@ def main(argv: list[str] | None = None) -> int:
 
 
 if __name__ == "__main__":
+    logging.disable()
     sys.exit(main())
