@@ -5,8 +5,9 @@ from typing import Any, Final
 
 from attacker_service.base import UNKNOWN
 from protocol.knowledge import Knowledge
+from protocol.link.session import position_of
 from protocol.messages import FieldMessage, Offer
-from protocol.secret.key_digits import digits
+from protocol.secret.stream import NOWHERE
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers.base import KnowledgeError
@@ -49,8 +50,6 @@ class Coins:
 
     def __init__(self, knowledge: Knowledge, view: Mapping[str, Any]) -> None:
         seen = View.model_validate(dict(view))
-        self._size = knowledge.candidates
-        self._digits: dict[str, tuple[int, ...]] = {}
         self._channel = WiretapChannel(seen)
         self._transcript = Transcript()
         self._solver: KeySolver | None
@@ -72,15 +71,10 @@ class Coins:
     def of(self, offer: Offer) -> int:
         """The candidate that she knows to be applied of an offer; :data:`UNKNOWN` without the key.
 
-        Which key chooses it, and with which digit, stands in the offer.
+        Which digit of the key stream chooses it stands in the offer.
         """
-        name, first = offer.coin_key, offer.coin_from
-        if not name or first is None or self._solver is None:
+        position = position_of(offer)
+        if self._solver is None or position == NOWHERE:
             return UNKNOWN
-        if name not in self._digits:
-            key = self._solver.key(name)
-            if key is None:
-                return UNKNOWN
-            self._digits[name] = digits(key, self._size)
-        place, found = offer.k - first, self._digits[name]
-        return found[place] if 0 <= place < len(found) else UNKNOWN
+        found = self._solver.digits(offer.session, position, 1)
+        return UNKNOWN if found is None else found[0]

@@ -18,18 +18,16 @@ from pydantic import ValidationError
 
 from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
 from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.link.coins import OfferedCoins
 from protocol.link.controller_session import TABLE, State, heard
-from protocol.link.events import FELL_BACK, Alarm, Event, SessionBegan
-from protocol.link.key_events import appeared, key_actions, waiting_notice
-from protocol.link.keying import Keying
+from protocol.link.distiller import Distiller
+from protocol.link.events import FELL_BACK, Alarm, Event, Reason, SessionBegan
+from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.records import INITIAL_ID, SenderRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, position_of
 from protocol.messages import (
     LARGEST_COUNT,
-    BlockAnnouncement,
     ControllerHello,
     ControllerStatus,
     Measurement,
@@ -38,13 +36,13 @@ from protocol.messages import (
     PlantHello,
     SendCommand,
     SendReply,
+    StopKeys,
 )
 from protocol.schemes.base import Carry, encrypt
 from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
-from protocol.secret.blocks import BlockResult
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.secret.nonces import Contribution, NonceSource
-from protocol.secret.records import Key
-from protocol.secret.tasks import CoinKeys, Done, Task
+from protocol.secret.stream import NOWHERE, Part, Position
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
@@ -81,14 +79,16 @@ Predict = Callable[[Vector, Vector], Vector]
 class _Judged(NamedTuple):
     """What the test made of the transition that a measurement reports.
 
-    ``expected`` is the candidate that a key chose, -1 where the transition is unwatched. ``alarm``
-    says that its test failed and makes an alarm.
+    ``served`` are the digits of the key stream that it used. ``expected`` is the candidate that one
+    of them chose, -1 where the transition is unwatched. ``alarm`` is why it makes an alarm; empty:
+    it makes none.
     """
 
     verdict: AgreementResult
     carry: Carry
+    served: tuple[int, ...]
     expected: int
-    alarm: bool
+    alarm: Reason
 
 
 class ControllerCore:
@@ -116,8 +116,8 @@ class ControllerCore:
         Rows of key blocks that may still be needed, as read back.
     fell_back : bool
         The journal may lack its newest steps: its session ends.
-    coin_keys : iterable of Key
-        That the key store holds for the session's coin, in order.
+    parts : iterable of Part
+        Digits of the key stream that are left, as read back.
     predict : callable, optional
         f_c, where it is not linear.
     message : bytes, optional
@@ -137,13 +137,13 @@ class ControllerCore:
         Seconds after which a plant that has not measured is away.
     """
 
-    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, BlockAnnouncement)
+    hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, StopKeys)
     says: tuple[type[Message], ...] = (
         Offer,
         ControllerHello,
         SendReply,
+        StopKeys,
         ControllerStatus,
-        BlockAnnouncement,
     )
 
     def __init__(
@@ -160,7 +160,7 @@ class ControllerCore:
         offer: Offer | None = None,
         contributions: Iterable[Contribution] = (),
         fell_back: bool = False,
-        coin_keys: Iterable[Key] = (),
+        parts: Iterable[Part] = (),
         predict: Predict | None = None,
         message: bytes | None = None,
         telemetry: ControllerTelemetry | None = None,
@@ -187,17 +187,22 @@ class ControllerCore:
         self._fresh = fresh
         self._frame: tuple[int, bytes] = (-1, b"")
         # keys
-        self.keying = Keying(rules.schedule, nonces)
+        self.keys = Distiller(rules.schedule, rules.size, nonces)
         if self.record.session is not None:
             said = offer or self.record
-            self.keying.begin(self.record.session, said.block, said.tag, contributions)
-        self.coins = OfferedCoins(rules.size, on=rules.keyed)
-        self.coins.begin(
-            read.session,
-            coin_keys,
-            *_newest_coin(read, offer),
-            applied="" if read.offer is None else read.offer.coin_key or "",
-        )
+            newest = offer or self.record.offer
+            named = NOWHERE if newest is None else position_of(newest)
+            self.keys.begin(
+                self.record.session,
+                said.block,
+                said.tag,
+                self.record.confirmed,
+                contributions,
+                parts,
+                Position(named.block, named.at + rules.digits),
+            )
+        if self.record.refuted:
+            self.keys.fail(self.record.refuted)
         # the session
         self._state: State = "greeting"
         self._plant: str | None = None
@@ -214,7 +219,6 @@ class ControllerCore:
         self._status_s = status_s
         self._status_at = inf
         self._health_at = self.now = -inf
-        self._aim()
         if offer is not None:
             assert measurement is not None
             self._under_way = (measurement, offer, *self._report(measurement, offer.cipher))
@@ -223,6 +227,11 @@ class ControllerCore:
     def plant(self) -> str | None:
         """The plant process whose session is taken up, if any."""
         return self._plant
+
+    @property
+    def makes_keys(self) -> bool:
+        """Whether it has key blocks to be extracted."""
+        return self.keys.on
 
     @property
     def refused(self) -> bool:
@@ -267,7 +276,7 @@ class ControllerCore:
                 else kind.model_validate_json(payload)
             )
         except ValidationError as error:
-            names = {Measurement: "measurement", PlantHello: "hello", BlockAnnouncement: "word"}
+            names = {Measurement: "measurement", PlantHello: "hello"}
             what = names.get(kind, "command")
             return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
         match message:
@@ -275,8 +284,8 @@ class ControllerCore:
                 return self._measured(message)
             case PlantHello():
                 return self._heard_hello(message)
-            case BlockAnnouncement():
-                return self._heard_announcement(message)
+            case StopKeys():
+                return self._stop_keys(message)
             case SendCommand():
                 return self._commanded(message)
         raise TypeError(f"{kind.__name__}: expected one of {self.hears}")
@@ -316,7 +325,7 @@ class ControllerCore:
             # Saved first: no other process may greet as this incarnation.
             greeting = Actions(
                 publish=(self._greeting(),),
-                keys=self._key_tasks(),
+                tasks=self.keys.tasks(),
                 notices=(self._refusal(HALTED),) if self.record.halted else (),
             )
             actions = self._saved(greeting)
@@ -324,19 +333,13 @@ class ControllerCore:
             return actions._replace(finish_step=True)
         return actions
 
-    def key_task_done(self, done: Done, now: float) -> Actions:
-        """The key maker has done a task; rows that nobody needs any more go at once."""
-        self.now = now
-        if isinstance(done, CoinKeys):
-            self.coins.done(done, now)
-            return NOTHING_TO_DO
-        if isinstance(done, BlockResult) and done.what == "confirmed":
-            self.coins.confirmed()
-        return self._erasing_rows(key_actions(self.keying, done))
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+        """A key block is extracted, or none can be any more."""
+        return extraction_done(self.keys, block)
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
-        return appeared(self.keying, self.record.session, self.record.k, count)
+        return appeared(self.keys, self.record.session, self.record.k, count)
 
     def stop(self, now: float) -> Actions:
         """The last status."""
@@ -344,7 +347,9 @@ class ControllerCore:
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         self._health_at = now
-        return self._status()._replace(notices=waiting_notice(self.keying))
+        actions = self._status()
+        # between steps the digits that have served are erased now, and else with the next step
+        return actions if self.unfinished else self._saved(actions)
 
     # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
 
@@ -367,7 +372,7 @@ class ControllerCore:
         before = record.offer
         if before is not None and measurement.k == before.k:
             if measurement.applied_k == record.applied_k and measurement.x == record.x:
-                return self._offers(self.keying.again(before))
+                return self._offers(self.keys.again(before))
             return self._diverged(measurement)
         if measurement.applied_k != record.applied_k and (
             before is None or measurement.applied_k != before.k or not measurement.x_after
@@ -386,22 +391,21 @@ class ControllerCore:
             predictions = self._predictions(x, candidates)
         except LookupError as error:
             return self._without_offer(measurement, following, judged, str(error), "outside")
-        block, tag = self.keying.announcement()
-        coin_key, coin_from, coin_last = self.coins.named(measurement.k)
+        block, tag = self.keys.announcement()
+        position = self._next_position(block)
         offer = Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
             predictions=predictions,
-            cipher=following.cipher,
-            copy_number=self.keying.copy(),
-            nonce=self.keying.nonce(),
+            cipher=self._cipher(following, position),
+            copy_number=self.keys.copy(),
+            nonce=self.keys.nonce(),
             heard=measurement.copy_number,
             block=block,
             tag=tag,
-            coin_key=coin_key,
-            coin_from=coin_from,
-            coin_last=coin_last,
+            stream_block=position.block if self.rules.digits else None,
+            stream_at=position.at if self.rules.digits else None,
         )
         self._under_way = measurement, offer, following, judged
         return self._offers(offer, measurement)
@@ -423,7 +427,7 @@ class ControllerCore:
             return f"measurement.x_after: got {size} states, expected {n} or none"
         if max(map(abs, measurement.x + measurement.x_after)) > LARGEST_STATE:
             return f"measurement: got a state beyond {LARGEST_STATE:g}"
-        return self.rules.malformed_coin("measurement.applied_key", measurement.applied_key)
+        return self.rules.malformed_digits("measurement.keyed", measurement.keyed)
 
     def _offers(self, offer: Offer, measurement: Measurement | None = None) -> Actions:
         """Publish an offer; one that was not saved before is saved, with what it answers."""
@@ -478,21 +482,72 @@ class ControllerCore:
             measurement.x_after,
             self.rules.box(record.estimate, record.k - record.applied_k - 1, record.x),
         )
-        after, carry = self._arrows[verdict.symbol]
-        message, offset = record.message, record.offset
-        # The frame is looked at in every state, as in `_decide`.
-        if offset == len(self._frame_of(message)) and record.framed:
-            message, offset = message + 1, 0
-        following = self._decide(after, record.transitions + 1, message, offset, decided)
+        after, carry = self.rules.scheme.follow(record.state, verdict.symbol)
+        served = self._served(offer, measurement)
+        if self.rules.scheme.from_stream and served:
+            carry = carry._replace(pad=served[-1])
+        if self.rules.scheme.from_stream and not served:
+            following = record._replace(state=after)  # the symbol was not carried: it comes again
+        else:
+            message, offset = record.message, record.offset
+            # The frame is looked at in every state, as in `_decide`.
+            if offset == len(self._frame_of(message)) and record.framed:
+                message, offset = message + 1, 0
+            following = self._decide(after, record.transitions + 1, message, offset, decided)
         if verdict.estimate is not None:
             following = following._replace(estimate=verdict.estimate)
-        expected = self.coins.expected(offer, measurement.applied_key)
-        failed = self.rules.fails(verdict, expected)
-        alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failed)
-        if tests != record.failed or alarm:
-            halted = record.halted or (alarm and self.rules.halts)
-            following = following._replace(failed=tests, halted=halted)
-        return following, _Judged(verdict, carry, expected, alarm)
+        expected = served[0] if served and self.rules.keyed else NO_SYMBOL
+        failure = self._failure(verdict, expected, offer)
+        alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failure != "")
+        unwatched, too_many = record.unwatched, False
+        if self.rules.keyed:
+            watched = expected != NO_SYMBOL
+            unwatched, too_many = self.rules.watch.after(unwatched, watched=watched)
+        reason: Reason = failure if alarm else "unwatched" if too_many else ""
+        following = following._replace(
+            failed=tests,
+            unwatched=unwatched,
+            halted=record.halted or (reason != "" and self.rules.halts),
+        )
+        return following, _Judged(verdict, carry, served, expected, reason)
+
+    def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
+        """The digits of an applied offer, where the plant says that they served."""
+        if not measurement.keyed:
+            return ()
+        return self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+
+    def _failure(self, verdict: AgreementResult, expected: int, offer: Offer) -> Reason:
+        """What speaks against a transition; nothing where it passes its test.
+
+        A plant that has the offer's digits uses them. It has them: once it has announced
+        their block it takes no step before it has confirmed it.
+        """
+        if self.rules.fails(verdict, expected):
+            return "unexplained" if expected == NO_SYMBOL else "another candidate"
+        if self.rules.keyed and expected == NO_SYMBOL and position_of(offer) != NOWHERE:
+            return "digits refused"
+        return ""
+
+    def _next_position(self, announced: int) -> Position:
+        """Where the next offer's digits begin.
+
+        They are of blocks that this end has announced: the plant has confirmed those, or does by
+        this offer.
+        """
+        if not self.rules.digits or self.record.refuted:
+            return NOWHERE
+        return self.keys.stream.name(self.rules.digits, announced)
+
+    def _cipher(self, following: SenderRecord, position: Position) -> int:
+        """The cipher symbol of an offer."""
+        if not self.rules.scheme.from_stream:
+            return following.cipher
+        size = self.rules.size
+        digits = self.keys.stream.at(position, self.rules.digits)
+        if digits is None:
+            return self._fresh.symbol(following.transitions, size)
+        return encrypt(following.message_symbol, digits[-1], size)
 
     def _decide(
         self,
@@ -506,17 +561,22 @@ class ControllerCore:
 
         The record that follows has it, with where in the queue the next message symbol comes from.
         Both decisions are made in both states, and one is taken, so that neither takes longer.
+        Under the key stream the message symbol is decided, and each offer encrypts it anew
+        (:meth:`_cipher`).
         """
-        size = self.rules.size
-        fresh = self._fresh.symbol(transitions, size) if decided is None else decided
+        size, scheme = self.rules.size, self.rules.scheme
+        pad = scheme.pad(state)
+        fresh = 0
+        if decided is not None:
+            fresh = decided
+        elif not scheme.from_stream:
+            fresh = self._fresh.symbol(transitions, size)
         symbols = self._frame_of(message)
         framed = bool(symbols)
         message_symbol = symbols[offset] if framed else IDLE
-        pad = self.rules.scheme.pad(state)
-        cipher = encrypt(message_symbol, pad, size)
         carrying = self.record._replace(
             state=state,
-            cipher=cipher,
+            cipher=0 if scheme.from_stream else encrypt(message_symbol, pad, size),
             message_symbol=message_symbol,
             framed=framed,
             message=message,
@@ -530,7 +590,7 @@ class ControllerCore:
             message=message,
             offset=offset,
         )
-        if pad == NO_SYMBOL:
+        if pad == NO_SYMBOL and not scheme.from_stream:
             return cover
         return carrying
 
@@ -545,15 +605,6 @@ class ControllerCore:
             self._frame = (message, symbols)
         return symbols
 
-    def _aim(self) -> None:
-        """Look up the transitions from the present state, once a message is on its way.
-
-        Those of a rare state would else come from far memory, while the plant waits for the next
-        offer.
-        """
-        verdicts = (*range(self.rules.size), NO_SYMBOL)
-        self._arrows = [self.rules.scheme.follow(self.record.state, v) for v in verdicts]
-
     # --- and then: count --------------------------------------------------------------------------
 
     def _count(
@@ -567,16 +618,8 @@ class ControllerCore:
         before = self.record
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
-            coin_key, coin_from = _newest_coin(before, offer)
-            following = following._replace(
-                nonce=nonce,
-                block=offer.block,
-                tag=offer.tag,
-                coin_key=coin_key,
-                coin_from=coin_from,
-            )
-        results = self.keying.heard(measurement)
-        self._blocks_differ = _unequal(results)
+            following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
+        self.keys.heard(measurement)
         events: tuple[Event, ...] = ()
         notices: tuple[Notice, ...] = ()
         contribution, delivered = None, None
@@ -585,7 +628,7 @@ class ControllerCore:
         else:
             applied = before.offer
             assert applied is not None
-            contribution = self.keying.count(
+            contribution = self.keys.count(
                 before.transitions,
                 applied.k - before.applied_k,
                 applied,
@@ -602,9 +645,9 @@ class ControllerCore:
                 judged.verdict,
                 following.state,
                 judged.carry,
-                before.message_symbol,
+                before.message_symbol if judged.carry.pad != NO_SYMBOL else NO_SYMBOL,
                 contribution,
-                coin_key=measurement.applied_key,
+                keyed=bool(judged.served),
                 expected=judged.expected,
                 delivered=delivered,
             )
@@ -617,8 +660,7 @@ class ControllerCore:
                 x=measurement.x,
                 offer=offer,
             )
-            self._aim()
-            alarm = self._alarm(transition, applied) if judged.alarm else None
+            alarm = self._alarm(transition, applied, judged.alarm) if judged.alarm else None
             if self._telemetry is not None:
                 self._telemetry.counted(transition, alarm)
             events = (transition,)
@@ -628,35 +670,41 @@ class ControllerCore:
             if alarm is not None:
                 events = (transition, alarm)
                 notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
-        actions = Actions(events, notices=notices, keys=self._key_tasks(results))
+        if before.offer is not None:
+            self.keys.used(position_of(before.offer), self.rules.digits)
+        ended = self.keys.ended()
+        self._blocks_differ = any(block.what == "unequal" for block in ended)
+        actions = Actions(
+            (*ended, *events),
+            notices=(*notices, *block_notices(self.keys, ended)),
+            tasks=self.keys.tasks(),
+        )
         if delivered is None:  # the next step saves the record
-            return self._erasing_rows(actions)
+            return actions
         return self._saved(actions)._replace(durable=True)
 
     def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it."""
-        return actions._replace(
-            record=self.record,
-            contributions=(*actions.contributions, *self.keying.new_rows()),
-            obsolete_rows=(*actions.obsolete_rows, *self.keying.obsolete_rows()),
-        )
+        """``actions``, which save the record as it is now, with all that belongs to it.
 
-    def _key_tasks(self, results: tuple[BlockResult, ...] = ()) -> tuple[Task, ...]:
-        """What the keeper of keys must do now."""
-        return (*self.keying.tasks(results), *self.coins.tasks(self.now))
+        They may save it already, as it was before.
+        """
+        self.record = self.record._replace(confirmed=self.keys.confirmed)
+        rows = self.keys.rows()
+        if actions.record is not None:
+            rows = actions.rows.and_then(rows)
+        return actions._replace(record=self.record, rows=rows)
 
-    def _alarm(self, transition: CountedTransition, applied: Offer) -> Alarm:
-        """What was read and what was expected, of a transition whose test makes an alarm."""
-        gauges = transition.verdict.gauges
-        key, candidate = transition.coin_key or "", transition.expected
+    def _alarm(self, transition: CountedTransition, applied: Offer, reason: Reason) -> Alarm:
+        """What was read and what was expected, of a transition that makes an alarm."""
+        gauges, candidate = transition.verdict.gauges, transition.expected
         if candidate == NO_SYMBOL:
-            key, candidate = "", gauges.index(min(gauges))
+            candidate = gauges.index(min(gauges))
         return Alarm(
             transition.session,
             transition.j,
             transition.k,
             transition.x_next,
-            key,
+            reason,
             candidate,
             self.rules.prediction(transition.x, applied, candidate, transition.verdict.box),
             gauges[candidate],
@@ -731,9 +779,7 @@ class ControllerCore:
         self.record = self._no_session()._replace(session=session)
         self.record = self._decide(self.record.state, 0, self.record.message, 0)
         self._stale = 0
-        self._aim()
-        self.keying.begin(session)
-        self.coins.begin(session)
+        self.keys.begin(session)
 
     def _no_session(self) -> SenderRecord:
         """What is left of the record once its session is over: the message starts again."""
@@ -747,15 +793,15 @@ class ControllerCore:
             message=record.message,
             incarnation=record.incarnation,
             halted=record.halted,
+            refuted=record.refuted,
+            unwatched=record.unwatched,
         )
 
     def _drop_session(self) -> None:
         """Forget the session and its half-agreed key."""
         self._plant = None
         self.record = self._no_session()
-        self._aim()
-        self.keying.end()
-        self.coins.begin(None)
+        self.keys.begin("")
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
@@ -838,25 +884,15 @@ class ControllerCore:
 
     # --- keys -------------------------------------------------------------------------------------
 
-    def _erasing_rows(self, actions: Actions) -> Actions:
-        """``actions``, which save nothing yet, and the rows of confirmed blocks go."""
-        obsolete_rows = self.keying.obsolete_rows()
-        if not obsolete_rows:
-            return actions
-        return self._saved(actions._replace(obsolete_rows=obsolete_rows))
-
-    def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
-        """The plant has made its last step, and waits for its last blocks."""
-        session, keying = self.record.session, self.keying
-        if word.side != "plant" or session is None or word.session != session or not keying.on:
+    def _stop_keys(self, command: StopKeys) -> Actions:
+        """The claim that keys rest on is refuted: no more are made, and no offer has digits."""
+        if self.record.refuted or not self.keys.on:
             return NOTHING_TO_DO
-        results = keying.heard(word)
-        if _unequal(results):
-            self._blocks_differ = True
-            return Actions(keys=keying.tasks(results), finish_step=True)
-        answer = keying.block_announcement("controller", session)
-        erasing = self._erasing_rows(Actions(publish=(answer,)))
-        return erasing._replace(keys=keying.tasks(results))
+        self.record = self.record._replace(refuted=command.reason)
+        self.keys.fail(command.reason)
+        self._status_soon()
+        notice = Notice(f"keys stop: {command.reason}", "error")
+        return self._saved(Actions(notices=(notice,), durable=True))
 
     # --- commands ---------------------------------------------------------------------------------
 
@@ -893,7 +929,7 @@ class ControllerCore:
         """What the dashboard is told; a controller without telemetry has none."""
         assert self._telemetry is not None
         return self._telemetry.status(
-            self.record, self.rules, self.keying, self.coins, self.messages, self.malformed
+            self.record, self.rules, self.keys, self.messages, self.malformed
         )
 
     def _status(self) -> Actions:
@@ -912,17 +948,5 @@ class ControllerCore:
             self._status_at = self._health_at = self.now
 
 
-def _newest_coin(record: SenderRecord, offer: Offer | None) -> tuple[str, int]:
-    """The newest key that the offers of a session named up to this one, and its first step."""
-    if offer is not None and offer.coin_key and offer.coin_from is not None:
-        return offer.coin_key, offer.coin_from
-    return record.coin_key, record.coin_from
-
-
 def _after(incarnation: int) -> int:
     return min(incarnation + 1, LARGEST_COUNT)
-
-
-def _unequal(results: tuple[BlockResult, ...]) -> bool:
-    """Whether the two ends hold different key blocks, by the partner's announcement."""
-    return any(result.what == "unequal" for result in results)

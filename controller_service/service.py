@@ -26,7 +26,6 @@ from runtime.fleet import Fleet, FleetLoop
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import ControllerJournal, JournalError
-from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.logs import logger
 from runtime.model import load_model
 from runtime.network import channel_of
@@ -35,7 +34,6 @@ from runtime.ports import Files
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
-    CONTROLLER_KEYS,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
 )
@@ -82,14 +80,6 @@ def open_controller(
         record = loaded.record
         if record is not None and config.clear_alarm:
             record = record._replace(halted=False)
-        key_maker = open_key_maker(
-            config.run_dir / CONTROLLER_KEYS,
-            "controller",
-            scenario,
-            config.seed,
-            record,
-        )
-        for_coin = coin_keys(key_maker, scenario, record)
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
@@ -99,10 +89,7 @@ def open_controller(
     trace = TraceWriter(
         config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
     )
-    telemetry = ControllerTelemetry(
-        config.law,
-        keys_refused="" if scenario.keys is None else refusal(scenario, config.seed) or "",
-    )
+    telemetry = ControllerTelemetry(config.law)
     core = ControllerCore(
         rules_of(scenario),
         config.law.candidates,
@@ -115,13 +102,13 @@ def open_controller(
         offer=loaded.offer,
         contributions=loaded.rows,
         fell_back=loaded.fell_back,
-        coin_keys=for_coin,
+        parts=loaded.parts,
         predict=predict,
         message=config.message,
         telemetry=telemetry,
         status_s=status_s,
     )
-    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS, key_maker)
+    return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS)
 
 
 def _channel(config: ControllerConfig) -> Channel | None:

@@ -5,9 +5,8 @@ from typing import Any, Final, Literal, Protocol
 
 from controller_service.laws.online import OnlineLaw
 from protocol.agreement import NO_SYMBOL
-from protocol.link.coins import OfferedCoins
+from protocol.link.distiller import Distiller
 from protocol.link.events import Alarm
-from protocol.link.keying import Keying
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerStatus
@@ -43,12 +42,11 @@ class ControllerTelemetry:
     ``phase`` and ``detail`` are the core's to set.
     """
 
-    def __init__(self, law: OnlineLaw, *, keys_refused: str = "") -> None:
+    def __init__(self, law: OnlineLaw) -> None:
         self.phase: Phase = "greeting"
         self.detail = ""
         self._unexplained = self._watched = self._unwatched = self._alarms = 0
         self._alarm: Alarm | None = None
-        self._keys_refused = keys_refused
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
@@ -58,10 +56,10 @@ class ControllerTelemetry:
     def counted(self, t: CountedTransition, alarm: Alarm | None) -> None:
         """Take in a transition, and the alarm that it makes."""
         self._unexplained += t.verdict.unexplained
-        if t.coin_key is not None:
-            watched = t.expected != NO_SYMBOL
-            self._watched += watched
-            self._unwatched += not watched
+        if t.expected != NO_SYMBOL:
+            self._watched += 1
+        else:
+            self._unwatched += 1
         if t.delivered is not None:
             self._delivered = t.delivered.payload
         if alarm is not None:
@@ -72,8 +70,7 @@ class ControllerTelemetry:
         self,
         record: SenderRecord,
         rules: Rules,
-        keying: Keying,
-        coins: OfferedCoins,
+        keys: Distiller,
         messages: MessageQueue,
         malformed: int,
     ) -> ControllerStatus:
@@ -106,13 +103,11 @@ class ControllerTelemetry:
             queue=max(0, messages.queued - record.message - 1),
             delivered=record.message,
             unexplained=self._unexplained,
-            defence=rules.defence,
             watched=self._watched,
-            unwatched=self._unwatched,
-            coin_keys=coins.left,
+            unwatched=self._unwatched if rules.keyed else 0,
             alarms=self._alarms,
             **self._last_alarm(),
-            **keying.status_fields(self._keys_refused),
+            **keys.status_fields(),
         )
 
     def _last_alarm(self) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from plant_service.adapters.base import PlantError
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
-from protocol.link.coins import AppliedCoins
+from protocol.link.distiller import NO_ROWS, Distiller
 from protocol.link.events import (
     FELL_BACK,
     NEW_JOURNAL,
@@ -30,15 +30,13 @@ from protocol.link.events import (
     Missed,
     SessionBegan,
 )
-from protocol.link.key_events import appeared, key_actions, waiting_notice
-from protocol.link.keying import Keying
+from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
 from protocol.link.records import ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth, position_of
 from protocol.messages import (
-    BlockAnnouncement,
     ControllerHello,
     Measurement,
     Message,
@@ -49,10 +47,9 @@ from protocol.messages import (
 )
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer
-from protocol.secret.blocks import BlockResult
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.secret.nonces import Contribution, NonceSource
-from protocol.secret.records import Key
-from protocol.secret.tasks import CoinKeys, Done
+from protocol.secret.stream import Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
@@ -66,11 +63,6 @@ starting."""
 
 FAREWELL_S: Final = 1.0
 """Seconds to wait at the end for the controller to count the last transition."""
-
-LAST_KEYS_S: Final = 20.0
-"""Seconds to wait at the end for key blocks that are whole to be confirmed at both ends."""
-
-LAST_KEYS_REPEAT_S: Final = 0.05
 
 SYMBOLS_AT_ONCE: Final = 64
 """Symbols of the frame under way that the record holds; then they go to a table of the journal.
@@ -106,8 +98,8 @@ class PlantCore:
         Those of the frame under way that have left the record, as read back.
     contributions : iterable of Contribution
         Rows of key blocks that may still be needed, as read back.
-    coin_keys : iterable of Key
-        That the key store holds for the session's coin, in order.
+    parts : iterable of Part
+        Digits of the key stream that are left, as read back.
     offer, tossed, report : optional
         The journal's step: its offer, b_r and the measurement that reports it. It was not counted,
         or, where there is no report, begun and not read.
@@ -141,14 +133,8 @@ class PlantCore:
         How it stands with its controller.
     """
 
-    hears: tuple[type[Message], ...] = (Offer, ControllerHello, BlockAnnouncement)
-    says: tuple[type[Message], ...] = (
-        Measurement,
-        PlantHello,
-        PlantModel,
-        PlantStatus,
-        BlockAnnouncement,
-    )
+    hears: tuple[type[Message], ...] = (Offer, ControllerHello)
+    says: tuple[type[Message], ...] = (Measurement, PlantHello, PlantModel, PlantStatus)
 
     def __init__(
         self,
@@ -164,7 +150,7 @@ class PlantCore:
         record: ReceiverRecord,
         symbols: str = "",
         contributions: Iterable[Contribution] = (),
-        coin_keys: Iterable[Key] = (),
+        parts: Iterable[Part] = (),
         offer: Offer | None = None,
         tossed: int = NO_SYMBOL,
         report: Measurement | None = None,
@@ -196,7 +182,7 @@ class PlantCore:
         self._offer = offer  # which it takes, from its coin until it is counted
         self._tossed = tossed  # its b_r
         self._said = report  # of its end, once that was read
-        self._keyed = False  # whether a key chose its coin
+        self._taken: tuple[int, ...] = ()  # digits of the key stream
         self._truth: Truth | None = None if offer is None else plant.truth  # of its end
         self._back = back
         self._moved = record.k > 0 or offer is not None
@@ -205,22 +191,23 @@ class PlantCore:
         self.measured_at = now
         # the frame under way
         self.deframer = Deframer(rules.size)
-        self._covers = Deframer(rules.size)
         self._digits = hex_digits(rules.size)
         kept = symbols + record.partial
         for i in range(0, len(kept), self._digits):
             self.deframer.push(int(kept[i : i + self._digits], 16))
         self._last_symbol = self.deframer.lacks_one  # known before a step hangs on it
         # keys
-        self.keying = Keying(rules.schedule, nonces)
+        self.keys = Distiller(rules.schedule, rules.size, nonces)
         said = report or record
-        self.keying.begin(record.session, said.block, said.tag, contributions)
-        self.coins = AppliedCoins(rules.size, on=rules.keyed)
-        self.coins.begin(record.session, coin_keys, *_newest_coin(record, offer, report))
+        self.keys.begin(
+            record.session, said.block, said.tag, record.confirmed, contributions, parts
+        )
+        if offer is not None and report is not None and report.keyed:
+            self._taken = self.keys.stream.at(position_of(offer), rules.digits) or ()
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
-            tag=record.tag or self.keying.no_tag,
+            tag=record.tag or self.keys.no_tag,
         )
         self.controller: str | None = None
         """The controller process that this process asked last, if any."""
@@ -238,9 +225,6 @@ class PlantCore:
         self._last_at = -inf
         self._gives_up_at: float | None = None
         self._farewell_s = FAREWELL_S + round_trip_s
-        self._counted = False  # the last step, by the controller
-        self._keys_until: float | None = None
-        self._waiting_there = 1  # until it says how many
 
     @property
     def under_way(self) -> Offer | None:
@@ -251,6 +235,11 @@ class PlantCore:
     def accepted(self) -> bool:
         """Whether the controller asked has accepted this session since this process began."""
         return self.state in WORKING
+
+    @property
+    def makes_keys(self) -> bool:
+        """Whether it has key blocks to be extracted."""
+        return self.keys.on
 
     @property
     def refused(self) -> bool:
@@ -279,7 +268,7 @@ class PlantCore:
         reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
         actions = Actions(
             events=(SessionBegan(record.session, reason), *self._attack),
-            keys=self.keying.tasks(),
+            tasks=self.keys.tasks(),
             finish_step=self._said is not None,
         )
         if self._fresh:
@@ -296,13 +285,11 @@ class PlantCore:
                 Offer.from_wire(payload) if kind is Offer else kind.model_validate_json(payload)
             )
         except ValidationError as error:
-            what = {Offer: "offer", BlockAnnouncement: "word"}.get(kind, "hello")
+            what = "offer" if kind is Offer else "hello"
             return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
         match message:
             case Offer():
                 return self._offered(message)
-            case BlockAnnouncement():
-                return self._heard_announcement(message)
             case ControllerHello():
                 return self._heard_hello(message)
         raise TypeError(f"{kind.__name__}: expected one of {self.hears}")
@@ -373,17 +360,13 @@ class PlantCore:
         self._apply()
         return NOTHING_TO_DO if self.pacing.waiting else self._end()
 
-    def key_task_done(self, done: Done, now: float) -> Actions:
-        """The key maker has done a task; rows that are not needed any more are erased at once."""
-        self.now = now
-        if isinstance(done, CoinKeys):
-            self.coins.done(done, now)
-            return NOTHING_TO_DO
-        return self._erasing_rows(key_actions(self.keying, done))
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+        """A key block is extracted, or none can be any more."""
+        return extraction_done(self.keys, block)
 
     def appear(self, count: int) -> Actions:
         """From now on a message leaves ``count`` times."""
-        return appeared(self.keying, self.record.session, self.record.k, count)
+        return appeared(self.keys, self.record.session, self.record.k, count)
 
     def stop(self, now: float) -> Actions:
         """The last status. The plant goes to its safe state and is closed."""
@@ -395,12 +378,12 @@ class PlantCore:
         timing = None
         if self._telemetry is not None:
             timing = self._telemetry.punctuality.as_event(self.record.k)
-        notices = waiting_notice(self.keying)
-        if failed:
-            notices = (*notices, Notice(failed, "error"))
-        return self._erasing_rows(self._status())._replace(
-            events=() if timing is None else (timing,), notices=notices
+        actions = self._status()._replace(
+            events=() if timing is None else (timing,),
+            notices=(Notice(failed, "error"),) if failed else (),
         )
+        # between steps the digits that have served are erased now, and else with the next step
+        return self._saved(actions) if self._offer is None else actions
 
     # --- a step: offer, check, coin, begin --------------------------------------------------------
 
@@ -408,9 +391,8 @@ class PlantCore:
         """If the offer is for this step: toss the coin, and begin."""
         record, now = self.record, self.now
         if self._finished:  # all that matters now is that the last step was counted
-            if offer.k == record.k and not self._counted:
-                self._counted, self._last_at = True, now
-                return self._last_keys()
+            if offer.k == record.k:  # the controller has counted the last step
+                self.code = DONE
             return NOTHING_TO_DO
         try:
             what = self._check(offer)
@@ -429,10 +411,13 @@ class PlantCore:
             return NOTHING_TO_DO
         if self.measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self.measured_at)
-        # tossed in any case: whether a key chose is not to show in the time that it takes
-        coin, digit = self.coin.toss(record.transitions), self.coins.digit(offer)
-        self._keyed = digit is not None
-        return self._begin(offer, coin if digit is None else digit)
+        self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
+        self._taken = self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        if not self._taken and self.keys.awaits(position_of(offer).block):
+            return NOTHING_TO_DO  # the offer comes again, when its digits are there
+        if self.rules.keyed and self._taken:
+            return self._begin(offer, self._taken[0])
+        return self._begin(offer, self.coin.toss(record.transitions))
 
     def _check(self, offer: Offer) -> Literal["current", "stale", "foreign"]:
         """Whether an offer is for this session and this step (rule 5).
@@ -453,8 +438,8 @@ class PlantCore:
             raise ValueError("offer.candidates: expected inputs in U")
         if wrong := rules.malformed_predictions(offer.predictions):
             raise ValueError(wrong)
-        if wrong := rules.malformed_coin(
-            "offer.coin_key", offer.coin_key, offer.coin_from, offer.coin_last
+        if wrong := rules.malformed_digits(
+            "offer.stream_block", offer.stream_block, offer.stream_at
         ):
             raise ValueError(wrong)
         if offer.cipher >= rules.size:
@@ -513,20 +498,25 @@ class PlantCore:
 
         By its report the controller takes the message for delivered, so it must be on the disk.
         """
-        return self._last_symbol and self.rules.scheme.pad(self.record.state) != NO_SYMBOL
+        scheme = self.rules.scheme
+        carried = bool(self._taken) if scheme.from_stream else scheme.pad(self.record.state) >= 0
+        return self._last_symbol and carried
 
     def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it."""
-        return actions._replace(
-            record=self.record,
-            contributions=(*actions.contributions, *self.keying.new_rows()),
-            obsolete_rows=(*actions.obsolete_rows, *self.keying.obsolete_rows()),
-        )
+        """``actions``, which save the record as it is now, with all that belongs to it.
+
+        They may save it already, as it was before.
+        """
+        self.record = self.record._replace(confirmed=self.keys.confirmed)
+        rows = self.keys.rows()
+        if actions.record is not None:
+            rows = actions.rows.and_then(rows)
+        return actions._replace(record=self.record, rows=rows)
 
     def _report(self, offer: Offer, x_next: Vector) -> Measurement:
         """Measurement(k + 1), once ``offer`` has been applied: its copy 0."""
         record = self.record
-        block, tag = self.keying.announcement()
+        block, tag = self.keys.announcement()
         self._left = False
         return Measurement(
             session=record.session,
@@ -534,19 +524,13 @@ class PlantCore:
             x=x_next,
             applied_k=record.k,
             x_after=x_next,
-            copy_number=self.keying.copy(),
-            nonce=self.keying.nonce(),
+            copy_number=self.keys.copy(),
+            nonce=self.keys.nonce(),
             applied_copy=offer.copy_number,
             block=block,
             tag=tag,
-            applied_key=self.said_key(offer.coin_key, keyed=self._keyed),
+            keyed=bool(self._taken) if self.rules.digits else None,
         )
-
-    def said_key(self, key: str | None, *, keyed: bool) -> str | None:
-        """What a measurement says of the coin; None where no coin is keyed."""
-        if not self.rules.keyed:
-            return None
-        return key if keyed else ""
 
     def _measurement(self) -> Measurement:
         """Measurement(k): the state, the last applied offer and what came right after it.
@@ -554,7 +538,7 @@ class PlantCore:
         The first one of a step is its copy 0 and must leave; each one after it is another copy.
         """
         record = self.record
-        again = (self._left or bool(self.keying.crowded)) and self.keying.on
+        again = (self._left or bool(self.keys.crowded)) and self.keys.on
         self._left = True
         return Measurement(
             session=record.session,
@@ -563,11 +547,11 @@ class PlantCore:
             applied_k=record.applied_k,
             x_after=record.x_after,
             copy_number=1 if again else 0,
-            nonce=self.keying.nonce() if again else record.nonce,
+            nonce=self.keys.nonce() if again else record.nonce,
             applied_copy=record.applied_copy,
             block=record.block,
             tag=record.tag,
-            applied_key=self.said_key(record.coin_key, keyed=record.keyed),
+            keyed=record.keyed if self.rules.digits else None,
         )
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
@@ -576,8 +560,6 @@ class PlantCore:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
-        A cover symbol is decoded as a message symbol is, and dropped: work after a step delays the
-        next one, and a tap would see it.
         """
         record, offer, coin, report = self.record, self._offer, self._tossed, self._said
         assert offer is not None
@@ -588,22 +570,23 @@ class PlantCore:
         verdict = self.rules.judge(record.x, offer.candidates, offer.predictions, x_next, box)
         after, carry = scheme.follow(record.state, verdict.symbol)
         agreed, pad = carry
-        symbol = decrypt(offer.cipher, pad, scheme.alphabet)
-        carried = pad != NO_SYMBOL
-        deframer = self.deframer if carried else self._covers
-        refused = deframer.refused
-        payload = deframer.push(symbol)
-        refusal = deframer.refused > refused
-        partial, symbols = f"{record.partial}{symbol:0{self._digits}x}", ""
-        if len(partial) >= SYMBOLS_AT_ONCE * self._digits:
-            partial, symbols = "", partial
-        stored = record.stored + len(symbols)
-        if not deframer.symbols:
-            partial, symbols, stored = "", "", 0
-        if not carried:
-            symbol, payload, refusal = NO_SYMBOL, None, False
-            partial, symbols, stored = record.partial, "", record.stored
-        contribution = self.keying.count(
+        if scheme.from_stream and self._taken:
+            pad = self._taken[-1]
+            carry = carry._replace(pad=pad)
+        symbol, payload, refusal = NO_SYMBOL, None, False
+        partial, symbols, stored = record.partial, "", record.stored
+        if pad != NO_SYMBOL:
+            symbol = decrypt(offer.cipher, pad, scheme.alphabet)
+            refused = self.deframer.refused
+            payload = self.deframer.push(symbol)
+            refusal = self.deframer.refused > refused
+            partial = f"{partial}{symbol:0{self._digits}x}"
+            if len(partial) >= SYMBOLS_AT_ONCE * self._digits:
+                partial, symbols = "", partial
+                stored += len(symbols)
+            if not self.deframer.symbols:
+                partial, symbols, stored = "", "", 0
+        contribution = self.keys.count(
             record.transitions,
             record.k - record.applied_k,
             offer,
@@ -623,7 +606,7 @@ class PlantCore:
             coin,
             u,
             self._truth,
-            report.applied_key,
+            bool(self._taken),
             recovered=payload,
             refused=refusal,
         )
@@ -646,17 +629,17 @@ class PlantCore:
             applied_copy=report.applied_copy,
             block=report.block,
             tag=report.tag,
-            blocks_begun=record.blocks_begun + (contribution is not None and self.keying.began),
-            coin_key=self.coins.key,
-            coin_from=self.coins.first,
-            keyed=bool(report.applied_key),
+            blocks_begun=record.blocks_begun + (contribution is not None and self.keys.began),
+            keyed=bool(report.keyed),
             estimate=verdict.estimate,
             true_x=self._state_of(self._truth),
         )
         self._offer, self._tossed, self._said = None, NO_SYMBOL, None
         self._last_symbol = self.deframer.lacks_one
         self.state = TABLE[self.state, "offer applied"].next
-        judged = self.keying.heard(offer)
+        if self._taken:
+            self.keys.used(position_of(offer), self.rules.digits)
+            self._taken = ()
         self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
         contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
@@ -667,7 +650,7 @@ class PlantCore:
         actions = Actions((transition,), received=payload, symbols=symbols, notices=notices)
         if symbols or ended:  # else the next step saves the record
             actions = self._saved(actions)
-        return self._with_keys(actions, judged) if self.keying.on else actions
+        return self._with_keys(actions) if self.keys.on else actions
 
     def _frame_ended(self, transition: CountedTransition) -> tuple[Notice, ...]:
         """What is told of a frame that is whole, or failed its check."""
@@ -681,16 +664,21 @@ class PlantCore:
         self._status_soon()
         return (Notice(f"message recovered at step {k}: {len(payload)} bytes"),)
 
-    def _with_keys(self, actions: Actions, judged: tuple[BlockResult, ...]) -> Actions:
-        """``actions`` of a transition, and what it means for keys."""
-        tasks = (*self.keying.tasks(judged), *self.coins.tasks(self.now))
-        if any(result.what == "unequal" for result in judged):
+    def _with_keys(self, actions: Actions) -> Actions:
+        """``actions``, and what has become of key blocks."""
+        ended = self.keys.ended()
+        actions = actions._replace(
+            events=(*ended, *actions.events),
+            tasks=self.keys.tasks(),
+            notices=(*actions.notices, *block_notices(self.keys, ended)),
+        )
+        if any(block.what == "unequal" for block in ended):
             self.state = TABLE[self.state, "blocks differ"].next
             self._begin_session()
             text = "a key block differs from the controller's"
             notice = Notice(f"{text}; new session {self.record.session}", "error")
-            return self._anew(text, notice, actions)._replace(keys=tasks)
-        return self._erasing_rows(actions._replace(keys=tasks))
+            return self._anew(text, notice, actions)
+        return actions
 
     # --- steps without an offer -------------------------------------------------------------------
 
@@ -728,17 +716,15 @@ class PlantCore:
     def _missed(self, u: Vector, x_next: Vector) -> None:
         """Count a step without a transition, with ``u`` in force."""
         record = self.record
-        block, tag = self.keying.announcement()
+        block, tag = self.keys.announcement()
         self.record = record._replace(
             k=record.k + 1,
             x=x_next,
             u=u,
             missed=record.missed + 1,
-            nonce=self.keying.nonce(),
+            nonce=self.keys.nonce(),
             block=block,
             tag=tag,
-            coin_key=self.coins.key,
-            coin_from=self.coins.first,
             true_x=self._state_of(self.plant.truth),
         )
         self._left = False
@@ -884,15 +870,14 @@ class PlantCore:
             nonce="",  # that of this step may have left
             applied_copy=0,
             block=-1,
-            tag=self.keying.no_tag,
-            coin_key="",
-            coin_from=-1,
+            tag=self.keys.no_tag,
+            confirmed=-1,
             keyed=False,
             estimate=None,
         )
         self._left = True
-        self.keying.begin(session)
-        self.coins.begin(session)
+        self.keys.begin(session)
+        self._taken = ()
 
     def _anew(self, why: str, notice: Notice, before: Actions = NOTHING_TO_DO) -> Actions:
         """The actions of a new session, added to those of ``before``."""
@@ -904,8 +889,7 @@ class PlantCore:
             offer=self._offer,
             coin=self._tossed,
             symbols="",
-            contributions=(),
-            obsolete_rows=(),
+            rows=NO_ROWS,
             publish=(*before.publish, self._hello()),
             notices=(*before.notices, notice),
         )
@@ -914,29 +898,6 @@ class PlantCore:
         self.malformed += 1
         return Actions(notices=(Notice(text, "warning", "malformed"),))
 
-    # --- keys -------------------------------------------------------------------------------------
-
-    def _erasing_rows(self, actions: Actions) -> Actions:
-        """``actions``, which save nothing yet, and the rows of confirmed blocks go.
-
-        Between steps only, when the record is all that the journal must hold.
-        """
-        obsolete_rows = () if self._offer is not None else self.keying.obsolete_rows()
-        if not obsolete_rows:
-            return actions
-        return self._saved(actions._replace(obsolete_rows=obsolete_rows))
-
-    def _heard_announcement(self, word: BlockAnnouncement) -> Actions:
-        """The controller's announcement of blocks, after the last step."""
-        keying = self.keying
-        if word.side != "controller" or word.session != self.record.session or not keying.on:
-            return NOTHING_TO_DO
-        self._waiting_there = word.waiting
-        judged = keying.heard(word)
-        if any(result.what == "unequal" for result in judged):
-            self._waiting_there = 0  # nothing of this session comes any more
-        return Actions(keys=keying.tasks(judged))
-
     # --- the end ----------------------------------------------------------------------------------
 
     def _farewell(self) -> Actions:
@@ -944,31 +905,11 @@ class PlantCore:
         now = self.now
         if self._gives_up_at is None:
             self._gives_up_at = now + self._farewell_s
-        elif now >= self._gives_up_at and not self._counted:
+        if now >= self._gives_up_at:
             self.code = DONE
             return NOTHING_TO_DO
-        if self._counted:
-            return self._last_keys()
         self._last_at = now + LOCKSTEP_REPEAT_S
         return Actions(publish=(self._measurement(),))
-
-    def _last_keys(self) -> Actions:
-        """Wait for blocks that are whole, at both ends, and no longer than :data:`LAST_KEYS_S`."""
-        now, keying = self.now, self.keying
-        waits = max(keying.waiting, self._waiting_there)
-        notices: tuple[Notice, ...] = ()
-        if self._keys_until is None:
-            self._keys_until = now + LAST_KEYS_S
-            if keying.waiting:
-                text = f"waiting for key blocks that are whole: {keying.waiting}, "
-                text += f"{LAST_KEYS_S:g} s at most"
-                notices = (Notice(text),)
-        if not keying.on or not waits or now >= self._keys_until:
-            self.code = DONE
-            return Actions(notices=notices)
-        self._last_at = now + LAST_KEYS_REPEAT_S
-        word = keying.block_announcement("plant", self.record.session)
-        return Actions(publish=(word,), notices=notices)
 
     # --- the watchdog and the status --------------------------------------------------------------
 
@@ -981,7 +922,7 @@ class PlantCore:
         """What the dashboard is told; a plant without telemetry has none."""
         assert self._telemetry is not None
         return self._telemetry.status(
-            self.record, self.deframer, self.keying, self.malformed, now, whole=whole
+            self.record, self.deframer, self.keys, self.malformed, now, whole=whole
         )
 
     def _status(self) -> Actions:
@@ -1013,20 +954,6 @@ class PlantCore:
         """Set the status's phase to stopped, unless the plant was refused."""
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
-
-
-def _newest_coin(
-    record: ReceiverRecord, offer: Offer | None, report: Measurement | None
-) -> tuple[str, int]:
-    """The newest key of the session that a coin may have come from, and its first step.
-
-    Of a step that was begun and not read nobody knows whether it did.
-    """
-    if offer is not None and offer.session == record.session:
-        may = report is None or bool(report.applied_key)
-        if may and offer.coin_key and offer.coin_from is not None:
-            return offer.coin_key, offer.coin_from
-    return record.coin_key, record.coin_from
 
 
 def _logged(text: str, level: Literal["info", "error"] = "info") -> Actions:

@@ -1,7 +1,7 @@
 """The plant's core as its journal has it: a new one, or one that goes on."""
 
 import secrets
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,7 +24,6 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
-from protocol.secret.records import Key
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -61,7 +60,6 @@ def open_core(
     seed: int | None = None,
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
-    coin_keys: Iterable[Key] = (),
     attack: Attack | None = None,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
@@ -85,8 +83,6 @@ def open_core(
         journal has, or a new one has from now on; so is then, where outputs are read, ``noise``.
     own : Stepped or PlantAdapter, optional
         In place of the scenario's plant.
-    coin_keys : iterable of Key
-        As of :class:`plant_service.core.PlantCore`.
     attack : Attack, optional
         On this plant, or on its bus.
 
@@ -161,7 +157,7 @@ def open_core(
             record=first,
             symbols=loaded.symbols,
             contributions=loaded.rows,
-            coin_keys=coin_keys,
+            parts=loaded.parts,
             offer=offer,
             tossed=loaded.coin,
             report=report,

@@ -30,7 +30,6 @@ from runtime.fleet import STATUS_S as FLEET_STATUS_S
 from runtime.fleet_host import run_fleet
 from runtime.ids import new_id
 from runtime.journal import JournalError, PlantJournal
-from runtime.key_opening import coin_keys, open_key_maker, refusal
 from runtime.logs import logger
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -38,7 +37,6 @@ from runtime.ports import Files
 from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import (
     PLANT_JOURNAL,
-    PLANT_KEYS,
     PLANT_SAFE,
     PLANT_STATUS,
     PLANT_TRACE,
@@ -109,10 +107,6 @@ def _opened(
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
     telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
-    record = journal.load().record
-    key_maker = open_key_maker(config.run_dir / PLANT_KEYS, "plant", scenario, config.seed, record)
-    if scenario.keys is not None:
-        telemetry.keys_refused = refusal(scenario, config.seed) or ""
     if (last := journal.last_message()) is not None:
         telemetry.last_message = last
     step_s = config.pace.step_s(scenario.plant.period_s)
@@ -131,12 +125,11 @@ def _opened(
         sensors=None
         if config.seed is None
         else Stream(config.seed, SENSOR, width=scenario.readings),
-        coin_keys=coin_keys(key_maker, scenario, record),
         attack=config.attack,
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
-    return core, Files(journal, trace, config.run_dir / PLANT_STATUS, key_maker)
+    return core, Files(journal, trace, config.run_dir / PLANT_STATUS)
 
 
 class PlantService(EndService[PlantCore]):

@@ -8,7 +8,7 @@ from math import inf, isfinite
 from typing import Final, Literal
 
 from plant_service.punctuality import Punctuality, ReachWatch
-from protocol.link.keying import Keying
+from protocol.link.distiller import Distiller
 from protocol.link.pacing import HEALTH_S, STATUS_S
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import CountedTransition
@@ -67,7 +67,6 @@ class PlantTelemetry:
         self._tail: deque[CountedTransition] = deque(maxlen=TAIL)
         self.punctuality = Punctuality()
         self.watch = ReachWatch(scenario.defender.calibration)
-        self.keys_refused = ""
         self.attack = ""
         self.model = _model(scenario, pace, seeded=seeded)
         self._hidden = 0 if scenario.plant.C is None else scenario.n
@@ -112,7 +111,7 @@ class PlantTelemetry:
         self,
         record: ReceiverRecord,
         deframer: Deframer,
-        keying: Keying,
+        keys: Distiller,
         malformed: int,
         now_s: float,
         *,
@@ -164,7 +163,7 @@ class PlantTelemetry:
             sampled_late_s=self.punctuality.sampled_late_s,
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
-            **keying.status_fields(self.keys_refused),
+            **keys.status_fields(),
             key_blocks_begun=record.blocks_begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=_before(pictured) if pictured else (),

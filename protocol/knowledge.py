@@ -99,6 +99,8 @@ class Knowledge(Brief, BaseModel):
         What is read of the state, y = C x + n; None where all of it is.
     keys : Assumption, optional
         What is claimed of every tap, which is public; None where no keys are made.
+    digits : int
+        Digits of the key stream that an offer takes, which is public.
     noise, quantise : float
         Of her own receiver: standard deviation of its noise, and the step to which it rounds.
     """
@@ -120,6 +122,7 @@ class Knowledge(Brief, BaseModel):
     noisy: bool = False
     C: Matrix | None = None
     keys: Assumption | None = None
+    digits: int = 0
     noise: float = 0.0
     quantise: float = 0.0
 

@@ -1,9 +1,8 @@
-"""One end of one loop as a service: a host with one endpoint, and beside it who asks about keys."""
+"""One end of one loop as a service: a host with one endpoint."""
 
 import logging
 import threading
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
@@ -15,8 +14,6 @@ from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from runtime.bus import Bus
 from runtime.host import Host
-from runtime.key_thread import KeyThread
-from runtime.keys.store import KeyStore
 from runtime.ports import Files
 from runtime.recording import Bounds
 
@@ -78,14 +75,9 @@ class EndService(Generic[E]):
         self._host = Host(field, management, stopping, clock)
         end = behind(channel, self.endpoint, kind)
         self._host.add(config.loop, end, files, log)
-        self._beside: AbstractContextManager[object] = nullcontext()
-        if files.key_maker is not None:
-            store = KeyStore(files.key_maker.path, files.key_maker.side)
-            self._beside = KeyThread(store, config.loop, management, log)
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
 
     def run(self) -> int:
         """Run until stopped, or until the end is over; returns the exit code."""
-        with self._beside:
-            return self._host.run()
+        return self._host.run()

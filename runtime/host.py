@@ -21,13 +21,13 @@ from typing import Final, NamedTuple
 from protocol.link.peer import Actions, Notice, Peer
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
-from protocol.secret.tasks import Done
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
 from runtime.bus import Bus, Channel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
+from runtime.extraction import Extraction
 from runtime.health_files import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
-from runtime.keys.worker import KeyWorker
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
 from runtime.turn_watch import Turns, TurnWatch
@@ -56,11 +56,11 @@ FIELD: Final = frozenset(FIELD_MESSAGES)
 """What travels on the field bus; all else is on the management bus."""
 
 
-class _KeyTaskDone(NamedTuple):
-    """A task that a loop's key maker has done."""
+class _Extracted(NamedTuple):
+    """A key block of a loop is extracted, or none can be any more."""
 
     loop: str
-    done: Done
+    block: ExtractedBlock | ExtractionFailed
 
 
 @dataclass(slots=True)
@@ -145,11 +145,11 @@ class Host:
         self._loops: dict[str, _Loop] = {}
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
-        self._inbox: Inbox[tuple[str, bytes] | _KeyTaskDone | None] = Inbox()
+        self._inbox: Inbox[tuple[str, bytes] | _Extracted | None] = Inbox()
         self.channels: dict[str, Channel] = {}
         self._heard_on_management: set[str] = set()
         self._threads: list[threading.Thread] = []
-        self._worker: KeyWorker | None = None
+        self._extraction: Extraction | None = None
         self._health = HealthWriter()
         self.turns = FairLock()
         self._turn = Turns(__name__)
@@ -171,20 +171,19 @@ class Host:
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
                 for kind in endpoint.says
             }
-            key_maker = None
-            if files.key_maker is not None:
+            extract = None
+            if endpoint.makes_keys:
                 crowding = partial(self._crowding, loop)
                 for kind in publishers.keys() & FIELD:
                     publishers[kind] = Sparing(publishers[kind], crowding)
-                if self._worker is None:
-                    self._worker = KeyWorker()
-                key_maker = partial(
-                    self._worker.put,
-                    files.key_maker,
-                    lambda done: self._inbox.put(_KeyTaskDone(loop, done), None),
+                if self._extraction is None:
+                    self._extraction = Extraction()
+                extract = partial(
+                    self._extraction.put,
+                    tell=lambda block: self._inbox.put(_Extracted(loop, block), None),
                 )
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
-            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, key_maker))
+            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, extract))
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
@@ -306,11 +305,11 @@ class Host:
         if item is None:
             return
         with self.turns:
-            if not isinstance(item, _KeyTaskDone):
+            if not isinstance(item, _Extracted):
                 self._hear(*item)
             elif item.loop in self._loops:
                 endpoint = self._loops[item.loop].endpoint
-                self._do(item.loop, partial(endpoint.key_task_done, item.done))
+                self._do(item.loop, partial(_told, endpoint, item.block))
 
     # --- under the lock ---------------------------------------------------------------------------
 
@@ -335,7 +334,7 @@ class Host:
     def _do(self, name: str, act: Callable[[float], Actions]) -> None:
         loop = self._loops[name]
         try:
-            if loop.started and loop.ports.key_maker is not None:
+            if loop.started and loop.endpoint.makes_keys:
                 self._look_at_links(loop)
             if loop.started:  # a device may take its time to be found
                 self._turn.begin()
@@ -377,8 +376,6 @@ class Host:
             with self._lost(loop, OSError, Failure):
                 perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
         finally:
-            if self._worker is not None and loop.ports.files.key_maker is not None:
-                self._worker.leave(loop.ports.files.key_maker)
             with self._lost(loop):
                 loop.ports.close()
             self._field.left(name)
@@ -399,8 +396,8 @@ class Host:
     def close(self) -> None:
         """Stop every end and close its files, each also where another fails."""
         with ExitStack() as last:  # from below
-            if self._worker is not None:
-                last.callback(self._worker.close)
+            if self._extraction is not None:
+                last.callback(self._extraction.close)
             last.callback(self._health.close, LAST_S)
             last.callback(self._end_all)
             for thread in self._threads:
@@ -413,3 +410,8 @@ class Host:
         with self.turns.last(), ExitStack() as ends:
             for name in reversed(self.loops):
                 ends.callback(self._end, name)
+
+
+def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Actions:
+    """Tell an end of its block."""
+    return endpoint.extracted(block)

@@ -32,10 +32,14 @@ from protocol.link.peer import Actions
 from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
+from protocol.secret.stream import Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
 JOURNAL_VERSION: Final = 12
+
+KEYS_AT_MOST: Final = 65536
+"""Keys of a block, at most: the matrix that makes them has no more rows."""
 
 REMEMBERED: Final = 1000
 """Delivered messages whose identifiers are remembered, so that none is queued twice."""
@@ -68,7 +72,8 @@ class Loaded(NamedTuple, Generic[R]):
     ``offer``, ``coin`` and ``measurement`` are the step that follows the record, to be counted
     again. At the controller the offer answers the measurement. At the plant the measurement reports
     the step that the offer led to; with no measurement the step was begun and not read. ``rows``
-    are those of key blocks that are still needed, ``symbols`` those of the frame under way that
+    are those of key blocks that are still needed, ``parts`` the digits of the key stream that
+    are left, ``symbols`` those of the frame under way that
     have left the plant's record. ``fell_back``: the machine was started again since the last save,
     and the newest saves may be missing.
     """
@@ -78,6 +83,7 @@ class Loaded(NamedTuple, Generic[R]):
     coin: int = NO_SYMBOL
     measurement: Measurement | None = None
     rows: tuple[Contribution, ...] = ()
+    parts: tuple[Part, ...] = ()
     symbols: str = ""
     fell_back: bool = False
 
@@ -104,10 +110,12 @@ class Journal(ABC, Generic[R]):
         "step (id INTEGER PRIMARY KEY, record BLOB, offer BLOB, coin INTEGER, measurement BLOB,"
         " check_ INTEGER)",
         "row (j INTEGER PRIMARY KEY, steps INTEGER, offer BLOB, measurement BLOB, check_ INTEGER)",
+        "stream (place INTEGER PRIMARY KEY, block INTEGER, number INTEGER, first INTEGER,"
+        " digits BLOB, check_ INTEGER)",
     )
     """The last column of each is the check of the others."""
 
-    of_session: ClassVar[tuple[str, ...]] = ("row",)
+    of_session: ClassVar[tuple[str, ...]] = ("row", "stream")
     """Tables whose rows belong to the record's session, and go with it."""
 
     def __init__(self, path: Path | None, scenario: str) -> None:
@@ -194,6 +202,7 @@ class Journal(ABC, Generic[R]):
     def load(self) -> Loaded[R]:
         """What was saved last."""
         rows = tuple(Contribution(*row) for row in self._get("row"))
+        parts = tuple(Part(*part) for _, *part in self._get("stream"))
         for _, record, offer, coin, measurement in self._get("step"):
             try:
                 loaded: Loaded[R] = Loaded(
@@ -202,6 +211,7 @@ class Journal(ABC, Generic[R]):
                     coin,
                     Measurement.from_wire(measurement) if measurement else None,
                     rows,
+                    parts,
                     self._symbols(),
                     self._fell_back,
                 )
@@ -249,10 +259,16 @@ class Journal(ABC, Generic[R]):
         if self._saved is None or record.session != self._saved.session:
             for table in self.of_session:
                 self.db.execute(f"DELETE FROM {table}")
-        for row in actions.contributions:
+        for row in actions.rows.contributions:
             self._put("row", *row)
-        for over in actions.obsolete_rows:
+        for over in actions.rows.obsolete_rows:
             self.db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
+        for part in actions.rows.parts:
+            if part.digits:
+                self._put("stream", part.block * KEYS_AT_MOST + part.number, *part)
+            else:
+                place = part.block * KEYS_AT_MOST + part.number
+                self.db.execute("DELETE FROM stream WHERE place = ?", (place,))
         self._write_more(actions)
 
     @abstractmethod

@@ -7,7 +7,7 @@ traced, and then saved with the next step. So a process may die between any two 
 - before the step is saved: nothing was sent, and deciding again does no harm;
 - before it is published: the journal has it, and the same bytes go out when it is asked again;
 - before it is counted or traced: it is counted, and traced, when the journal is read again;
-- before a task is handed to the key maker: its rows are in the journal, and it is asked again;
+- before a key block is extracted: its rows are in the journal, and it is asked for again;
 - after that: nothing is left to do twice.
 
 The services, the simulation, the tests and the benchmarks come through here. Whoever wants a death
@@ -20,7 +20,7 @@ from typing import Literal, Protocol
 from protocol.link.events import Event
 from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
-from protocol.secret.tasks import Task
+from protocol.secret.blocks import ClosedBlock
 
 
 class Ports(Protocol):
@@ -38,8 +38,8 @@ class Ports(Protocol):
     def trace(self, event: Event) -> None:
         """Write it down for whoever checks the run."""
 
-    def submit_key_task(self, task: Task) -> None:
-        """Hand it to the key maker, without waiting for it."""
+    def extract(self, block: ClosedBlock) -> None:
+        """Have its keys extracted, without waiting for them."""
 
     def log_notice(self, notice: Notice) -> None:
         """Log it."""
@@ -64,8 +64,8 @@ def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
             ports.save(actions)
         for message in actions.publish:
             ports.publish(message)
-        for task in actions.keys:
-            ports.submit_key_task(task)
+        for block in actions.tasks:
+            ports.extract(block)
         for notice in actions.notices:
             ports.log_notice(notice)
         if actions.health is not None:
@@ -75,7 +75,7 @@ def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
         actions = endpoint.finish_step()
 
 
-CrashPoint = Literal["saving", "publishing", "tracing", "keeping", "acting"]
+CrashPoint = Literal["saving", "publishing", "tracing", "extracting", "acting"]
 """The port call at which a simulated process crashes; ``acting`` is a device's, to apply or
 read."""
 
@@ -127,10 +127,10 @@ class CrashingPorts:
         self.passes("tracing")
         self._ports.trace(event)
 
-    def submit_key_task(self, task: Task) -> None:
-        """Crash, or hand it over."""
-        self.passes("keeping")
-        self._ports.submit_key_task(task)
+    def extract(self, block: ClosedBlock) -> None:
+        """Crash, or have it extracted."""
+        self.passes("extracting")
+        self._ports.extract(block)
 
     def log_notice(self, notice: Notice) -> None:
         """Log it; no crash happens here."""

@@ -1,4 +1,4 @@
-"""The ports of one end of one loop: its files, its publishers, its log, its key maker."""
+"""The ports of one end of one loop: its files, its publishers, its log."""
 
 import logging
 import time
@@ -10,9 +10,8 @@ from typing import Final, Protocol
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
-from protocol.secret.tasks import Task
+from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
-from runtime.keys.key_maker import KeyMakerAt
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
@@ -35,7 +34,6 @@ class Files:
     journal: Journal
     trace: TraceWriter
     health: Path
-    key_maker: KeyMakerAt | None = None
 
     def close(self) -> None:
         """Close journal and trace."""
@@ -95,8 +93,8 @@ class LoopPorts(BusPorts):
         As for :class:`BusPorts`.
     tell_health : callable
         Has the status kept in the run's folder.
-    key_maker : callable, optional
-        Takes tasks for the key maker.
+    extract : callable, optional
+        Takes key blocks to be extracted.
     """
 
     def __init__(
@@ -105,10 +103,10 @@ class LoopPorts(BusPorts):
         publishers: dict[type[Message], Publisher],
         log: logging.Logger,
         tell_health: Callable[[Status], None],
-        key_maker: Callable[[Task], None] | None = None,
+        extract: Callable[[ClosedBlock], None] | None = None,
     ) -> None:
         super().__init__(publishers, log)
-        self.files, self.tell_health, self.key_maker = files, tell_health, key_maker
+        self.files, self.tell_health, self._extract = files, tell_health, extract
 
     def save(self, actions: Actions) -> None:
         """Write to the journal.
@@ -123,10 +121,10 @@ class LoopPorts(BusPorts):
         """Append to the trace."""
         self.files.trace.write(*lines(event))
 
-    def submit_key_task(self, task: Task) -> None:
-        """Hand it to whoever keeps keys."""
-        assert self.key_maker is not None, "keys are made, and nobody keeps them"
-        self.key_maker(task)
+    def extract(self, block: ClosedBlock) -> None:
+        """Have a key block extracted."""
+        assert self._extract is not None, "keys are made, and nothing extracts them"
+        self._extract(block)
 
     def health(self, status: Status) -> None:
         """Have the status and the health line replaced; tell what the log still owes."""

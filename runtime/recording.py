@@ -423,8 +423,9 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #                p (message symbols so far, this one included), s (automaton state afterwards),
 #                gauges (of x_next about each centre), counts (copies that count for keys: 1 the
 #                offer's, 2 that of the measurement it answers); the plant's adds coin (b_r) and u;
-#                where the coin is keyed, coin_key and coin_from (the key, and the step of its first
-#                digit), the controller's with expected (the candidate that its own copy chose)
+#                where the key stream is used, digits (the position that the offer named) and keyed
+#                (whether they served); the controller's has expected where the coin is keyed (the
+#                candidate that its own digit chose, or -1)
 #                a side that was killed may have written one (session, j) twice: the last counts
 #   missed       a step without an offer (plant): session, k, x, u, x_next
 #   interrupted  a step under way when the plant's process died or its session ended (plant):
@@ -439,11 +440,11 @@ REPORTS: Final = frozenset({"delivered", "recovered", "refused"})
 #   refused      a frame failed its check (plant): session, p
 #                the last three are reports on the transition before them; one that was written
 #                twice has its report twice
-#   alarm        the transition's test failed (controller): session, j, k, reading (x_next),
-#                coin_key and candidate (whose prediction expected is), gauge
-#   block        a key block was stored (either): session, number, keys
-#   judged       the partner's word on it is on disk (either): session, number, what
-#                ("confirmed" | "unequal")
+#   alarm        a transition made an alarm (controller): session, j, k, reading (x_next), reason
+#                ("unexplained" | "another candidate" | "digits refused" | "unwatched"), candidate
+#                (whose prediction expected is), gauge
+#   block        what became of a key block (either): session, number, what ("confirmed" |
+#                "unequal" | "poor"), keys
 #   appearances  how often a message of the side leaves from here on (either, where keys are made):
 #                session, k (give or take one), times; a process that starts tells it first
 

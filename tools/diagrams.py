@@ -16,6 +16,7 @@ from typing import Any, Final, NamedTuple
 from protocol.agreement import NO_SYMBOL
 from protocol.link import controller_session as controllers
 from protocol.link import plant_session as plants
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import (
     Alarm,
     AttackBegan,
@@ -24,12 +25,11 @@ from protocol.link.events import (
     SessionBegan,
     Timing,
 )
-from protocol.link.key_events import Appearances, BlockStored
+from protocol.link.key_events import Appearances
 from protocol.link.session import CountedTransition
 from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message, SendCommand
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme
-from protocol.secret.blocks import BlockResult
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
@@ -171,8 +171,7 @@ EVENTS: Final[tuple[tuple[str, Callable[..., Any], Any], ...]] = (
     ("controller", Alarm.as_event, Alarm),
     ("controller", SendCommand.as_event, SendCommand),
     ("plant", Timing.as_event, Timing),
-    ("both", BlockStored.as_event, BlockStored),
-    ("both", BlockResult.as_event, BlockResult),
+    ("both", BlockEnded.as_event, BlockEnded),
     ("both", Appearances.as_event, Appearances),
 )
 """What a trace holds: who writes it, what makes the line, and what says what it is."""

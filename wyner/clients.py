@@ -22,6 +22,6 @@ register(
     Service(
         name="operator",
         ends={"management": Ends((), (CONTROLLER_MANAGEMENT,))},
-        publishes={"management": ("management/command/send",)},
+        publishes={"management": ("management/command/send", "management/command/stop-keys")},
     )
 )

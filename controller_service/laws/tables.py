@@ -56,7 +56,7 @@ class PackedControl(Control):
         spacing = self.alphabet.spacing
         if spacing < CERTAIN:
             yield (
-                f"defence.kind: got 'keyed-coin' beside control.alphabet.spacing = {spacing:g}, "
+                f"defence.coin: got 'keys' beside control.alphabet.spacing = {spacing:g}, "
                 f"expected a spacing of {CERTAIN:g} or more: closer candidates are not told apart "
                 "in every step"
             )

@@ -4,7 +4,7 @@ A transition is :class:`protocol.link.session.CountedTransition`, a message that
 :class:`protocol.messages.SendCommand`.
 """
 
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from protocol.link.session import CountedTransition, Truth
 from protocol.vectors import Vector
@@ -93,19 +93,25 @@ class Interrupted(NamedTuple):
         return {"event": "interrupted", **_labelled(self._asdict())}
 
 
+Reason = Literal["", "unexplained", "another candidate", "digits refused", "unwatched"]
+"""Why a transition makes an alarm; empty: it makes none."""
+
+
 class Alarm(NamedTuple):
-    """A transition failed its test at the controller, and that makes an alarm.
+    """A transition makes an alarm at the controller.
 
     ``reading`` is x(k+1) as it was reported. ``expected`` is the prediction for ``candidate``, and
-    ``gauge`` how far the reading is from it, in D_c: above 1. The candidate is the one that the key
-    ``coin_key`` chose, or, where that is empty, the nearest one: no candidate explains the reading.
+    ``gauge`` how far the reading is from it, in D_c. The candidate is the one that a digit of the
+    key stream chose, or, where none did, the nearest one. ``reason``: ``unexplained``, no candidate
+    explains the reading; ``another candidate``, not the one that the digit chose; ``digits
+    refused``, the plant denies digits that it holds; ``unwatched``, too many steps had no digit.
     """
 
     session: str
     j: int
     k: int
     reading: Vector
-    coin_key: str
+    reason: Reason
     candidate: int
     expected: Vector
     gauge: float
@@ -116,8 +122,12 @@ class Alarm(NamedTuple):
 
     def sentence(self) -> str:
         """As a line of the log."""
-        whose = f"candidate {self.candidate} of key {self.coin_key}"
-        if not self.coin_key:
+        if self.reason == "unwatched":
+            return f"ALARM at step {self.k}: too many steps had no digit of the key stream"
+        if self.reason == "digits refused":
+            return f"ALARM at step {self.k}: the plant denies digits of the key stream that it has"
+        whose = f"candidate {self.candidate}, which the key stream chose"
+        if self.reason == "unexplained":
             whose = f"the nearest of all candidates, {self.candidate}"
         read, expected = (", ".join(f"{v:.4g}" for v in x) for x in (self.reading, self.expected))
         return (

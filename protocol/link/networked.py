@@ -8,7 +8,7 @@ from pydantic import ValidationError
 from protocol.link.channel import Channel
 from protocol.link.peer import NOTHING_TO_DO, Actions, Peer
 from protocol.messages import Measurement, Message, Offer
-from protocol.secret.tasks import Done
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 
 UNDER_WAY: Final = 4096
 """Messages that are on their way at most; one more is lost."""
@@ -37,6 +37,11 @@ class Networked:
         self._channel = channel
         self._under_way: list[tuple[float, int, bytes]] = []
         self._number = 0
+
+    @property
+    def makes_keys(self) -> bool:
+        """Whether the end has key blocks to be extracted."""
+        return self._end.makes_keys
 
     @property
     def code(self) -> int | None:
@@ -82,9 +87,9 @@ class Networked:
         """The end's rest of a step."""
         return self._end.finish_step()
 
-    def key_task_done(self, done: Done, now: float) -> Actions:
-        """A task of the end's keys is done."""
-        return self._end.key_task_done(done, now)
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+        """A key block of the end is extracted."""
+        return self._end.extracted(block)
 
     def appear(self, count: int) -> Actions:
         """How often the end's messages leave."""

@@ -8,11 +8,11 @@ stands in :mod:`runtime.perform`; no other module knows it. The two endpoints ar
 from typing import Final, Literal, NamedTuple, Protocol
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import NO_ROWS, KeyRows
 from protocol.link.events import Event
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Message, Offer, SendCommand, Status
-from protocol.secret.nonces import Contribution
-from protocol.secret.tasks import Done, Task
+from protocol.secret.blocks import ClosedBlock, ExtractedBlock, ExtractionFailed
 
 
 class Notice(NamedTuple):
@@ -27,7 +27,7 @@ class Actions(NamedTuple):
     """What a shell must do after an endpoint heard something or woke.
 
     ``events`` are traced before anything is saved: who dies in between counts them, and traces
-    them, once more. ``keys`` are tasks for the key maker, which no step waits for. ``health``
+    them, once more. ``tasks`` are key blocks to be extracted, which no step waits for. ``health``
     is the status of which the run's folder keeps what a file may. ``finish_step`` asks for
     :meth:`Peer.finish_step`, once everything else is done.
 
@@ -42,8 +42,8 @@ class Actions(NamedTuple):
 
     ``queued`` is a message for the controller's queue, ``received`` the payload of a whole frame.
     ``symbols`` are those of the frame under way that have left the plant's record.
-    ``contributions`` are the rows of transitions for their key block, ``obsolete_rows`` names
-    transitions whose rows may go; rows of another session than the record's go anyway.
+    ``rows`` are those of key blocks and of the key stream that change; rows of another session than
+    the record's go anyway.
     """
 
     events: tuple[Event, ...] = ()
@@ -54,14 +54,13 @@ class Actions(NamedTuple):
     queued: SendCommand | None = None
     received: bytes | None = None
     symbols: str = ""
-    contributions: tuple[Contribution, ...] = ()
-    obsolete_rows: tuple[range, ...] = ()
+    rows: KeyRows = NO_ROWS
     durable: bool = False
     publish: tuple[Message, ...] = ()
     notices: tuple[Notice, ...] = ()
     health: Status | None = None
     finish_step: bool = False
-    keys: tuple[Task, ...] = ()
+    tasks: tuple[ClosedBlock, ...] = ()
 
 
 NOTHING_TO_DO: Final = Actions()
@@ -74,6 +73,10 @@ class Peer(Protocol):
     """The message types that it takes."""
 
     says: tuple[type[Message], ...]
+
+    @property
+    def makes_keys(self) -> bool:
+        """Whether it has key blocks to be extracted."""
 
     @property
     def code(self) -> int | None:
@@ -94,8 +97,8 @@ class Peer(Protocol):
     def finish_step(self) -> Actions:
         """What can wait until the message is on its way, while the partner works on it."""
 
-    def key_task_done(self, done: Done, now: float) -> Actions:
-        """The key maker has done one of its tasks."""
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+        """A key block is extracted, or none can be any more."""
 
     def appear(self, count: int) -> Actions:
         """From now on a message on the field bus leaves ``count`` times."""

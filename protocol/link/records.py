@@ -1,15 +1,20 @@
 """What each end must not forget, as its journal keeps it."""
 
-from typing import Final, NamedTuple
+from typing import Final, Literal, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Estimate
+from protocol.defence.watch import NEVER
 from protocol.messages import Offer
 from protocol.secret.nonces import Copy
 from protocol.vectors import Vector
 
 INITIAL_ID: Final = "initial"
 """Identifier of the message that a controller is started with; no command may take it."""
+
+
+Side = Literal["controller", "plant"]
+"""The two ends of a loop."""
 
 
 class SenderRecord(NamedTuple):
@@ -20,12 +25,13 @@ class SenderRecord(NamedTuple):
     which queued frame the next message symbol comes from, and ``framed`` whether the pending one
     came from there or is idle.
     ``offer`` is the one answer that may still be applied, ``nonce`` that of the measurement it
-    answers, if its copy 0 came first; ``block`` and ``tag`` are the word on key blocks given last.
-    ``incarnation`` counts the processes that had this journal. ``coin_key`` is the newest key that
-    an offer of the session named for its coin, and ``coin_from`` the step of its first digit.
-    ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm has ended
-    the offers. ``estimate`` is what the last transition left of the box in which the state lies,
-    where some outputs alone are read.
+    answers, if its copy 0 came first; ``block`` and ``tag`` are the key block announced last and
+    its tag. ``confirmed`` is the newest block whose digits have joined the stream, ``refuted`` says
+    why the claim that keys rest on does not hold, and ``unwatched`` is the sum of
+    :class:`protocol.defence.watch.Watch`. ``incarnation`` counts the processes that had this
+    journal. ``failed`` is what the alarm's rule remembers of the last tests; ``halted``: an alarm
+    has ended the offers. ``estimate`` is what the last transition left of the box in which the
+    state lies, where some outputs alone are read.
     """
 
     session: str | None = None
@@ -47,8 +53,9 @@ class SenderRecord(NamedTuple):
     block: int = -1
     tag: str = ""
     incarnation: int = 0
-    coin_key: str = ""
-    coin_from: int = -1
+    confirmed: int = -1
+    refuted: str = ""
+    unwatched: float = NEVER
     failed: int = 0
     halted: bool = False
     estimate: Estimate | None = None
@@ -70,10 +77,9 @@ class ReceiverRecord(NamedTuple):
     the session up, ``incarnation`` the one of its journal's that it was. ``nonce`` belongs to copy
     0 of Measurement(k); the three fields behind it are those of that message. ``blocks_begun``
     counts key blocks that were begun, in all sessions, whatever became of them. ``sensor_seed`` is
-    of the sensors' noise. ``coin_key`` is the newest key of the session whose digits a coin came
-    from, and ``coin_from`` the step of its first one; ``keyed`` says whether the last applied
-    offer's did. Where some outputs alone are read ``estimate`` is as the controller's, and
-    ``true_x`` the simulated state, which no reading tells.
+    of the sensors' noise. ``confirmed`` is as the controller's, and ``keyed`` says whether
+    the digits of the last applied offer served. Where some outputs alone are read ``estimate`` is
+    as the controller's, and ``true_x`` the simulated state, which no reading tells.
     """
 
     session: str
@@ -101,8 +107,7 @@ class ReceiverRecord(NamedTuple):
     incarnation: int = 0
     blocks_begun: int = 0
     sensor_seed: int = 0
-    coin_key: str = ""
-    coin_from: int = -1
+    confirmed: int = -1
     keyed: bool = False
     estimate: Estimate | None = None
     true_x: Vector = ()

@@ -43,6 +43,7 @@ from protocol.agreement import (
 )
 from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
+from protocol.defence.watch import UNWATCHED, Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -52,6 +53,7 @@ from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.secret.blocks import Schedule
 from protocol.secret.nonces import Contribution
+from protocol.secret.stream import NOWHERE, Position
 from protocol.vectors import Vector
 
 SILENCE_S: Final = 2.0
@@ -77,11 +79,11 @@ class Rules:
     predicted : bool
         f_c is not linear: its predictions travel with the offer.
     keyed : bool
-        The plant's coin comes from keys, as long as there are some.
+        The plant's coin comes from the key stream, as long as it has digits.
+    watch : Watch
+        When unwatched steps make an alarm, where the coin is keyed.
     alarm_rule : AlarmRule
         When failed tests make an alarm.
-    defence : str
-        The test, ``residual`` or ``keyed-coin``.
     halts : bool
         An alarm ends the offers.
     outputs : OutputRule, optional
@@ -97,9 +99,9 @@ class Rules:
     schedule: Schedule | None = None
     predicted: bool = False
     keyed: bool = False
+    watch: Watch = UNWATCHED
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
-    defence: str = "residual"
     outputs: OutputRule | None = None
 
     @property
@@ -164,15 +166,20 @@ class Rules:
             return offer.predictions[candidate]
         return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
 
-    def malformed_coin(self, name: str, *said: object) -> str:
-        """What is wrong with a message's fields of the coin, which begin with ``name``."""
-        if not self.keyed:
-            return (
-                ""
-                if all(v is None for v in said)
-                else f"{name}: expected none, as no coin is keyed"
-            )
-        return f"{name}: expected one, as the coin is keyed" if None in said else ""
+    @property
+    def digits(self) -> int:
+        """Digits of the key stream that an offer takes: one for the coin, one for a sealed symbol.
+
+        The coin's is the first.
+        """
+        return self.keyed + self.scheme.from_stream
+
+    def malformed_digits(self, name: str, *said: object) -> str:
+        """What is wrong with a message's fields of the key stream, which begin with ``name``."""
+        if not self.digits:
+            none = all(v is None for v in said)
+            return "" if none else f"{name}: expected none, as the key stream is not used"
+        return f"{name}: expected one, as the key stream is used" if None in said else ""
 
     def malformed_predictions(self, predictions: tuple[Vector, ...]) -> str:
         """What is wrong with an offer's predictions; nothing where they are as the rules say."""
@@ -210,9 +217,9 @@ def rules_of(scenario: Scenario) -> Rules:
         schedule=None if scenario.keys is None else scenario.keys.schedule(),
         predicted=scenario.defender.model is not None,
         keyed=scenario.defence.keyed,
+        watch=scenario.watch,
         alarm_rule=scenario.alarm_rule,
         halts=scenario.defence.on_alarm == "safe",
-        defence=scenario.defence.kind,
         outputs=_output_rule(scenario),
     )
 
@@ -261,11 +268,11 @@ class CountedTransition(NamedTuple):
     copies count for keys: 1 the offer's, 2 that of the measurement it answers, 3 both.
     ``predictions`` are the offer's, of an f_c that is not linear. Only the plant has ``coin``, its
     b_r, and ``u``, the input that was in force. Where it is attacked, ``true_x_next`` and
-    ``true_u`` are the ``truth``, for whoever judges the run. ``coin_key`` is the key that the
-    plant's coin came from, and ``coin_from`` the step of its first digit: empty and -1 where the
-    coin was private, None and -1 where no coin is keyed. Only the controller has ``expected``, the
-    candidate that its own copy of that key chose: -1 where the transition is unwatched. A
-    frame that it completed is ``delivered`` (controller), ``recovered`` or ``refused`` (plant).
+    ``true_u`` are the ``truth``, for whoever judges the run. ``digits`` is the position in the key
+    stream that the offer names, None where it names none; ``keyed`` says whether they served. Only
+    the controller has ``expected``, the candidate that its own digit chose: -1 where the transition
+    is unwatched. A frame that it completed is ``delivered`` (controller), ``recovered`` or
+    ``refused`` (plant).
     """
 
     session: str
@@ -285,11 +292,11 @@ class CountedTransition(NamedTuple):
     tested: bool
     counts: int = 0
     predictions: tuple[Vector, ...] = ()
+    digits: Position | None = None
     coin: int = NO_SYMBOL
     u: Vector = ()
     truth: Truth | None = None
-    coin_key: str | None = None
-    coin_from: int = -1
+    keyed: bool = False
     expected: int = NO_SYMBOL
     delivered: SendCommand | None = None
     recovered: bytes | None = None
@@ -310,14 +317,14 @@ class CountedTransition(NamedTuple):
         coin: int = NO_SYMBOL,
         u: Vector = (),
         truth: Truth | None = None,
-        coin_key: str | None = None,
+        keyed: bool = False,
         expected: int = NO_SYMBOL,
         delivered: SendCommand | None = None,
         recovered: bytes | None = None,
         refused: bool = False,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
-        carried = carry.pad != NO_SYMBOL
+        carried, position = carry.pad != NO_SYMBOL, position_of(offer)
         return cls(  # by place, which takes half the time: both ends do it in each step
             offer.session,
             record.transitions,
@@ -336,11 +343,11 @@ class CountedTransition(NamedTuple):
             scheme.tests(record.state),
             0 if contribution is None else contribution.counts,
             offer.predictions,
+            None if position == NOWHERE else position,
             coin,
             u,
             truth,
-            coin_key,
-            offer.coin_from if coin_key and offer.coin_from is not None else -1,
+            keyed,
             expected,
             delivered,
             recovered,
@@ -403,10 +410,16 @@ class CountedTransition(NamedTuple):
         if self.coin != NO_SYMBOL:
             event["coin"] = self.coin
             event["u"] = self.u
-        if self.coin_key is not None:
-            event["coin_key"] = self.coin_key
-        if self.coin_key:
-            event["coin_from"] = self.coin_from
+        if self.digits is not None:
+            event["digits"] = self.digits
+            event["keyed"] = self.keyed
         if self.expected != NO_SYMBOL:
             event["expected"] = self.expected
         return event if self.truth is None else event | self.truth.fields()
+
+
+def position_of(offer: Offer) -> Position:
+    """Where in the key stream an offer's digits begin; :data:`NOWHERE` where it has none."""
+    if offer.stream_block is None or offer.stream_at is None or offer.stream_block < 0:
+        return NOWHERE
+    return Position(offer.stream_block, offer.stream_at)

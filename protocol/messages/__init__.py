@@ -14,17 +14,15 @@ from protocol.messages.field import FIELD, FieldMessage, Measurement, Offer
 from protocol.messages.management import (
     LATENCY_BOUNDS_S,
     MANAGEMENT,
-    BlockAnnouncement,
     ControllerHello,
     ControllerStatus,
-    KeyAnswer,
-    KeyRequest,
     PlantHello,
     PlantModel,
     PlantStatus,
     SendCommand,
     SendReply,
     Status,
+    StopKeys,
 )
 
 __all__ = [
@@ -34,12 +32,9 @@ __all__ = [
     "LATENCY_BOUNDS_S",
     "MANAGEMENT",
     "SCHEMA",
-    "BlockAnnouncement",
     "ControllerHello",
     "ControllerStatus",
     "FieldMessage",
-    "KeyAnswer",
-    "KeyRequest",
     "Measurement",
     "Message",
     "Offer",
@@ -49,5 +44,6 @@ __all__ = [
     "SendCommand",
     "SendReply",
     "Status",
+    "StopKeys",
     "TapStatus",
 ]

@@ -6,7 +6,7 @@ from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
 from protocol.secret.nonces import NONCE_FORM
 
-SCHEMA: Final = 3
+SCHEMA: Final = 4
 """Version of the wire format; a message of another version is malformed."""
 
 SessionId = Annotated[str, StringConstraints(pattern=r"^[0-9a-f]{16}$")]
@@ -19,7 +19,6 @@ Count = Annotated[int, Field(ge=0, le=LARGEST_COUNT)]
 Copy = Literal[0, 1]
 Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
 BlockNumber = Annotated[int, Field(ge=-1)]
-KeyName = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._-]{0,64}$")]
 Tag = Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{32})?$")]
 
 
@@ -29,7 +28,7 @@ class Message(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     topic: ClassVar[str]
-    v: Literal[3] = SCHEMA
+    v: Literal[4] = SCHEMA
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""

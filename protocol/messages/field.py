@@ -9,7 +9,6 @@ from protocol.messages.base import (
     BlockNumber,
     Copy,
     Count,
-    KeyName,
     Message,
     Nonce,
     SessionId,
@@ -81,9 +80,9 @@ class Measurement(StepMessage):
         The last key block that the plant has announced; -1 before the first.
     tag : str
         That block's tag, 32 hexadecimal digits.
-    applied_key : str, optional
-        Key whose digit chose the candidate of that offer; empty: the plant's private coin did.
-        Only where the coin is keyed.
+    keyed : bool, optional
+        Whether the digits that the offer names served: they chose the candidate, or were the pad of
+        its cipher symbol. Only where the scenario uses the key stream.
     """
 
     topic: ClassVar[str] = "measurement"
@@ -97,7 +96,7 @@ class Measurement(StepMessage):
     applied_copy: Copy = 0
     block: BlockNumber = -1
     tag: Tag = ""
-    applied_key: KeyName | None = None
+    keyed: bool | None = None
 
 
 class Offer(StepMessage):
@@ -115,11 +114,9 @@ class Offer(StepMessage):
         f_c(x, u_i), n numbers each, where f_c is not linear; else empty.
     heard : {0, 1}
         Which copy of the measurement the controller received first.
-    coin_key, coin_from : str, int, optional
-        Key whose digit k - ``coin_from`` chooses the candidate; an empty id: none does. These
-        three are there only where the coin is keyed.
-    coin_last : str, optional
-        The newest key that the controller holds for later steps; the plant takes all up to it.
+    stream_block, stream_at : int, optional
+        Position of the offer's digits in the key stream: the block, and the number of the first
+        digit within it; -1 and 0 where it has none. Only where the scenario uses the key stream.
     """
 
     topic: ClassVar[str] = "offer"
@@ -133,9 +130,8 @@ class Offer(StepMessage):
     heard: Copy = 0
     block: BlockNumber = -1
     tag: Tag = ""
-    coin_key: KeyName | None = None
-    coin_from: Count | None = None
-    coin_last: KeyName | None = None
+    stream_block: BlockNumber | None = None
+    stream_at: Count | None = None
 
 
 FieldMessage = Measurement | Offer

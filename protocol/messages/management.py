@@ -8,13 +8,11 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
 from protocol.messages.base import (
-    BlockNumber,
     Count,
     Fingerprint,
     Identifier,
     Message,
     SessionId,
-    Tag,
 )
 from protocol.vectors import FiniteVector
 
@@ -103,69 +101,17 @@ class SendReply(Message):
     detail: str = ""
 
 
-_Use = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._ -]{1,128}$")]
-_Names = Annotated[
-    tuple[Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9._/-]{1,64}$")], ...],
-    Field(max_length=4096),
-]
-
-
-_What = Literal["keys", "unused", "made", "marked", "blocks", "lacked"]
-
-
-class BlockAnnouncement(Message):
-    """One end's announcement of a key block after the last step; the other end answers it.
-
-    During the run `Measurement` and `Offer` carry ``block`` and ``tag``. ``waiting`` counts whole
-    blocks of this end that are not confirmed.
-    """
-
-    topic: ClassVar[str] = "management/keys/word"
-    side: Literal["controller", "plant"]
-    session: SessionId
-    block: BlockNumber
-    tag: Tag
-    waiting: Count
-
-
-class KeyRequest(Message):
-    """One end asks the other about keys; repeated until it is answered.
+class StopKeys(Message):
+    """Whoever watches a run to the controller: the claim that keys rest on is refuted.
 
     Attributes
     ----------
-    side : {"controller", "plant"}
-        Who asks.
-    use : str
-        The one use that the keys are for.
-    what : str
-        ``keys``: mark these for the use, before they are given. The others are asked after a start,
-        since the store may have been put back. ``unused``, ``made`` (since the start) and
-        ``marked`` (given by the other end): which of these were given before? ``blocks``: which
-        blocks beyond these, its newest, did it have? ``lacked``: which of these blocks does the
-        other end lack?
-    names : tuple of str
-        Ids of keys or names of blocks; 4096 at most.
+    reason : str
+        In words; it is logged, and stands in the status.
     """
 
-    topic: ClassVar[str] = "management/keys/request"
-    side: Literal["controller", "plant"]
-    use: _Use
-    what: _What
-    names: _Names
-
-
-class KeyAnswer(Message):
-    """The answer to a `KeyRequest` of ``side``.
-
-    ``refused`` are the names that it must not give, or the blocks that it asked for. Empty: all
-    keys are marked.
-    """
-
-    topic: ClassVar[str] = "management/keys/answer"
-    side: Literal["controller", "plant"]
-    use: _Use
-    what: _What
-    refused: _Names
+    topic: ClassVar[str] = "management/command/stop-keys"
+    reason: Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
 _Rows = Annotated[tuple[FiniteVector, ...], Field(min_length=1)]
@@ -319,11 +265,11 @@ class PlantStatus(_Status):
     keys_of_block, key_block_steps : int
         Keys and steps of the last confirmed block.
     keys_refused : str
-        Why nobody gets this end's keys; empty: they are given.
+        Why no key is made any more; empty while some are.
     keys_stopped : str
         Why the session's newest block made no key; empty once a later one has made some.
-    key_blocks_waiting : int
-        Whole blocks that the partner has not confirmed.
+    digits_left : int
+        Digits of the key stream that this end holds.
     key_blocks_begun : int
         Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
         whatever became of it.
@@ -378,7 +324,7 @@ class PlantStatus(_Status):
     keys_refused: str = ""
     keys_stopped: str = ""
     key_blocks_lost: Count = 0
-    key_blocks_waiting: Count = 0
+    digits_left: Count = 0
     key_blocks_begun: Count = 0
     appearances: Count = 1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
@@ -435,12 +381,8 @@ class ControllerStatus(_Status):
         Messages that wait behind it, and those of which every symbol was counted.
     unexplained, watched, unwatched : int
         Transitions since this process began that no candidate explains; those that were tested
-        against the one candidate that a key chose; and, where the coin is keyed, those that could
-        not be.
-    defence : str
-        The test, ``residual`` or ``keyed-coin``.
-    coin_keys : int
-        Keys that are held for the coins of steps to come.
+        against the one candidate that a digit of the key stream chose; and, where the coin is
+        keyed, those that could not be.
     alarms, alarm_k : int
         Alarms since this process began, and the step of the last one (-1: none).
     alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
@@ -462,10 +404,8 @@ class ControllerStatus(_Status):
     queue: Count
     delivered: Count
     unexplained: Count = 0
-    defence: str = "residual"
     watched: Count = 0
     unwatched: Count = 0
-    coin_keys: Count = 0
     alarms: Count = 0
     alarm_k: Annotated[int, Field(ge=-1)] = -1
     alarm_reading: FiniteVector = ()
@@ -477,7 +417,7 @@ class ControllerStatus(_Status):
     keys_refused: str = ""
     keys_stopped: str = ""
     key_blocks_lost: Count = 0
-    key_blocks_waiting: Count = 0
+    digits_left: Count = 0
     appearances: Count = 1
 
     def alarm_sentence(self) -> str:
@@ -500,9 +440,7 @@ MANAGEMENT: tuple[type[Message], ...] = (
     ControllerHello,
     SendCommand,
     SendReply,
-    BlockAnnouncement,
-    KeyRequest,
-    KeyAnswer,
+    StopKeys,
     PlantModel,
     PlantStatus,
     ControllerStatus,

@@ -135,7 +135,7 @@ class Control(ScenarioTable):
         """Why a coin that comes from keys would not catch a spoofed sensor under this law."""
         if not names_a_file(self.law):
             yield (
-                f"defence.kind: got 'keyed-coin' beside control.law = {self.law!r}, expected law "
+                f"defence.coin: got 'keys' beside control.law = {self.law!r}, expected law "
                 "'packed': this law does not keep its candidates apart, and a spoofed sensor stays "
                 "unseen"
             )

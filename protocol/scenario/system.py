@@ -12,10 +12,11 @@ from pydantic import Field, SerializeAsAny, model_validator
 from protocol.box_observer import Box, BoxObserver
 from protocol.brief import Brief
 from protocol.defence.alarm_rule import AlarmRule
+from protocol.defence.watch import Watch
 from protocol.knowledge import Knowledge
 from protocol.scenario.attack import Attack
 from protocol.scenario.control import Control
-from protocol.scenario.defence import DefenceTable
+from protocol.scenario.defence import DefenceTable, needs_keys
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
 from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
@@ -200,6 +201,11 @@ class Scenario(Brief, ScenarioTable):
         )
 
     @property
+    def watch(self) -> Watch:
+        """When unwatched steps make an alarm."""
+        return self.defence.watch(self.keys)
+
+    @property
     def hidden_widths(self) -> int:
         """Widths of D_c and N unknown to one who knows f_c and D_e: one where D_e = alpha D_c."""
         N = self.defender.noise
@@ -247,6 +253,8 @@ class Scenario(Brief, ScenarioTable):
         if self.defence.keyed:
             problems += self.control.coin_problems()
         problems += self.defence.problems(self.keys, self.link)
+        if SCHEMES[self.secrecy.scheme].from_stream:
+            problems += needs_keys(f"secrecy.scheme: {self.secrecy.scheme!r}", self.keys)
         try:
             _ = self.alarm_rule
         except ValueError as error:
@@ -447,6 +455,7 @@ class Scenario(Brief, ScenarioTable):
             noisy=self.defender.noise is not None,
             C=self.plant.C,
             keys=None if self.keys is None else self.keys.assumption(),
+            digits=self.defence.keyed + SCHEMES[self.secrecy.scheme].from_stream,
         )
 
     def oracle_knowledge(self) -> Knowledge:

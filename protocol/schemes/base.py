@@ -67,6 +67,8 @@ class Scheme(ABC, Generic[S]):
     name: ClassVar[str]
     version: ClassVar[int]
     initial: S
+    from_stream: ClassVar[bool] = False
+    """Whether its pads are digits of the key stream, in place of keys that transitions agree on."""
 
     def __init__(self, alphabet: int) -> None:
         self.alphabet = alphabet

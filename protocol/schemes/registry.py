@@ -84,6 +84,7 @@ SCHEMES: Final[Schemes] = Schemes(
     {
         "switched": "protocol.schemes.switched:Switched",
         "pipelined": "protocol.schemes.pipelined:Pipelined",
+        "sealed": "protocol.schemes.sealed:Sealed",
     },
 )
 

@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 
+from protocol.secret.blocks import TAG_DIGITS, ClosedBlock, ExtractedBlock
 from protocol.secret.galois import ORDER, Words, inverse, product
 from protocol.secret.nonces import NONCE_BYTES
 
@@ -79,3 +80,10 @@ def extract(nonces: Sequence[bytes], rows: int, by_words: bool = False) -> list[
         part = x[j : j + step]
         out ^= product(cauchy(len(out), len(part), j), part)
     return [row.tobytes() for row in out.reshape(shape).astype(">u2")]
+
+
+def extracted(block: ClosedBlock) -> ExtractedBlock:
+    """The tag and the keys of a closed block: row 0, and the others."""
+    tag, *keys = extract(block.nonces, block.rows, block.by_words)
+    shown = tag[: TAG_DIGITS // 2].hex()
+    return ExtractedBlock(block.session, block.number, shown, tuple(keys))

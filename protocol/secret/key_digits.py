@@ -1,15 +1,16 @@
-"""The keyed coin: the plant's choice in step k is a digit of a key that both ends hold.
+"""Digits of keys, and the keyed coin: the plant's choice is a digit that both ends hold.
 
 Without a key the choice is the plant's own, and the controller can only ask whether *some*
 candidate explains x(k+1). With one it knows which candidate must, and asks for that one.
-Predictions are packed, so that one x(k+1) is within D_c of one of them at most: who fabricates it
-and does not know the digit passes with probability 1/M, and with M^-n over n steps. An honest step
-never fails.
+Predictions are packed, so that one x(k+1) is within D_c of one of them at most. A spoofer that does
+not know the digit passes with probability 1/M, and with M^-n over n steps. If the digit is not
+secret it passes always. An honest step never fails.
 
-A digit belongs to a step k of the plant, which has one life and never repeats a k: digit k - first.
-An offer that is repeated finds the same digit, and a step that is missed or interrupted leaves its
-digit unused for ever. Counting transitions instead would save those digits, and show one twice:
-a device that dies within a step has applied it, and no transition counts it.
+A digit belongs to an offer, which names its position in the key stream
+(:mod:`protocol.secret.stream`). A repeated offer names the same digit, and a later one a later
+digit, also where the step was missed or interrupted. Counting transitions instead would save those
+digits, and show one twice: a device that dies within a step has applied it, and no transition
+counts it.
 
 Once x(k+1) is out, the digit is public: everybody sees which candidate explains it.
 """

@@ -6,8 +6,9 @@ on. A new offer takes the next digits whether or not it is applied, and a repeat
 position. The plant takes digits that it still holds, and drops them and all that stand before them
 once they have served, so no digit serves twice.
 
-The stream holds the :data:`BLOCKS` newest blocks. The controller leaves the oldest of these unused,
-so the plant may be one block ahead and still hold every digit that is named.
+The stream holds the :data:`BLOCKS` newest blocks. The controller leaves the oldest
+:data:`UNUSED` of these unused. So the plant may be one block ahead, and either end may confirm two
+blocks at once while an offer is on its way, and both still hold every digit that is named.
 """
 
 from bisect import bisect_right
@@ -16,8 +17,11 @@ from typing import Final, NamedTuple
 
 from protocol.secret.key_digits import digits
 
-BLOCKS: Final = 4
+BLOCKS: Final = 6
 """Newest blocks that the stream holds."""
+
+UNUSED: Final = 3
+"""Oldest of these blocks, of which nothing is named."""
 
 
 class Position(NamedTuple):
@@ -121,15 +125,18 @@ class Stream:
         self._parts += made
         return (*self.drop_before(Position(block - BLOCKS + 1, 0)), *made)
 
-    def name(self, count: int) -> Position:
+    def name(self, count: int, up_to: int) -> Position:
         """The next ``count`` digits that no offer has named; :data:`NOWHERE` where there are none.
 
-        All of them are digits of one key. The position moves on, whatever becomes of the offer.
+        All of them are digits of one key, of block ``up_to`` or an earlier one. The position moves
+        on, whatever becomes of the offer.
         """
         newest = self._parts[-1].block if self._parts else -1
-        after = max(self._after, Position(newest - BLOCKS + 2, 0))
+        after = max(self._after, Position(newest - BLOCKS + 1 + UNUSED, 0))
         for part in self._parts[max(0, self._place(after)) :]:
             left = part.since(after)
+            if part.block > up_to:
+                break
             if len(left.digits) >= count:
                 self._after = Position(left.block, left.first + count)
                 return left.begins

@@ -7,7 +7,8 @@ by one, and `wyner score`, which reads the plant's trace, counts exactly.
 
 A block of R rows of which she missed e counted copies gives her R - e combinations of rows: none,
 where the claim holds. Where keys are made of words she counts what she holds in the same way, and
-computes keys of blocks alone that she heard all of.
+computes keys of blocks alone that she heard all of. With the keys that she has she reads what
+travels under them (scheme `sealed`).
 """
 
 from collections import deque
@@ -17,13 +18,16 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 
 from protocol.knowledge import Knowledge
+from protocol.link.session import position_of
 from protocol.messages import FieldMessage, Measurement, Offer
-from protocol.secret.blocks import schedule_of
+from protocol.schemes.base import decrypt
+from protocol.schemes.framing import Deframer
+from protocol.secret.blocks import TAG_DIGITS, schedule_of
 from protocol.secret.extractor import WORDS, extract, words
 from protocol.secret.galois import Words
+from protocol.secret.key_digits import digits, digits_per_word
 from protocol.secret.nonces import as_bytes
-from protocol.secret.records import key_id
-from runtime.keys.key_maker import PUBLIC_TAG_BYTES
+from protocol.secret.stream import NOWHERE, Position
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
     Belief,
@@ -32,10 +36,11 @@ from tap_service.eavesdroppers.base import (
     HeldBlock,
     KeysHeld,
     KnowledgeError,
+    MessageSymbols,
     even,
 )
 from tap_service.inference.key_solver import KnownCombinations, bits_held, held, within
-from tap_service.inference.miss_rate import Audit, worst
+from tap_service.inference.miss_rate import ALL, Audit, worst
 
 KEPT_BLOCKS: Final = 64
 """Blocks that she has something of and keeps, and blocks that she tells of."""
@@ -47,7 +52,7 @@ message may be a stray."""
 KEPT_STEPS: Final = 8192
 """Steps of a session that are kept until they are settled: more than a transcript bridges."""
 
-SHOWN: Final = PUBLIC_TAG_BYTES // 2
+SHOWN: Final = TAG_DIGITS // 4
 """Words of row 0 that a public tag shows."""
 
 BOTH: Final = ("measurements", "offers")
@@ -55,8 +60,9 @@ BOTH: Final = ("measurements", "offers")
 
 @dataclass(slots=True)
 class _Step:
-    """What she heard of one step: nonces of its copies 0, and which copies were taken."""
+    """What she heard of one step: nonces of its copies 0, which were taken, the offer's digits."""
 
+    position: Position = NOWHERE
     offer: bytes | None = None
     measurement: bytes | None = None
     offer_taken: int = 0
@@ -124,6 +130,12 @@ class KeySolver(Eavesdropper):
         self._session = ""  # of the last transition
         self._open: list[tuple[int, bytes | None, bytes | None]] = []
         self._open_steps = 0
+        self._digits = knowledge.digits
+        self._keys: dict[tuple[str, int], tuple[bytes | None, ...]] = {}
+        self._symbols: list[tuple[int, int]] = []
+        self._frame = Deframer(self.size)
+        self._whole: deque[bytes] = deque(maxlen=KEPT_BLOCKS)
+        self._whole_count, self._solved_k = 0, -1
 
     # --- what she hears ---------------------------------------------------------------------------
 
@@ -134,6 +146,7 @@ class KeySolver(Eavesdropper):
             if not message.copy_number and message.nonce:
                 step.offer = as_bytes(message.nonce)
             step.measurement_taken = message.heard
+            step.position = position_of(message)
         else:
             if not message.copy_number and message.nonce:
                 step.measurement = as_bytes(message.nonce)
@@ -173,6 +186,8 @@ class KeySolver(Eavesdropper):
         self._unplaced += self._j < 0
         if self._j > 0:
             self._append(t.session, step)
+        if self.scheme.from_stream and step.position != NOWHERE:
+            self._read(t, step.position)
         self._last_k, self._session = t.k, t.session
         for k in [k for k in steps if k <= t.k]:
             del steps[k]
@@ -217,20 +232,40 @@ class KeySolver(Eavesdropper):
         self._broken += bits > 0
         self._bits += bits
 
+    def _read(self, t: Transition, position: Position) -> None:
+        """Decrypt the symbol that a transition carried under the key stream, if she can."""
+        found = self.digits(t.session, position, self._digits)
+        if found is None or t.cipher is None:
+            self._frame.reset()
+            return
+        symbol = decrypt(t.cipher, found[-1], self.size)
+        self._symbols.append((t.k, symbol))
+        whole = self._frame.push(symbol)
+        if whole is not None:
+            self._whole.append(whole)
+            self._whole_count += 1
+            self._solved_k = t.k if self._solved_k < 0 else self._solved_k
+
     # --- what she has -----------------------------------------------------------------------------
 
     def belief(self) -> Belief:
         """What she holds of the keys."""
         rates = self._misses.judge()
         direction, rate = worst(rates)
+        classes = [one for name, one in rates.items() if name != ALL]
         return Belief(
+            message=self._frame.partial or (self._whole[-1] if self._whole else b""),
+            whole=tuple(self._whole),
+            whole_count=self._whole_count,
+            confidence=float(self._solved_k >= 0),
+            solved_k=self._solved_k,
             keys=KeysHeld(
                 blocks=self._blocks,
                 broken=self._broken,
                 bits=self._bits,
-                copies=sum(one.copies for one in rates.values()),
-                missed=sum(one.missed for one in rates.values()),
-                absent=sum(one.absent for one in rates.values()),
+                copies=sum(one.copies for one in classes),
+                missed=sum(one.missed for one in classes),
+                absent=sum(one.absent for one in classes),
                 unplaced=self._unplaced,
                 at_most=rate.high,
                 direction=direction,
@@ -240,18 +275,49 @@ class KeySolver(Eavesdropper):
             ),
         )
 
-    def key(self, name: str) -> bytes | None:
-        """The key of this id, where she can compute all of it."""
-        found = self.known_words(name)
-        return b"".join(word for word in found if word) if all(found) else None
+    def message_symbols(self) -> MessageSymbols:
+        """The message symbols that she has decrypted."""
+        return self._symbols
 
-    def known_words(self, name: str) -> tuple[bytes | None, ...]:
-        """The key of this id in words of two bytes, None for those that she cannot compute."""
+    def digits(self, session: str, position: Position, count: int) -> tuple[int, ...] | None:
+        """Digits of the key stream, where she can compute the keys that they come from."""
+        at = position.at
+        for key in self.keys_of(session, position.block):
+            if key is None:
+                per_word, values = digits_per_word(self.size)
+                if values != 1 << 32:  # how many digits the key gives depends on it
+                    return None
+                at -= 8 * per_word
+                if at < 0:
+                    return None
+                continue
+            found = digits(key, self.size)
+            if at < len(found):
+                return found[at : at + count] if at + count <= len(found) else None
+            at -= len(found)
+        return None
+
+    def keys_of(self, session: str, number: int) -> tuple[bytes | None, ...]:
+        """The keys of a block, None for each that she cannot compute."""
         for solved in self._solved:
-            for row in range(1, solved.held.rows):
-                if key_id(solved.session, solved.number, row) == name:
-                    return tuple(self._word(solved, row, place) for place in range(WORDS))
+            if (solved.session, solved.number) == (session, number):
+                place = session, number
+                if place not in self._keys:
+                    rows = range(1, solved.held.rows)
+                    self._keys[place] = tuple(self._key(solved, row) for row in rows)
+                return self._keys[place]
+        return ()
+
+    def known_words(self, session: str, number: int, row: int) -> tuple[bytes | None, ...]:
+        """A block's key in words of two bytes, None for those that she cannot compute."""
+        for solved in self._solved:
+            if (solved.session, solved.number) == (session, number) and row < solved.held.rows:
+                return tuple(self._word(solved, row, place) for place in range(WORDS))
         return (None,) * WORDS
+
+    def _key(self, solved: _Solved, row: int) -> bytes | None:
+        found = [self._word(solved, row, place) for place in range(WORDS)]
+        return b"".join(word for word in found if word) if all(found) else None
 
     def _word(self, solved: _Solved, row: int, place: int) -> bytes | None:
         combinations, values = solved.known((row,), place, self._tag(solved))

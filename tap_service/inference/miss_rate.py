@@ -22,6 +22,10 @@ ALPHA: Final = 1e-6
 LAGS: Final = 8
 """Distances at which her misses are looked at for bursts."""
 
+ALL: Final = "messages"
+"""The copies of all classes together, where there are several: they refute a claim in half the
+steps."""
+
 AWAY: Final = 64
 """Copies of one class that she missed in a row, after which she counts as gone."""
 
@@ -112,11 +116,14 @@ class Audit:
     """
 
     def __init__(self, claim: float, classes: Sequence[str]) -> None:
-        self._classes = {name: Misses(claim, ALPHA / len(classes)) for name in classes}
+        names = (*classes, ALL) if len(classes) > 1 else tuple(classes)
+        self._classes = {name: Misses(claim, ALPHA / len(names)) for name in names}
 
     def add(self, name: str, *, missed: bool) -> None:
         """Take the next copy of a class."""
         self._classes[name].add(missed=missed)
+        if ALL in self._classes:
+            self._classes[ALL].add(missed=missed)
 
     def gone(self) -> None:
         """She is known to have left."""

@@ -1,6 +1,6 @@
 """Live attacked runs in lock-step: ``python -m tests.campaigns.attacked``, and ``--table`` of them.
 
-A run is both services with their journals, traces and key stores on disk, on a bus in memory, and
+A run is both services with their journals and traces on disk, on a bus in memory, and
 the ghost with her eavesdropper in a process of her own. M is 2, 3 and 4 in turn, or ``--sizes``. Of
 each run is kept how many steps the ghost passed after her onset: the steps before the first in
 which no disturbance in D_c leads from the plant's own coin to what was reported.
@@ -50,11 +50,11 @@ AFTER = 12
 ONSET = 20
 """Honest steps before an attack: the loop has settled."""
 
-KEYED = {"keys": {"eps_E": 0.3}, "defence": {"kind": "keyed-coin"}}
+KEYED = {"keys": {"eps_E": 0.3}, "defence": {"coin": "keys"}}
 """The tables of a scenario whose coin is keyed."""
 
 FILLS = 1600
-"""Honest steps after which both stores hold keys for the coin."""
+"""Honest steps after which both ends hold keys for the coin."""
 
 SPREAD = 200
 """Steps over which onsets are drawn: some keys' digits."""
@@ -154,7 +154,7 @@ def came_to(folder: Path, onset: int, *, keyed: bool) -> dict[str, Any]:
 
 
 class Filled:
-    """Folders of honest runs whose stores hold keys, made once each."""
+    """Folders of honest runs whose journals hold keys, made once each."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder

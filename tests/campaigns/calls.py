@@ -39,10 +39,9 @@ HOW: Final = {
 
 
 def _of_end(side: str) -> tuple[tuple[str, str], ...]:
-    journal, keys = f"{side}/journal", f"{side}/keys"
     disk = ("write", "pwrite64", "fdatasync", "fsync", "ftruncate64", "unlink")
     told = (("write", f"{side}/trace"), ("rename", f"{side}/status"))
-    kept = tuple((call, path) for path in (journal, keys) for call in disk)
+    kept = tuple((call, f"{side}/journal") for call in disk)
     return (*kept, *told, ("send", "socket"), ("writev", "socket"))
 
 

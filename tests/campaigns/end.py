@@ -1,4 +1,4 @@
-"""One real end of the link as a state: endpoint, journal and key maker, and what it has done.
+"""One real end of the link as a state: endpoint and journal, and what it has done.
 
 All that an end does next follows from itself and from what it hears: :meth:`End.do` is a function.
 So that it is, every draw is named by what it is for (a nonce by its process, session and step), and
@@ -10,26 +10,26 @@ once, without the other, and looked up afterwards.
 
 import base64
 import hashlib
+from functools import cache
 from math import inf
 from typing import Final, Literal, NamedTuple
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
-from protocol.link.coins import AGAIN_S
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import Alarm, Event, SessionBegan
 from protocol.link.peer import Actions, Notice
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, position_of
 from protocol.messages import Measurement, Message, Offer, Status
-from protocol.secret.blocks import BlockResult, ClosedBlock
+from protocol.secret.blocks import ClosedBlock, ExtractedBlock
+from protocol.secret.extractor import extracted
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.records import Key
-from protocol.secret.tasks import Task
+from protocol.secret.stream import NOWHERE, Part, Position
 from runtime import perform as shell
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
-from tests.campaigns.stores import Stores
 from tests.support.journals import controller_journal, handed_over, plant_journal
 from tests.support.line_ends import (
     ActingLine,
@@ -62,20 +62,18 @@ class Doing(NamedTuple):
     """What may happen to one end.
 
     ``what`` it is: it ``hears`` a message (by number, with the plant's coin), it ``wakes`` when it
-    is due, its key maker ``keeps`` the next task and it is told, its key store ``agrees`` with the
-    partner's what may be given and is ``store`` from there on, it ``freezes`` longer than any
-    silence, it ``dies``, or it ``forgets``: dies and comes back without its journal. ``pace`` is
-    ``late`` when its partner has been silent for long, and ``soon`` when less than a tenth of a
-    second has passed.
+    is due, it ``extracts`` the next block and is told, it ``freezes`` longer than any silence, it
+    ``dies``, or it ``forgets``: dies and comes back without its journal. ``pace`` is ``late`` when
+    its partner has been silent for long, and ``soon`` when less than a tenth of a second has
+    passed.
     ``death`` is the number of things that it still does before it dies over the event, or -1.
     """
 
-    what: Literal["hears", "wakes", "keeps", "agrees", "freezes", "dies", "forgets"]
+    what: Literal["hears", "wakes", "extracts", "freezes", "dies", "forgets"]
     message: int = -1
     coin: int = 0
     pace: Literal["", "soon", "late"] = ""
     death: int = -1
-    store: int = -1
 
     @property
     def faults(self) -> int:
@@ -83,16 +81,32 @@ class Doing(NamedTuple):
         return int(self.what in ("freezes", "dies", "forgets")) + (self.death >= 0)
 
 
+class Taken(NamedTuple):
+    """The digits that a step takes."""
+
+    session: str = ""
+    k: int = -1
+    position: Position = NOWHERE
+
+    def end(self, count: int) -> Position:
+        """Position after its ``count`` digits."""
+        return self.position._replace(at=self.position.at + count)
+
+
 class View(NamedTuple):
     """What of an end its partner's deeds are compared with.
 
     The last two transitions that it has counted (an older one cannot be in doubt: the controller
-    is behind by one at most), its key store, the messages that arrived there, and whether it has
-    lost its journal.
+    is behind by one at most), the session of its journal, with the newest blocks that it has
+    announced and confirmed and the digits that it holds, the messages that arrived there, and
+    whether it has lost its journal.
     """
 
     counted: tuple[CountedTransition, ...] = ()
-    store: int = 0
+    session: str | None = None
+    announced: int = -1
+    confirmed: int = -1
+    parts: tuple[Part, ...] = ()
     received: int = 0
     forgot: bool = False
 
@@ -106,30 +120,24 @@ class End:
     rules : Rules
     timed : bool
         A deadline each step, so that steps are missed; else lock-step.
-    stores : Stores
     acts : bool
         The plant is a device: its step is begun, and read when it ends.
     """
 
-    stores: Stores
-
-    def __init__(
-        self, side: Side, rules: Rules, *, timed: bool, stores: Stores, acts: bool = False
-    ) -> None:
+    def __init__(self, side: Side, rules: Rules, *, timed: bool, acts: bool = False) -> None:
         self.side: Side = side
         self.device = LineDevice() if acts and side == "plant" else None
         self.rules = rules
         self.timed = timed
-        self.stores = stores
         self.now = 0.0
         self.lives = 0
         self.view = View()
-        self.tasks: list[Task] = []
+        self.tasks: list[ClosedBlock] = []
         self._drawn = (-1, 0)  # a transition, and how often its cover was drawn in this life
         self._said: dict[str, Measurement | Offer] = {}
         self._first: dict[str, tuple[str, int]] = {}
         self._ciphers: tuple[tuple[str, int, int], ...] = ()
-        self._digits: dict[str, tuple[str, int]] = {}  # the step that each digit served
+        self._taken = (Taken(), Taken(), Taken())  # by the newest steps that took any
         self.journal: ControllerJournal | PlantJournal
         if side == "controller":
             self.journal = controller_journal(*PAYLOADS)
@@ -140,6 +148,7 @@ class End:
         self.mortal()
         self._begin_event()
         self._start()
+        self._look()
         self._set_clock()
 
     def mortal(self) -> None:
@@ -169,22 +178,16 @@ class End:
         self._drawn = (-1, 0)
         self.line = None
         self._starting = True
-        keys: tuple[Key, ...] = ()
-        if self.rules.keyed:
-            record = self.journal.load().record
-            session = None if record is None else record.session
-            store, keys = self.stores.coin_keys(self.side, self.view.store, session)
-            self.view = self.view._replace(store=store)
         instance = f"{self.lives:08x}{'c' if self.side == 'controller' else 'f'}{0:07x}"
         if isinstance(self.journal, ControllerJournal):
             self.endpoint = line_controller(
-                self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3, keys
+                self.rules, propose, self.journal, self, instance, self.nonce, LONG_S / 3
             )
         else:
             step_s = STEP_S if self.timed else None
             common = self.new_session, instance, self.now, step_s, self.nonce, REPEATS
             self.endpoint, self.line = line_plant(
-                self.rules, self.journal, *common, keys, device=self.device
+                self.rules, self.journal, *common, device=self.device
             )
         self._perform(self.endpoint.start(self.now))
         self._starting = False
@@ -227,8 +230,9 @@ class End:
         self.things += 1
         self._reports.look(actions)
         offer, received = actions.offer, actions.received
-        if offer is not None and self.rules.keyed and self.line is not None:
-            self._chosen(offer, actions.measurement)
+        report = actions.measurement
+        if offer is not None and report is not None and report.keyed and self.line is not None:
+            self._take(offer.session, offer.k, position_of(offer))
         self.journal.save(actions)
         if received is not None:
             place = self.view.received
@@ -238,19 +242,16 @@ class End:
                     raise Broken(f"{received!r} arrived, and was not sent")
                 self.view = self.view._replace(received=place + 1)
 
-    def _chosen(self, offer: Offer, report: Measurement | None) -> None:
-        """A coin is chosen; no digit of a key chooses those of two steps."""
-        assert isinstance(self.endpoint, PlantCore)
-        coins = self.endpoint.coins
-        key, first = offer.coin_key, offer.coin_from
-        if report is None:  # it says later whether a key chose
-            keyed = (key, first) == (coins.key, coins.first) and coins.digit_of(offer) is not None
+    def _take(self, session: str, k: int, position: Position) -> None:
+        """A step takes digits; they lie beyond those of all before it, and are always the same."""
+        before = self._taken[-1]
+        if (session, k) == (before.session, before.k):
+            if position != before.position:
+                raise Broken(f"step {k} took digits at {before.position} and at {position}")
+        elif session == before.session and position < before.end(self.rules.digits):
+            raise Broken(f"a digit at {position} is for two steps")
         else:
-            keyed = bool(report.applied_key)
-        if keyed and first is not None:
-            at = offer.session, offer.k
-            if self._digits.setdefault(f"{key}, {offer.k - first}", at) != at:
-                raise Broken(f"digit {offer.k - first} of a key served two steps")
+            self._taken = (*self._taken[1:], Taken(session, k, position))
 
     def publish(self, message: Message) -> None:
         """Send it; a step's message says the same in each copy, and its copy 0 leaves once."""
@@ -280,10 +281,14 @@ class End:
         self._said[topic] = plain
         if isinstance(message, Offer):
             self._offered(message)
+            if (position := position_of(message)) != NOWHERE:
+                self._take(message.session, message.k, position)
         return message.model_copy(update={"nonce": dummy}) if dummy else message
 
     def _offered(self, offer: Offer) -> None:
-        """No transition is offered two cipher symbols."""
+        """No transition is offered two cipher symbols; those of the key stream change with it."""
+        if self.rules.scheme.from_stream:
+            return
         assert isinstance(self.endpoint, ControllerCore)
         j = self.endpoint.reported
         for session, known, cipher in self._ciphers:
@@ -300,12 +305,12 @@ class End:
         self.things += 1
         if self.device is not None:
             self.device.look(event, alive=not self._starting)
-        if isinstance(event, Alarm):
-            raise Broken(f"transition {event.j} made an alarm, and nobody attacks")
-        if isinstance(event, BlockResult):
-            if event.what != "confirmed":
+        if isinstance(event, Alarm) and event.reason != "unwatched":  # the stream was dry
+            raise Broken(f"transition {event.j} made an alarm, and nobody attacks: {event.reason}")
+        if isinstance(event, BlockEnded):
+            if event.what == "unequal":
                 raise Broken("the two ends hold different key blocks")
-            self.confirmed = True
+            self.confirmed |= event.what == "confirmed"
         counted = self.view.counted
         if isinstance(event, SessionBegan) and counted:
             self.ended = event.session != counted[-1].session
@@ -326,14 +331,13 @@ class End:
         window = 2 if self.side == "plant" else 1
         self.view = self.view._replace(counted=(*counted, mine)[-window:])
 
-    def submit_key_task(self, task: Task) -> None:
-        """A task for the key maker; a nonce counts once, and a copy 1's never."""
+    def extract(self, block: ClosedBlock) -> None:
+        """A block waits to be extracted; a nonce counts once, and a copy 1's never."""
         self.things += 1
-        if isinstance(task, ClosedBlock):
-            nonces = {*task.nonces, base64.b64decode(DUMMY)}
-            if len(nonces) != task.counted + 1:
-                raise Broken(f"block {task.number} counts a nonce twice, or a copy 1's")
-        self.tasks.append(task)
+        nonces = {*block.nonces, base64.b64decode(DUMMY)}
+        if len(nonces) != block.counted + 1:
+            raise Broken(f"block {block.number} counts a nonce twice, or a copy 1's")
+        self.tasks.append(block)
 
     def log_notice(self, notice: Notice) -> None:
         """Nobody reads the log."""
@@ -361,6 +365,7 @@ class End:
             self._start()
         finally:
             self._ports.crash_at()
+        self._look()
         self._set_clock()
 
     def _happens(self, doing: Doing, kind: type[Message] | None, payload: bytes) -> None:
@@ -379,12 +384,8 @@ class End:
                 endpoint.answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))
-        elif doing.what == "keeps":
-            store, done = self.stores.work(self.side, self.view.store, self.tasks.pop(0))
-            self.view = self.view._replace(store=store)
-            self._perform(endpoint.key_task_done(done, self.now))
-        elif doing.what == "agrees":
-            self.view = self.view._replace(store=doing.store)
+        elif doing.what == "extracts":
+            self._perform(endpoint.extracted(_extracted(self.tasks.pop(0))))
         elif doing.what == "freezes":
             self.now += LONG_S if self.line is None else SILENCE_S + 5 * STEP_S
         else:
@@ -397,18 +398,36 @@ class End:
                 self.view = self.view._replace(forgot=True)
             self._start()
 
+    def _look(self) -> None:
+        """What its journal holds of keys."""
+        if self.rules.schedule is None:
+            return
+        loaded = self.journal.load()
+        record = loaded.record
+        if record is None:
+            held = View()
+        else:
+            said = loaded.measurement if self.side == "plant" else loaded.offer
+            announced = (record if said is None else said).block
+            held = View((), record.session, announced, record.confirmed, loaded.parts)
+            served = self._taken[1 if self.side == "plant" else 0]  # with the save after the count
+            over = served.end(self.rules.digits)
+            if served.session == record.session and any(p.begins < over for p in loaded.parts):
+                raise Broken(f"a digit that served step {served.k} is still in the journal")
+        self.view = held._replace(
+            counted=self.view.counted, received=self.view.received, forgot=self.view.forgot
+        )
+
     def _set_clock(self) -> None:
         """The clock stands at 0 again; what is long past is past, and no more than that."""
         now, self.now, endpoint = self.now, 0.0, self.endpoint
         endpoint.now = 0.0
-        endpoint.coins.again_at = -inf  # whatever it waits for may come at once
         if isinstance(endpoint, ControllerCore):
             away = now - endpoint.plant_at >= endpoint.running_s
             endpoint.plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all
             endpoint.greeting_at = -inf
             endpoint.stale_at = -inf
-            endpoint.coins.wait_s = AGAIN_S
             return
         pacing = endpoint.pacing
         endpoint.hello_at = max(0.0, round(endpoint.hello_at - now, 6))
@@ -428,6 +447,12 @@ def _nonce(name: str) -> str:
 
 
 DUMMY: Final = _nonce("dummy")
+
+
+@cache
+def _extracted(block: ClosedBlock) -> ExtractedBlock:
+    """Its keys, worked out once."""
+    return extracted(block)
 
 
 def _k_of(payload: bytes) -> int:

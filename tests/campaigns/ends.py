@@ -9,7 +9,6 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from tests.campaigns.end import Broken, Doing, End, Side, View
 from tests.campaigns.packing import pack, unpack
-from tests.campaigns.stores import Stores
 from tests.support.mail import Mail
 
 T = TypeVar("T", bound=Hashable)
@@ -22,8 +21,8 @@ class Outcome(NamedTuple):
     sent, ``counted`` the transitions that it counted. ``again``: a message arrived that had
     arrived; ``ended``: a session ended in which something was counted; ``carried``: a message
     symbol came through; ``confirmed``: a key block was; ``watched``: a key told which candidate
-    must explain a transition; ``kept``: its key store may be another one than before;
-    ``answered``: the plant heard its controller. ``broken`` says which property does not hold.
+    must explain a transition; ``kept``: its journal holds other keys than before; ``answered``:
+    the plant heard its controller. ``broken`` says which property does not hold.
     """
 
     label: int
@@ -50,7 +49,6 @@ class Ends:
     rules : Rules
     timed : bool
         A deadline each step.
-    stores : Stores
     messages : dict of Mail to int
         The numbers of messages, shared by both ends.
     acts : bool
@@ -63,24 +61,23 @@ class Ends:
         rules: Rules,
         *,
         timed: bool,
-        stores: Stores,
         messages: "Messages",
         acts: bool = False,
     ) -> None:
         self.side: Side = side
         self.views: list[View] = []
         self.busy: list[bool] = []
-        """Whether its key maker has something to do."""
+        """Whether a block waits to be extracted."""
         self.doings: list[Doing] = []
         self._labels: dict[Doing, int] = {}
         self._kept: dict[Hashable, Hashable] = {}
-        self._stores, self._messages = stores, messages
+        self._messages = messages
         self._numbers: dict[bytes, int] = {}
         self._images: list[bytes] = []
         self._made: dict[tuple[int, Doing], tuple[Outcome, int]] = {}
         self._hears: dict[tuple[int, int], tuple[Outcome, ...]] = {}
         self._alone: dict[int, tuple[Outcome, ...]] = {}
-        end = End(side, rules, timed=timed, stores=stores, acts=acts)
+        end = End(side, rules, timed=timed, acts=acts)
         self.first = self._number(end)
         self.greeting = tuple([messages.number(message) for message in end.out])
 
@@ -114,8 +111,8 @@ class Ends:
         label = self._labels.setdefault(doing, len(self.doings))
         if label == len(self.doings):
             self.doings.append(doing)
-        end = unpack(zlib.decompress(self._images[state]), self._stores)
-        before = end.view.counted
+        end = unpack(zlib.decompress(self._images[state]))
+        view, before = end.view, end.view.counted
         kind, payload = self._messages[doing.message] if doing.message >= 0 else (None, b"")
         try:
             end.do(doing, kind, payload)
@@ -135,7 +132,7 @@ class Ends:
                     carried,
                     end.confirmed,
                     end.watched,
-                    doing.what in ("keeps", "agrees"),
+                    _keys(end.view) != _keys(view),
                     end.answered,
                     doing.faults,
                 ),
@@ -168,7 +165,7 @@ class Ends:
         if known is None:
             doings = [Doing("dies"), Doing("forgets")]
             if self.busy[state]:
-                doings.append(Doing("keeps"))
+                doings.append(Doing("extracts"))
             if self.side == "plant":
                 doings += (Doing("wakes"), Doing("wakes", pace="late"), Doing("freezes"))
             known = self._alone[state] = tuple(self._distinct(state, doings))
@@ -203,6 +200,11 @@ class Ends:
             outcome.said,
             outcome.counted,
         )
+
+
+def _keys(view: View) -> View:
+    """What of it is about keys."""
+    return view._replace(counted=(), received=0, forgot=False)
 
 
 class Messages:

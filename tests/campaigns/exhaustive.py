@@ -18,7 +18,7 @@ from typing import Final
 
 from runtime.files import write_atomically
 from tests.campaigns.loop import SCHEMES, short_keys
-from tests.campaigns.space import SIDES, Space
+from tests.campaigns.space import LONGEST, SIDES, Space
 from wyner.sweeps.code import code_version
 
 TOLD_S: Final = 15.0
@@ -29,7 +29,7 @@ SAVED_S: Final = 900.0
 BEFORE_A_MESSAGE: Final = slice(-11, -1)
 """The last ten states before a message is whole: a key block is made on the way.
 
-Where keys choose the coin, the last ten before the third key's first step.
+Where keys choose the coin, the last ten before a watched step.
 """
 
 
@@ -47,11 +47,12 @@ class Exploration:
 
     def __init__(self, space: Space, faults: int, starts: slice) -> None:
         self.space, self.faults = space, faults
-        self.first = space.begin()[starts]
         self.seen: dict[int, int] = {}
         """States, and the fewest faults that lead there so far."""
         self.depth = self.events = self.tried = 0
-        self.why = ""
+        begun = space.begin()
+        self.first = begun[starts]
+        self.why = "no message arrives although all is well" if len(begun) > LONGEST else ""
         self.path: list[str] = []
         self._parents, self._labels = array("L"), array("L")
         self._frontier, self._next = array("L"), array("L")
@@ -138,7 +139,7 @@ def shortest(
 ) -> Exploration:
     """Explore up to ``deepest`` events, or until something breaks."""
     found = Exploration(space, faults, starts)
-    while found.depth < deepest and found.deeper():
+    while not found.why and found.depth < deepest and found.deeper():
         pass
     return found
 
@@ -224,7 +225,7 @@ def main(argv: list[str] | None = None) -> int:
             saved_at = time.monotonic()
         return now < until and len(e.seen) < int(args.states)
 
-    going = True
+    going = not e.why
     with short_keys():
         while going and not e.over and e.depth < args.deepest:
             going = e.deeper(goes_on)

@@ -4,26 +4,29 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
-from typing import Final
+from typing import Any, Final
 from unittest.mock import patch
 
-from protocol.link import coins
 from protocol.link.session import Rules
+from protocol.schemes.base import Scheme
 from protocol.schemes.pipelined import Pipelined
+from protocol.schemes.sealed import Sealed
 from protocol.schemes.switched import Switched
-from protocol.secret import key_digits
+from protocol.secret import key_digits, stream
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from tests.support.line_ends import line_rules
 
 SHIFT: Final = 1.5
-SCHEMES: Final = ("switched", "pipelined")
+SCHEMES: Final[dict[str, type[Scheme[Any]]]] = {
+    scheme.name: scheme for scheme in (Switched, Pipelined, Sealed)
+}
 
 BLOCK: Final = Schedule(Assumption(1.0, 0.5), first=2, largest=2)
 """Key blocks of two transitions, the smallest: four copies, two rows at least for a key."""
 
 DIGITS: Final = 2
-"""Of a key of the coin, so that keys change all the time."""
+"""Of a key, so that the stream is filled and runs dry all the time."""
 
 
 @cache
@@ -32,15 +35,14 @@ def rules_of(scheme: str, *, keys: bool, coin: bool = False) -> Rules:
 
     With ``coin`` distilled keys choose it, as long as there are some.
     """
-    made = Switched(2) if scheme == "switched" else Pipelined(2)
-    rules = line_rules(alpha=3.0, largest_input=1e9, scheme=made)
+    rules = line_rules(alpha=3.0, largest_input=1e9, scheme=SCHEMES[scheme](2))
     return replace(rules, schedule=BLOCK, keyed=coin) if keys else rules
 
 
 @contextmanager
 def short_keys() -> Iterator[None]:
-    """Keys of the coin have :data:`DIGITS` digits within."""
-    with patch.object(coins, "digits", _short):
+    """Keys have :data:`DIGITS` digits within."""
+    with patch.object(stream, "digits", _short):
         yield
 
 

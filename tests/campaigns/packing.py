@@ -14,13 +14,12 @@ from protocol.secret.blocks import Schedule
 from runtime.journal import ControllerJournal, PlantJournal
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
-from tests.campaigns.stores import Stores
 from tests.support.journals import contents, controller_journal, fill, plant_journal
 from tests.support.line_ends import ActingLine, LineDevice, LinePlant
 
 PASSING: Final = frozenset(
     (
-        *("stores", "journal", "device", "_ports", "line"),  # shared, kept apart, or a second name
+        *("journal", "device", "_ports", "line"),  # shared, kept apart, or a second name
         *(
             "out",
             "news",
@@ -108,7 +107,7 @@ def pack(end: End) -> bytes:
     return file.getvalue()
 
 
-def unpack(packed: bytes, stores: Stores) -> End:
+def unpack(packed: bytes) -> End:
     """An end as it was packed; it takes over the journal of the one unpacked before."""
     file = io.BytesIO(packed)
     side, rows, acted = pickle.load(file), pickle.load(file), pickle.load(file)
@@ -121,7 +120,6 @@ def unpack(packed: bytes, stores: Stores) -> End:
     end.journal = fill(_JOURNALS[side], rows)
     _whole.update(End=end, journal=end.journal, device=end.device)
     vars(end).update(pickle.load(file))
-    end.stores = stores
     end.mortal()
     end.line = None
     if isinstance(end.endpoint, PlantCore):

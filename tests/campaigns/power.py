@@ -23,8 +23,8 @@ from pathlib import Path
 from typing import Final, NamedTuple
 from unittest.mock import patch
 
+from protocol.link.records import Side
 from protocol.messages import SendReply
-from protocol.secret.records import Side
 from runtime import journal as journals
 from tests.support.mail import Mail
 from tests.support.recorded_loop import RecordedLoop
@@ -77,8 +77,8 @@ class _Acknowledging(RecordedLoop):
             assert reply.accepted
             self._mark(f"accepted {reply.id}")
 
-    def step(self, *, key_makers: bool = True) -> None:
-        super().step(key_makers=key_makers)
+    def step(self, *, extracts: bool = True) -> None:
+        super().step(extracts=extracts)
         while self._told < self.delivered:
             self._mark(f"delivered {self._told}")
             self._told += 1

@@ -1,7 +1,8 @@
 """Seeded schedules of the whole link: ``python -m tests.campaigns.schedules --count 1000000``.
 
 Each seed draws its own faults: loss, repetition, delay, deaths and lost journals. One in eight
-makes keys too; an eighth of these key the coin, and take ten times as long. In half of all the
+makes keys too. An eighth of these key the coin, and half of those that act seal the messages too;
+they take ten times as long. In half of all the
 plant acts: a device with a deadline, or a simulation in lock-step that nobody can put back. With
 ``--networks`` each has a network table besides. Both endpoints, their journals and the shell are
 those of the services. Goes on where it stopped.
@@ -24,21 +25,20 @@ from controller_service.laws.base import CandidateLaw
 from plant_service.adapters.base import PlantAdapter, Sample, Stepped
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL, predict
-from protocol.link import coins
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import Alarm, Event, Interrupted, Missed
-from protocol.link.session import CountedTransition
+from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Network, Scenario, parse_scenario
 from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
-from protocol.secret import key_digits
+from protocol.secret import key_digits, stream
 from protocol.vectors import Vector
 from runtime.files import write_atomically
-from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint
 from tests.support.line_ends import disowned
 from tests.support.once import Copies, Digits
-from tests.support.safety import violations
+from tests.support.safety import differing_key, violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
@@ -59,7 +59,7 @@ WATCHED_STEPS: Final = 96
 """Steps of a schedule that spends keys: its first ones come when some blocks are confirmed."""
 
 DIGITS: Final = 5
-"""Of a key there, so that keys change all the time."""
+"""Of a key there, so that the stream is filled and runs dry all the time."""
 
 SMALL_BLOCKS: Final = Keys(eps_E=0.99, eps_sec=1e-3)
 """Blocks of 2, 4, 8 ... transitions, so that some are confirmed within a schedule."""
@@ -69,6 +69,7 @@ SMALL_BLOCKS: Final = Keys(eps_E=0.99, eps_sec=1e-3)
 def loop(*, keyed: bool, acts: bool, watched: bool = False) -> tuple[Scenario, CandidateLaw]:
     """The paper's loop, with keys or without, and what they serve; a plant that acts or not."""
     scenario, law = law_of("sustained")
+    sealed = watched and acts
     if acts:
         tables = scenario.model_dump(mode="json", exclude_none=True, exclude_unset=True)
         tables["defender"] |= {"A": scenario.A, "B": scenario.B}
@@ -79,9 +80,12 @@ def loop(*, keyed: bool, acts: bool, watched: bool = False) -> tuple[Scenario, C
             "disturbance": {"enters": "none"},
         }
         scenario = parse_scenario(tables, "acting")
-    tables = {"keys": SMALL_BLOCKS} if keyed else {}
-    defence = {"defence": DefenceTable(kind="keyed-coin" if watched else "residual")}
-    return scenario.model_copy(update={**tables, **defence}), law
+    made: dict[str, Any] = {"keys": SMALL_BLOCKS} if keyed else {}
+    if watched:
+        made["defence"] = DefenceTable(coin="keys")
+    if sealed:
+        made["secrecy"] = scenario.secrecy.model_copy(update={"scheme": "sealed"})
+    return scenario.model_copy(update=made), law
 
 
 class Acting:
@@ -200,7 +204,9 @@ class Watched(Simulation):
         self._device = device
         self.cut = 0
         """Steps that a session's end cut short."""
-        self.digits = Digits()
+        self.blocks: dict[tuple[str, int], int] = {}
+        """Keys of the blocks that an end has confirmed, by session and number."""
+        self.digits = Digits(rules_of(args[0]).digits)
         super().__init__(*args, **kwargs)
 
     def _new_plant(self, incarnations: int) -> PlantCore:
@@ -212,6 +218,8 @@ class Watched(Simulation):
         """Look at a message of the loop, and send it."""
         if isinstance(message, Measurement | Offer) and self.scenario.keys is not None:
             self._copies.left(message)
+            if isinstance(message, Offer):
+                self.digits.named(message)
         super().send(to, message)
         if isinstance(message, Offer) and self._device is not None and self.chance(MISLED):
             self.after(self.random.random() * 0.2, self._end_the_session)
@@ -227,9 +235,14 @@ class Watched(Simulation):
     def traced(self, event: Event) -> None:
         """A step of a device counts in the session in force, with what the device had."""
         super().traced(event)
-        assert not isinstance(event, Alarm), "an honest step made an alarm"
-        if isinstance(event, CountedTransition) and self.scenario.defence.keyed:
-            self.digits.counted(event)
+        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # keys are short here
+        assert honest, "an honest step made an alarm"
+        if isinstance(event, BlockEnded):
+            assert event.what != "unequal", "the ends hold different blocks"
+            self.blocks[event.session, event.number] = event.keys
+        if isinstance(event, CountedTransition):
+            self.digits.counted(event, coins=self.scenario.defence.keyed)
+            assert not event.refused, "a frame arrived broken"
         device = self._device
         if device is None or not isinstance(event, CountedTransition | Missed | Interrupted):
             return
@@ -246,7 +259,7 @@ class Watched(Simulation):
 class Outcome(NamedTuple):
     """What came of a schedule.
 
-    ``keys`` that both ends have confirmed, steps that a session's end ``cut`` short, steps that a
+    ``keys`` that were confirmed, steps that a session's end ``cut`` short, steps that a
     key ``watched``, and what was ``wrong``.
     """
 
@@ -302,17 +315,16 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
         lines.append(f"{link.k} of {steps} steps, then none: the processes have long been well")
     if not keyed:
         return Outcome(0, link.cut, 0, tuple(lines))
-    mine, theirs = (link.stores[side] for side in ("controller", "plant"))
-    lines += differing(mine, theirs, spent=spends)
-    shared = {name for name, state in theirs.ids() if state == "confirmed"}
-    keys = sum(name in shared for name, state in mine.ids() if state == "confirmed")
-    return Outcome(keys, link.cut, len(link.digits.watched), tuple(lines))
+    mine, theirs = (link.ends[side].journal.load() for side in ("controller", "plant"))
+    if mine.record and theirs.record and mine.record.session == theirs.record.session:
+        lines += filter(None, [differing_key(mine.parts, theirs.parts)])
+    return Outcome(sum(link.blocks.values()), link.cut, len(link.digits.watched), tuple(lines))
 
 
 @contextmanager
 def _changing() -> Iterator[None]:
-    """Keys of a coin change all the time."""
-    with patch.object(coins, "digits", _short):
+    """The stream is filled and runs dry all the time."""
+    with patch.object(stream, "digits", _short):
         yield
 
 
@@ -324,23 +336,6 @@ def _short(key: bytes, size: int) -> tuple[int, ...]:
 def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
     """The same plant in each process."""
     return plant
-
-
-def differing(mine: KeyStore, theirs: KeyStore, *, spent: bool) -> Iterator[str]:
-    """Keys under one id that are not the same, and keys that one end alone holds for good.
-
-    Where keys are ``spent``, one end erases them before the other does.
-    """
-    for one, other in ((mine, theirs), (theirs, mine)):
-        keys = other.compare()
-        for (name, state), key in zip(one.ids(), one.compare().values(), strict=True):
-            erased = spent and None in (key, keys.get(name))
-            if name in keys and keys[name] != key and not erased:
-                yield f"key {name}: the two ends hold different ones"
-            if state == "confirmed" and name not in keys:
-                yield f"key {name}: confirmed at the {one.side}, and not there at the other end"
-            if state == "dropped" and not spent:
-                yield f"key {name}: dropped at the {one.side}: the ends hold different blocks"
 
 
 def main(argv: list[str] | None = None) -> int:

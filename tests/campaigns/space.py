@@ -10,10 +10,10 @@ from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from protocol.messages import ControllerHello, Message, Offer, PlantHello
-from tests.campaigns.end import Doing, Side
+from tests.campaigns.end import Doing, Side, View
 from tests.campaigns.ends import Ends, Messages, Outcome
-from tests.campaigns.loop import DIGITS, rules_of
-from tests.campaigns.stores import Stores
+from tests.campaigns.loop import rules_of
+from tests.support.safety import differing_key
 
 BITS: Final = 28
 """Of each of a state's numbers."""
@@ -23,6 +23,9 @@ PATIENT: Final = 5
 
 LONGEST: Final = 400
 """Events within which all must go on once all is well."""
+
+WATCHED: Final = 16
+"""Watched steps after which the stream has dropped blocks that were too old."""
 
 HELLO: Final[tuple[type[Message], ...]] = (PlantHello, ControllerHello)
 
@@ -56,7 +59,7 @@ class Space:
     Parameters
     ----------
     scheme : str
-        ``switched`` or ``pipelined``.
+        A name in :data:`tests.campaigns.loop.SCHEMES`.
     timed : bool
         A deadline each step, so that steps are missed; else lock-step.
     keys : bool
@@ -66,7 +69,8 @@ class Space:
     acts : bool
         The plant is a device.
     coin : bool
-        Keys choose the coin; :func:`tests.campaigns.loop.short_keys` while anything happens.
+        Keys choose the coin. There, and with a scheme of the key stream,
+        :func:`tests.campaigns.loop.short_keys` while anything happens.
     """
 
     def __init__(
@@ -80,7 +84,7 @@ class Space:
         coin: bool = False,
     ) -> None:
         self.remembered = remembered
-        self.stores, self.messages = Stores(), Messages()
+        self.messages = Messages()
         rules = rules_of(scheme, keys=keys, coin=coin)
         self.keys, self.coin = keys, coin
         self.ends = tuple(
@@ -89,7 +93,6 @@ class Space:
                     side,
                     rules,
                     timed=timed,
-                    stores=self.stores,
                     messages=self.messages,
                     acts=acts,
                 )
@@ -99,7 +102,6 @@ class Space:
         self._networks: list[Network] = []
         self._network_numbers: dict[Network, int] = {}
         self._pushed: dict[tuple[int, int, tuple[int, ...]], int] = {}
-        self._stores_agree: dict[tuple[int, int], str] = {}
         self._well: set[_Well] = set()
 
     # --- states -----------------------------------------------------------------------------------
@@ -143,7 +145,6 @@ class Space:
             for outcomes in (
                 end.alone(mine),
                 *[end.hears(mine, message) for kept in waiting[side] for message in kept],
-                self._agrees(side, plant, controller),
             ):
                 for outcome in outcomes:
                     if outcome.faults > faults:
@@ -161,20 +162,6 @@ class Space:
                     else:
                         yield Moved(1, outcome, (((net << BITS) | theirs) << BITS) | after, broken)
 
-    def _agrees(self, side: int, plant: int, controller: int) -> tuple[Outcome, ...]:
-        """What comes of it when the ends ask each other what may be given; nothing: no change.
-
-        The plant marks what it is asked for, and some time later the controller hears of it.
-        """
-        if not self.coin:
-            return ()
-        stores = self.ends[0].views[plant].store, self.ends[1].views[controller].store
-        after = self.stores.agreed(*stores)
-        if after[side] == stores[side] or (side == 1 and after[0] != stores[0]):
-            return ()
-        doing = Doing("agrees", store=after[side])
-        return (self.ends[side].step((plant, controller)[side], doing),)
-
     def _differs(self, side: int, outcome: Outcome, theirs: int) -> str:
         """Where what one end has done does not go with the other; empty where it does."""
         mine, other = self.ends[side].views[outcome.after], self.ends[1 - side].views[theirs]
@@ -189,26 +176,7 @@ class Space:
                 return "a message arrived again"
             if outcome.ended:
                 return "a session ended, and no journal was lost"
-        pair = (mine.store, other.store) if side == 0 else (other.store, mine.store)
-        known = self._stores_agree.get(pair)
-        if known is None:
-            known = self._stores_agree[pair] = self._stores_differ(*pair)
-        return known
-
-    def _stores_differ(self, plant: int, controller: int) -> str:
-        both = self.stores.keys["plant"][plant], self.stores.keys["controller"][controller]
-        for mine, theirs in (both, both[::-1]):
-            for name, (state, key) in mine.items():
-                if name in theirs and self._differ(key, theirs[name][1]):
-                    return "a key differs between the two ends"
-                if state == "confirmed" and name not in theirs:
-                    return "a key was confirmed that the other end does not hold"
-        shared = [[name for name in one if name in other] for one, other in (both, both[::-1])]
-        return "" if shared[0] == shared[1] else "the two ends order their keys differently"
-
-    def _differ(self, mine: bytes | None, theirs: bytes | None) -> bool:
-        """Whether a key is not the same; one that has served may be erased at one end alone."""
-        return mine != theirs and not (self.coin and None in (mine, theirs))
+        return _keys_differ(mine, other) or _keys_differ(other, mine)
 
     # --- when all is well -------------------------------------------------------------------------
 
@@ -268,13 +236,9 @@ class Space:
             asks = self.messages[message].kind is PlantHello
             doing = Doing("hears", message, pace="late" if asks else "")
         elif self.ends[0].busy[plant]:
-            doing = Doing("keeps")
+            doing = Doing("extracts")
         elif self.ends[1].busy[controller]:
-            side, doing = 1, Doing("keeps")
-        elif marked := self._agrees(0, plant, controller):
-            doing = self.ends[0].doings[marked[0].label]
-        elif heard := self._agrees(1, plant, controller):
-            side, doing = 1, self.ends[1].doings[heard[0].label]
+            side, doing = 1, Doing("extracts")
         else:
             idle = (idle + 1) % PATIENT
             doing = Doing("wakes", pace="" if idle else "late")
@@ -290,8 +254,8 @@ class Space:
     def begin(self) -> list["Start"]:
         """The states of a run in which nothing goes wrong, from the first hello on.
 
-        To a message, or, where keys choose the coin, to the step that the third key watches first;
-        and no further than to what breaks, or than :data:`LONGEST` events.
+        To a message, or, where keys choose the coin, to :data:`WATCHED` watched steps; and no
+        further than to what breaks, or than :data:`LONGEST` events.
         """
         plant, controller = self.ends
         at = _Well(plant.first, controller.first, controller.greeting, plant.greeting)
@@ -309,9 +273,21 @@ class Space:
                 Start(self.state(network, at.plant, at.controller), (side, outcome.label))
             )
             watched += outcome.watched
-            if watched > 2 * DIGITS or (not self.coin and self.ends[0].views[at.plant].received):
+            if watched == WATCHED or (not self.coin and self.ends[0].views[at.plant].received):
                 break
         return starts
+
+
+def _keys_differ(mine: View, other: View) -> str:
+    """Where the keys of one end do not go with those of the other; empty where they do."""
+    if mine.session is None or mine.session != other.session:
+        return ""
+    if mine.confirmed > other.announced:
+        return f"block {mine.confirmed} was confirmed, and the other end has not announced it"
+    early = [part.block for part in mine.parts if part.block > mine.confirmed]
+    if early:
+        return f"digits of block {early[0]} are held before it is confirmed"
+    return differing_key(mine.parts, other.parts)
 
 
 class Start(NamedTuple):

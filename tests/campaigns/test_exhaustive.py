@@ -8,11 +8,11 @@ import pytest
 
 from controller_service import core as controller_core
 from plant_service import core as plant_core
-from protocol.link import keying
+from protocol.link import distiller
 from protocol.link.controller_session import TABLE, Row
-from protocol.link.keying import Keying
+from protocol.link.distiller import Distiller
 from protocol.link.peer import Actions, Peer
-from protocol.secret.blocks import Blocks
+from protocol.secret.blocks import ExtractedBlock
 from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
 from runtime.perform import Ports
@@ -20,7 +20,7 @@ from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
 from tests.campaigns.loop import rules_of, short_keys
 from tests.campaigns.space import SIDES, Space
-from tests.secret.test_keyed_coin import WRONG as WRONG_COINS
+from tests.secret.test_stream_through_deaths import WRONG as WRONG_STREAMS
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.size import size
 
@@ -34,33 +34,37 @@ Patch = pytest.MonkeyPatch
 )
 def test_nothing_breaks_within_a_few_events(scheme: str, acts: bool) -> None:
     starts = slice(size(-3, -6), -1)
-    found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 2, 2, starts)
+    found = shortest(Space(scheme, timed=True, keys=True, acts=acts), 3, 2, starts)
     assert not found.why, (found.why, found.path)
-    assert len(found.seen) > size(400, 500)
+    assert len(found.seen) > size(1500, 2000)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("scheme", "acts"), size([("pipelined", False)], [("switched", True), ("pipelined", False)])
+    ("scheme", "acts", "coin"),
+    size(
+        [("pipelined", False, True), ("sealed", False, False)],
+        [("switched", True, True), ("pipelined", False, True), ("sealed", True, True)],
+    ),
 )
-def test_a_keyed_coin_serves_each_digit_once_and_alarms_no_honest_step(
-    scheme: str, acts: bool
+def test_each_digit_serves_once_and_no_honest_step_alarms(
+    scheme: str, acts: bool, coin: bool
 ) -> None:
     with short_keys():
-        space = Space(scheme, timed=True, keys=True, acts=acts, coin=True)
-        found = shortest(space, 2, 2, slice(-4, -1))
+        space = Space(scheme, timed=True, keys=True, acts=acts, coin=coin)
+        found = shortest(space, 3, 2, slice(-4, -1))
     assert not found.why, (found.why, found.path)
-    assert len(found.seen) > 300
+    assert len(found.seen) > 1500
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("wrong", WRONG_COINS)
-def test_a_wrong_keyed_coin_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
+@pytest.mark.parametrize("wrong", WRONG_STREAMS)
+def test_a_wrong_stream_is_found(wrong: Callable[[Patch], None], monkeypatch: Patch) -> None:
     wrong(monkeypatch)
     with short_keys():
-        found = shortest(Space("switched", timed=True, keys=True, coin=True), 4, 1, slice(-8, -1))
+        found = shortest(Space("sealed", timed=True, keys=True), 4, 1, slice(-4, -1))
     assert found.why
-    assert 0 < len(found.path) <= 4
+    assert len(found.path) <= 4
 
 
 @pytest.mark.long
@@ -69,10 +73,7 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
     space = Space("switched", timed=True, keys=True)
     for seed in range(size(3, 6)):
         draw = random.Random(seed)
-        ends = [
-            End(side, rules_of("switched", keys=True), timed=True, stores=space.stores)
-            for side in SIDES
-        ]
+        ends = [End(side, rules_of("switched", keys=True), timed=True) for side in SIDES]
         states = [end.first for end in space.ends]
         sent: list[list[int]] = [list(end.greeting) for end in space.ends]
         for _ in range(150):
@@ -158,7 +159,7 @@ def test_a_hello_of_a_former_life_ends_nothing(
 
 def same_nonce_in_repeats(patch: Patch) -> None:
     """Rule 8: another copy of an offer carries the nonce of its copy 0."""
-    patch.setattr(Keying, "again", lambda _, offer: offer.model_copy(update={"copy_number": 1}))
+    patch.setattr(Distiller, "again", lambda _, offer: offer.model_copy(update={"copy_number": 1}))
 
 
 def copy_0_after_a_death(patch: Patch) -> None:
@@ -172,17 +173,18 @@ def count_any_copy(patch: Patch) -> None:
     def wrong(*, applied_copy: int, measurement: str, **of: Any) -> Contribution:
         return contribution_of(applied_copy=0, measurement=measurement, **of)
 
-    patch.setattr(keying, "contribution_of", wrong)
+    patch.setattr(distiller, "contribution_of", wrong)
 
 
 def announce_at_once(patch: Patch) -> None:
-    """Rule 10: a block is taken as confirmed once it is stored here."""
-    stored = Blocks.stored
+    """Rule 10: a block is taken as confirmed once it is extracted here."""
+    extracted = Distiller.extracted
 
-    def wrong(self: Blocks, block: Any) -> Any:
-        return stored(self, block._replace(confirmed=True))
+    def wrong(self: Distiller, block: ExtractedBlock) -> None:
+        extracted(self, block)
+        self._confirm(block)
 
-    patch.setattr(Blocks, "stored", wrong)
+    patch.setattr(Distiller, "extracted", wrong)
 
 
 WRONG: dict[Callable[[Patch], None], bool] = {

@@ -12,7 +12,6 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
 
-from protocol.secret.records import StoreError
 from runtime.recording import TraceError
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
 from wyner.runs.check import check
@@ -78,7 +77,7 @@ class Traffic:
             self.wrong += _watched(run_dir, counts)
             evidence = read_evidence(run_dir)
             results = check(evidence)
-        except (OSError, RunError, StoreError, TraceError, ValueError) as error:
+        except (OSError, RunError, TraceError, ValueError) as error:
             return [*self.wrong, f"the run cannot be read: {error}"]
         plant = evidence.plant
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())

@@ -9,10 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.keying import Keying
+from protocol.link.distiller import Distiller
 from protocol.scenario import Scenario
-from protocol.secret.blocks import Stored, schedule_of
+from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
+from protocol.secret.nonces import Contribution
 from runtime.chance import fresh_nonce
 from runtime.services import Look
 from wyner.cli.healthy import MAX_AGE_S, advances
@@ -54,13 +55,13 @@ def test_a_loop_that_counts_transitions_is_healthy(
 def test_a_loop_that_makes_no_keys_any_more_says_so(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    keying = Keying(schedule_of(Assumption(0.5)), fresh_nonce)
-    keying.begin("0" * 16)
+    distiller = Distiller(Schedule(Assumption(0.95, eps_sec=1e-2), 3, 6), 4, fresh_nonce)
+    none_counts = [Contribution(j, 1, None, None) for j in (1, 2, 3)]
     told = []
-    for number, keys in ((0, 5), (1, 0)):
-        keying.done(Stored("0" * 16, number, "", keys=keys))
-        told.append(keying.status_fields("")["keys_stopped"])
-    assert told == ["", "block 1 lost too many copies to make one"]
+    for rows in (none_counts[:2], none_counts):  # block 0 is open, and then over
+        distiller.begin("0" * 16, rows=rows)
+        told.append(distiller.status_fields()["keys_stopped"])
+    assert told == ["", "block 0 lost too many copies to make one"]
     why = {"keys_stopped": told[1]}
     write_status(tmp_path, "plant", 10, **why)
     later = threading.Timer(0.2, write_status, (tmp_path, "plant", 11), why)
@@ -68,7 +69,7 @@ def test_a_loop_that_makes_no_keys_any_more_says_so(
     assert health(tmp_path, "plant") == 0
     later.join()
     told_last = capsys.readouterr().out
-    assert told_last.endswith("; keys stopped: block 1 lost too many copies to make one\n")
+    assert told_last.endswith("; keys stopped: block 0 lost too many copies to make one\n")
 
 
 def test_a_service_that_reports_but_whose_loop_stands_still_is_not(

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from runtime.keys.worker import FINISH_S
 
 from runtime.host import LAST_S
-from runtime.keys.worker import FINISH_S
 from runtime.services import SERVICES
 from runtime.zenoh_bus import CLOSE_S
 from tests.support.patience import PATIENCE_S

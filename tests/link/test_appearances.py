@@ -4,10 +4,10 @@ from typing import Any
 
 import pytest
 
+from protocol.link.records import Side
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
-from protocol.secret.records import Side
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.mail import Mail
 from tests.support.two_ends import SIDES, Name
@@ -33,7 +33,7 @@ class Watched(KeyedEnds):
         self.do(side, lambda _: self.ends[side].peer.appear(count))
 
     def keys(self) -> tuple[int, int]:
-        plant, controller = (self.stores[side].available() for side in ("plant", "controller"))
+        plant, controller = (sum(self.confirmed[side].values()) for side in SIDES)
         return plant, controller
 
 
@@ -65,7 +65,7 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
 
 def told(world: Watched, side: Side) -> str:
     keyed: Any = world.ends[side].endpoint
-    stopped: str = keyed.keying.status_fields("")["keys_stopped"]
+    stopped: str = keyed.keys.status_fields()["keys_stopped"]
     return stopped
 
 

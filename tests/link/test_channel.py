@@ -13,7 +13,7 @@ from protocol.link.networked import UNDER_WAY, Networked, behind
 from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.messages import ControllerHello, Offer
 from protocol.scenario.network import ChannelTable
-from protocol.secret.tasks import Broken
+from protocol.secret.blocks import ExtractionFailed
 from tests.support.hearing import Hearing
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
@@ -189,19 +189,19 @@ def test_all_else_is_the_ends() -> None:
     end = Hearing(7.5)
     end.says_now = (HELLO,)
     peer = Networked(end, Offer, channel(delay_s=2.0))
-    done = Broken("disk full")
+    failed = ExtractionFailed("disk full")
     for actions in (
         peer.start(1.0),
         peer.finish_step(),
-        peer.key_task_done(done, 3.0),
+        peer.extracted(failed),
         peer.appear(2),
         peer.stop(9.0),
         peer.wake(7.5),
     ):
         assert actions == Actions(publish=(HELLO,))
     assert peer.code is None
-    assert (peer.hears, peer.says) == (end.hears, end.says)
-    assert end.done == [(done, 3.0)]
+    assert (peer.hears, peer.says, peer.makes_keys) == (end.hears, end.says, end.makes_keys)
+    assert end.blocks == [failed]
     assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [7.5], [9.0], 2)
 
 

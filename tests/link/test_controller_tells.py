@@ -11,7 +11,8 @@ from pydantic import ValidationError
 from controller_service.core import GREETING_S, STALE, STALE_S, ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
-from protocol.link.coins import BATCH, LACKING_S
+from protocol.defence.watch import Watch
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import FELL_BACK, Alarm, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
@@ -19,7 +20,6 @@ from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.records import SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
-    BlockAnnouncement,
     ControllerHello,
     ControllerStatus,
     Measurement,
@@ -28,14 +28,15 @@ from protocol.messages import (
     PlantHello,
     SendCommand,
     SendReply,
+    StopKeys,
 )
 from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
-from protocol.secret.blocks import BlockResult, Schedule, Stored
+from protocol.schemes.sealed import Sealed
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.records import Key
-from protocol.secret.tasks import Broken, CoinKeys, CoinTask
+from protocol.secret.stream import Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
@@ -45,7 +46,7 @@ from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
-SCHEDULE = Schedule(Assumption(0.1), 2, 4)
+SCHEDULE = Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4)
 KEYS = replace(RULES, schedule=SCHEDULE)
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
 A, B, P, Q = (letter * 16 for letter in "abcd")
@@ -102,7 +103,7 @@ class Told(EndInHand[ControllerCore]):
             )
             self.journal.save(queued)
         law: Any = Law()
-        self.telemetry = ControllerTelemetry(law, keys_refused="a secret of its own")
+        self.telemetry = ControllerTelemetry(law)
         super().__init__(
             ControllerCore(
                 rules,
@@ -171,10 +172,8 @@ NOTHING_YET: dict[str, Any] = {
     "queue": 0,
     "delivered": 0,
     "unexplained": 0,
-    "defence": "residual",
     "watched": 0,
     "unwatched": 0,
-    "coin_keys": 0,
     "alarms": 0,
     "alarm_k": -1,
     "alarm_reading": (),
@@ -183,10 +182,10 @@ NOTHING_YET: dict[str, Any] = {
     "keys_made": 0,
     "keys_of_block": 0,
     "key_block_steps": 0,
-    "keys_refused": "a secret of its own",
+    "keys_refused": "",
     "keys_stopped": "",
     "key_blocks_lost": 0,
-    "key_blocks_waiting": 0,
+    "digits_left": 0,
     "appearances": 1,
 }
 
@@ -236,7 +235,7 @@ def test_without_telemetry_no_status_is_ever_due() -> None:
     assert end.core.wake(1e9) == NOTHING_TO_DO
     end.hears(measurement(), 2e9)
     assert end.core.wake_at() == inf
-    assert end.core.stop(3e9) == NOTHING_TO_DO
+    assert end.core.stop(3e9) == Actions(record=end.core.record)
     with pytest.raises(AssertionError):
         end.core.status()
 
@@ -248,8 +247,7 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
     payload = b"hi"
     symbols = encode_frame(payload, 2)
     record = AT_WORK._replace(message=1, offset=3, x=(2.5,), offer=None)
-    rules = replace(RULES, defence="keyed-coin")
-    end = Told(rules, record, payloads=(b"one", payload, b"three"))
+    end = Told(record=record, payloads=(b"one", payload, b"three"))
     end.does(end.core.start(0.0))
     expected = NOTHING_YET | {
         "session": S,
@@ -263,7 +261,6 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
         "frame_length": len(symbols),
         "queue": 1,
         "delivered": 1,
-        "defence": "keyed-coin",
     }
     assert told(end.core.wake(0.0)) == expected
     assert fields(end.core.status()) == expected
@@ -422,7 +419,7 @@ def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
     stopped = end.core.stop(0.01)
     assert told(stopped)["phase"] == "stopped"
     assert stopped.health == stopped.publish[0]
-    assert stopped.record is None
+    assert kept(stopped) == Actions(record=end.core.record)
     assert (stopped.notices, stopped.events) == ((), ())
 
 
@@ -433,7 +430,7 @@ def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
 def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     end = Told(replace(RULES, halts=halts)).at_work()
     end.hears(measurement(x=(3.0,), x_after=(3.0,)), 1.0)
-    alarm = Alarm(S, 2, 3, (3.0,), "", 0, (1.5,), 1.5)
+    alarm = Alarm(S, 2, 3, (3.0,), "unexplained", 0, (1.5,), 1.5)
     (counted,) = [a for a in end.all if a.events]
     assert [type(event) for event in counted.events] == [CountedTransition, Alarm]
     assert counted.events[1] == alarm
@@ -473,72 +470,72 @@ def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() ->
 
 # --- the keyed coin -------------------------------------------------------------------------------
 
-COIN = replace(RULES, keyed=True)
-TWO = (Key("k0", bytes(range(32))), Key("k1", bytes(range(32, 64))))
-DIGITS = digits(TWO[0].key, 2)
+COIN = replace(RULES, schedule=SCHEDULE, keyed=True)
+DIGITS = digits(bytes(range(32)), 2)
+PART = Part(0, 0, 0, bytes(DIGITS))
+CONFIRMED = AT_WORK._replace(transitions=3, block=0, tag="a" * 32, confirmed=0)
+"""Block 0 is confirmed, and its digits are held."""
+NAMED = OFFER.model_copy(update={"stream_block": 0, "stream_at": 0, "block": 0, "tag": "a" * 32})
 
 
-def keyed(record: SenderRecord = AT_WORK, keys: Any = TWO, **step: Any) -> Told:
-    return Told(COIN, record, coin_keys=keys, **step).at_work()
+def keyed(
+    record: SenderRecord = CONFIRMED,
+    parts: tuple[Part, ...] = (PART,),
+    rules: Rules = COIN,
+    **step: Any,
+) -> Told:
+    end = Told(rules, record, parts=parts, **step)
+    end.does(end.core.start(0.0))
+    end.hears(hello(transitions=3, applied_k=1), 0.0)
+    end.all.clear()
+    return end
 
 
-def named(actions: Actions) -> tuple[str | None, int | None, str | None]:
-    """What the offer says of its coin."""
+def named(actions: Actions) -> tuple[int | None, int | None]:
+    """The position of the offer's digits."""
     (offer,) = actions.publish
     assert isinstance(offer, Offer)
-    return offer.coin_key, offer.coin_from, offer.coin_last
+    return offer.stream_block, offer.stream_at
 
 
 def keyed_measurement(**fields: object) -> Measurement:
-    return measurement(**{"applied_key": "", **fields})
+    return measurement(**{"keyed": False, **fields})
 
 
-def test_an_offer_names_the_key_its_first_step_and_the_newest_that_is_held() -> None:
-    unkeyed = AT_WORK._replace(offer=None, k=2)
-    end = Told(COIN, unkeyed, coin_keys=TWO)
-    assert end.core.start(0.0).keys == (CoinTask(S, "k1", BATCH),)
-    end.at_work()
-    assert end.core.status().coin_keys == 2
-    first = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(first) == ("k0", 3, "k1")
-    assert end.core.status().coin_keys == 1
-    second = end.hears(keyed_measurement(k=4, applied_k=1, x=(0.0,), x_after=()), 2.0)
-    assert named(second) == ("k0", 3, "k1")
-    kept = end.core.record
-    assert (kept.coin_key, kept.coin_from) == ("k0", 3)
+def test_each_offer_names_the_next_digits_whether_or_not_it_is_applied() -> None:
+    end = keyed(CONFIRMED._replace(offer=None, k=2))
+    assert end.core.status().digits_left == len(DIGITS)
+    unapplied = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
+    assert named(end.hears(unapplied, 1.0)) == (0, 0)
+    assert named(end.hears(unapplied, 1.5)) == (0, 0), "the same offer again"
+    following = keyed_measurement(k=4, applied_k=1, x=(0.0,), x_after=())
+    assert named(end.hears(following, 2.0)) == (0, 1)
+    assert end.core.status().digits_left == len(DIGITS) - 1
 
 
 @pytest.mark.parametrize("counted", [True, False])
-def test_a_process_goes_on_with_the_newest_key_that_was_named(counted: bool) -> None:
-    offer = OFFER.model_copy(update={"coin_key": "k1", "coin_from": 3, "coin_last": "k1"})
-    record = AT_WORK._replace(offer=offer, coin_key="k1", coin_from=3)
-    end = keyed(record)
+def test_a_process_names_digits_behind_those_that_were_named(counted: bool) -> None:
+    end = keyed(CONFIRMED._replace(offer=NAMED))
     if not counted:
         was = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
-        record = AT_WORK._replace(offer=None, k=2, coin_key="k0", coin_from=1)
-        end = keyed(record, offer=offer, measurement=was)
-    assert end.core.status().coin_keys == 0, "k0 is never named again"
+        end = keyed(CONFIRMED._replace(offer=None, k=2), offer=NAMED, measurement=was)
     following = end.hears(keyed_measurement(applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(following) == ("k1", 3, "k1")
+    assert named(following) == (0, 1)
 
 
-def test_an_offer_that_names_no_key_leaves_the_newest_named_as_it_was() -> None:
-    end = keyed(AT_WORK._replace(offer=None, k=2, coin_key="k1", coin_from=3))
-    k = 3 + len(DIGITS)
-    answer = end.hears(keyed_measurement(k=k, applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(answer) == ("", 0, "k1")
-    assert (end.core.record.coin_key, end.core.record.coin_from) == ("k1", 3)
+def test_an_offer_names_nothing_where_no_digit_is_left() -> None:
+    end = keyed(CONFIRMED._replace(offer=None, k=2), parts=())
+    answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 1.0)
+    assert named(answer) == (-1, 0)
 
 
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize("known", [True, False])
-def test_a_transition_is_watched_where_both_ends_hold_the_key(known: bool, right: bool) -> None:
-    offer = OFFER.model_copy(update={"coin_key": "k0", "coin_from": 3, "coin_last": "k1"})
-    record = AT_WORK._replace(offer=offer, coin_key="k0", coin_from=3)
-    end = keyed(record, keys=TWO if known else ())
+def test_a_transition_is_watched_where_digits_served(known: bool, right: bool) -> None:
+    end = keyed(CONFIRMED._replace(offer=NAMED if known else OFFER))
     chosen = DIGITS[0] if right else 1 - DIGITS[0]
     x = CANDIDATES[chosen]
-    end.hears(keyed_measurement(x=x, x_after=x, applied_key="k0"), 1.0)
+    end.hears(keyed_measurement(x=x, x_after=x, keyed=known), 1.0)
     status = end.core.status()
     assert (status.watched, status.unwatched) == (known, not known)
     alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
@@ -547,57 +544,85 @@ def test_a_transition_is_watched_where_both_ends_hold_the_key(known: bool, right
         DIGITS[0] if known else -1
     ]
     for alarm in alarms:
-        assert alarm == Alarm(S, 2, 3, x, "k0", DIGITS[0], CANDIDATES[DIGITS[0]], 3.0)
+        expected = CANDIDATES[DIGITS[0]]
+        assert alarm == Alarm(S, 3, 3, x, "another candidate", DIGITS[0], expected, 3.0)
     assert status.alarms == len(alarms)
 
 
-def test_keys_of_the_last_offer_are_held_until_it_was_counted() -> None:
-    """A process that begins between an offer and its report tests it by the key before."""
-    offer = OFFER.model_copy(update={"coin_key": "k0", "coin_from": 3, "coin_last": "k1"})
-    record = AT_WORK._replace(offer=offer, coin_key="k1", coin_from=4)
-    end = keyed(record)
-    x = CANDIDATES[DIGITS[0]]
-    end.hears(keyed_measurement(x=x, x_after=x, applied_key="k0"), 1.0)
-    assert end.core.status().watched == 1
+def test_a_plant_that_denies_digits_that_it_has_makes_an_alarm() -> None:
+    """Its coin would be unwatched for as long as somebody says so in its place."""
+    end = keyed(CONFIRMED._replace(offer=NAMED))
+    end.hears(keyed_measurement(x=CANDIDATES[0], x_after=CANDIDATES[0], keyed=False), 1.0)
+    alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
+    assert [alarm.reason for alarm in alarms] == ["digits refused"]
 
 
-def test_a_store_that_had_no_keys_is_asked_again_over_the_next_confirmed_block() -> None:
-    rules = replace(COIN, schedule=SCHEDULE)
-    end = Told(rules, AT_WORK._replace(offer=None, k=2))
-    (task,) = [t for t in end.does(end.core.start(0.0)).keys if isinstance(t, CoinTask)]
-    assert task == CoinTask(S, "", BATCH)
-    end.hears(hello(transitions=2, applied_k=1), 0.0)
-    assert end.core.key_task_done(CoinKeys(S), 1.0) == NOTHING_TO_DO
-
-    def asked(k: int) -> int:
-        end.all.clear()
-        end.hears(keyed_measurement(k=k, applied_k=1, x=(0.0,), x_after=()), 10.0 * k)
-        return sum(isinstance(t, CoinTask) for a in end.all for t in a.keys)
-
-    assert [asked(3), asked(4)] == [0, 0]
-    end.does(end.core.key_task_done(BlockResult(S, 0, "unequal"), 45.0))
-    assert asked(5) == 0
-    end.does(end.core.key_task_done(BlockResult(S, 1, "confirmed", 5), 55.0))
-    assert [asked(6), asked(7)] == [1, 0]
-    end.core.key_task_done(CoinKeys(S, TWO), 75.0)
-    assert end.core.status().coin_keys == 2
-    assert LACKING_S < 1.1
-    assert asked(8) == 1
+@pytest.mark.parametrize("share", [0.5, 0.0])
+def test_too_many_unwatched_steps_make_an_alarm_through_a_restart(share: float) -> None:
+    rules = replace(COIN, watch=Watch(share, 1))
+    record = CONFIRMED._replace(unwatched=0.75)
+    end = keyed(record, parts=(), rules=rules)
+    end.hears(keyed_measurement(), 1.0)
+    alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
+    assert [alarm.reason for alarm in alarms] == ["unwatched"]
+    assert end.core.record.unwatched == 0.0, "it begins again"
 
 
-@pytest.mark.parametrize(("rules", "applied_key"), [(RULES, "k0"), (RULES, ""), (COIN, None)])
-def test_a_measurement_that_says_another_thing_of_the_coin_than_the_rules_is_malformed(
-    rules: Rules, applied_key: str | None
+@pytest.mark.parametrize(("rules", "said"), [(RULES, True), (RULES, False), (COIN, None)])
+def test_a_measurement_that_says_another_thing_of_digits_than_the_rules_is_malformed(
+    rules: Rules, said: bool | None
 ) -> None:
     end = Told(rules).at_work()
     record = end.core.record
-    end.hears(measurement(applied_key=applied_key), 1.0)
+    end.hears(measurement(keyed=said), 1.0)
     (actions,) = end.all
     (notice,) = actions.notices
     assert (notice.level, notice.subject) == ("warning", "malformed")
-    assert "applied_key" in notice.text
+    assert "measurement.keyed" in notice.text
     assert actions == Actions(notices=(notice,))
     assert (end.core.record, end.core.status().malformed) == (record, 1)
+
+
+# --- it fails closed ------------------------------------------------------------------------------
+
+SEALED = replace(RULES, schedule=SCHEDULE, scheme=Sealed(2))
+
+
+def test_a_sealed_symbol_without_a_digit_is_a_cover_and_comes_again() -> None:
+    """Nothing of a message leaves in the clear, and nothing of it is lost."""
+    record = CONFIRMED._replace(state=SEALED.scheme.initial, offer=None, k=2)
+    ciphers = set()
+    for payload in (b"a", b"\xff"):
+        end = keyed(record, parts=(), rules=SEALED, payloads=(payload,))
+        k, applied = 3, 1
+        for _ in range(4):
+            x_after = () if applied == 1 else (1.5,)
+            said = keyed_measurement(k=k, applied_k=applied, x=(1.5,), x_after=x_after)
+            (offer,) = end.hears(said, float(k)).publish
+            assert isinstance(offer, Offer)
+            assert (offer.stream_block, offer.cipher) == (-1, 0), "Zeros gives the covers"
+            ciphers.add(offer.cipher)
+            k, applied = k + 1, k
+        assert (end.core.record.p, end.core.record.offset) == (record.p, record.offset)
+    assert ciphers == {0}
+
+
+@pytest.mark.parametrize("rules", [COIN, SEALED])
+@pytest.mark.parametrize("again", [True, False])
+def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again: bool) -> None:
+    record = CONFIRMED._replace(state=rules.scheme.initial, offer=None, k=2)
+    end = keyed(record, rules=rules)
+    stopped = end.hears(StopKeys(reason="Eve missed nothing"), 1.0)
+    assert [(n.level, n.subject) for n in stopped.notices] == [("error", "")]
+    assert stopped.durable
+    assert end.hears(StopKeys(reason="once more"), 1.0) == NOTHING_TO_DO
+    if again:  # another process, as the journal has it
+        loaded = end.journal.load()
+        assert loaded.record is not None
+        end = keyed(loaded.record, loaded.parts or (PART,), rules)
+    assert end.core.status().keys_refused == "Eve missed nothing"
+    answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 2.0)
+    assert named(answer) == (-1, 0)
 
 
 # --- what is malformed ----------------------------------------------------------------------------
@@ -608,7 +633,6 @@ def test_a_measurement_that_says_another_thing_of_the_coin_than_the_rules_is_mal
     [
         (Measurement, "measurement"),
         (PlantHello, "hello"),
-        (BlockAnnouncement, "word"),
         (SendCommand, "command"),
     ],
 )
@@ -694,11 +718,11 @@ def test_who_greets_as_a_later_life_saves_that_before() -> None:
 
 
 def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
-    rows = [Contribution(j, 1, b"n" * 32, None) for j in (1, 2)]
+    rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)]
     end = Told(KEYS, AT_WORK._replace(transitions=3), contributions=rows)
     began = end.does(end.core.start(0.0))
     assert kept(began) == Actions(record=end.core.record)
-    (closed,) = began.keys
+    (closed,) = began.tasks
     assert (type(closed).__name__, began.events, began.notices) == ("ClosedBlock", (), ())
 
 
@@ -743,55 +767,20 @@ def test_messages_that_were_delivered_wait_no_more() -> None:
 
 # --- key blocks -----------------------------------------------------------------------------------
 
+TAG = "a" * 32
+MADE = ExtractedBlock(S, 0, TAG, (b"k" * 32, b"l" * 32))
+
 
 def keys_at_work() -> Told:
-    """Block 0 is whole, stored, and not confirmed."""
-    rows = [Contribution(j, 1, b"n" * 32, None) for j in (1, 2, 3)]
+    """Block 0 is whole and extracted, and not confirmed."""
+    rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2, 3)]
     record = AT_WORK._replace(transitions=4)
     end = Told(KEYS, record, contributions=rows)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=4, applied_k=1), 0.0)
-    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
-    assert [event.as_event()["event"] for event in stored.events] == ["block"]
+    assert end.does(end.core.extracted(MADE)) == NOTHING_TO_DO
     end.all.clear()
     return end
-
-
-def word(tag: str = "a" * 32, **fields: Any) -> BlockAnnouncement:
-    made = BlockAnnouncement(side="plant", session=S, block=0, tag=tag, waiting=1)
-    return made.model_copy(update=fields)
-
-
-def test_a_word_on_blocks_is_answered_with_its_own() -> None:
-    end = keys_at_work()
-    answer = end.hears(word(), 1.0)
-    (said,) = answer.publish
-    assert said == BlockAnnouncement(side="controller", session=S, block=0, tag="a" * 32, waiting=0)
-    assert answer.keys == (BlockResult(S, 0, "confirmed"),)
-    assert not answer.finish_step
-    confirmed = end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0))
-    assert confirmed.record is not None
-    assert confirmed.record == end.core.record
-    assert confirmed.obsolete_rows, "the rows of a block that is confirmed go at once"
-    status = end.core.status()
-    assert (status.keys_made, status.keys_of_block, status.key_block_steps) == (5, 5, 2)
-    assert status.key_blocks_waiting == 0
-
-
-@pytest.mark.parametrize("fields", [{"side": "controller"}, {"session": T}])
-def test_a_word_that_is_not_the_plants_of_the_session_is_not_answered(
-    fields: dict[str, Any],
-) -> None:
-    end = keys_at_work()
-    assert end.hears(word(**fields), 1.0) == NOTHING_TO_DO
-    assert Told().at_work().hears(word(), 1.0) == NOTHING_TO_DO, "no keys are made"
-
-
-def test_an_answer_that_announces_a_confirmed_block_lets_its_rows_go() -> None:
-    end = keys_at_work()
-    assert end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0).record is None
-    answer = end.hears(word(), 2.0)
-    assert kept(answer) == Actions(record=end.core.record, obsolete_rows=(range(1, 3),))
 
 
 def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
@@ -800,72 +789,56 @@ def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
     answer = end.hears(measurement(), 1.0)
     (offer,) = answer.publish
     assert isinstance(offer, Offer)
-    assert (offer.block, offer.tag) == (0, "a" * 32)
+    assert (offer.block, offer.tag) == (0, TAG)
     record = end.core.record
-    assert (record.block, record.tag, record.offer) == (0, "a" * 32, offer)
+    assert (record.block, record.tag, record.offer) == (0, TAG, offer)
     assert record.nonce == ""
     counted = end.all[1]
     assert kept(counted) == NOTHING_TO_DO, "the next step saves what was counted"
     saved = end.hears(measurement(k=end.core.record.k + 1, applied_k=record.k), 2.0)
     assert saved.record == record
-    assert [row.j for row in saved.contributions] == [4]
+    assert [row.j for row in saved.rows.contributions] == [4]
 
 
-def test_an_answer_that_confirms_a_block_is_told_to_the_keeper() -> None:
-    judged: list[tuple[str, BlockResult]] = [
-        ("a", BlockResult(S, 0, "confirmed")),
-        ("c", BlockResult(S, 0, "unequal")),
-    ]
-    for tag, result in judged:
-        end = keys_at_work()
-        end.hears(measurement(block=0, tag=tag * 32, nonce=NONCE), 1.0)
-        _, counted, *ended = end.all
-        assert counted.keys == (result,)
-        assert len(ended) == (tag == "c")
-        assert end.core.record.session == (None if ended else S)
-        if not ended:
-            assert end.core.record.nonce == NONCE
-            done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 2.0)
-            (row,) = done.contributions
-            assert row.j == 4
-            assert (done.record, done.obsolete_rows) == (end.core.record, (range(1, 3),))
-
-
-def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
+def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:
     end = keys_at_work()
-    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 1.0))
-    step = end.hears(measurement(), 2.0)
-    assert step.obsolete_rows == (range(1, 3),), "its answer announces the block"
+    end.hears(measurement(block=0, tag=TAG, nonce=NONCE), 1.0)
+    _, counted = end.all
+    assert counted.events[0] == BlockEnded(S, 0, "confirmed", 2)
+    assert [n.level for n in counted.notices] == ["info"], "what the first keys rest on"
+    assert end.core.record.nonce == NONCE
+    status = end.core.status()
+    assert (status.keys_made, status.keys_of_block, status.key_block_steps) == (2, 2, 2)
+    assert status.digits_left == sum(len(digits(key, 2)) for key in MADE.keys)
+    saved = end.hears(measurement(k=5, applied_k=4), 2.0)
+    assert saved.record is not None
+    assert saved.record.confirmed == 0
+    assert saved.rows.obsolete_rows == (range(1, 3),), "rows of a block that is confirmed go"
+    assert [(part.block, part.number) for part in saved.rows.parts] == [(0, 0), (0, 1)]
+    again = end.hears(measurement(k=6, applied_k=5), 3.0)
+    assert (again.rows.obsolete_rows, again.rows.parts) == ((), ()), "once"
 
 
-def test_a_block_that_differs_ends_the_session_once_the_keeper_knows() -> None:
+def test_a_block_that_differs_gives_no_key_and_ends_the_session() -> None:
     end = keys_at_work()
-    first = end.hears(word("c" * 32), 1.0)
-    assert first == Actions(keys=(BlockResult(S, 0, "unequal"),), finish_step=True)
-    (_, ended) = end.all
+    end.hears(measurement(block=0, tag="c" * 32, nonce=NONCE), 1.0)
+    _, counted, ended = end.all
+    assert counted.events[0] == BlockEnded(S, 0, "unequal")
     assert [type(event) for event in ended.events] == [SessionBegan]
     assert [(n.level, n.subject) for n in ended.notices] == [("warning", "refusals")]
     assert ended.record is not None
     assert ended.record.session is None
     assert phase(end) == ("greeting", True)
-    assert end.core.status().key_blocks_waiting == 0
-
-
-def test_a_controller_that_stops_says_how_many_blocks_wait() -> None:
-    end = keys_at_work()
-    (notice,) = end.core.stop(1.0).notices
-    assert (notice.level, notice.subject) == ("warning", "")
-    assert "1" in notice.text.split(":")[1]
-
-
-def test_a_broken_key_store_is_an_error_and_told_in_every_status() -> None:
-    end = keys_at_work()
-    assert end.core.status().key_blocks_waiting == 1
-    (notice,) = end.does(end.core.key_task_done(Broken("disk full"), 1.0)).notices
-    assert (notice.level, notice.subject) == ("error", "")
-    assert "disk full" in notice.text
     status = end.core.status()
-    assert (status.keys_refused, status.key_blocks_waiting) == ("disk full", 0)
+    assert (status.keys_made, status.key_blocks_lost, status.digits_left) == (0, 1, 0)
+
+
+def test_blocks_that_cannot_be_extracted_are_an_error_and_told_in_every_status() -> None:
+    end = keys_at_work()
+    (notice,) = end.does(end.core.extracted(ExtractionFailed("no memory"))).notices
+    assert (notice.level, notice.subject) == ("error", "")
+    assert "no memory" in notice.text
+    assert end.core.status().keys_refused == "no memory"
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:

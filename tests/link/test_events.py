@@ -6,24 +6,24 @@ import pytest
 
 from protocol.agreement import AgreementResult
 from protocol.box_observer import Box
+from protocol.link.distiller import BlockEnded, Distiller
 from protocol.link.events import (
     Alarm,
     AttackBegan,
     Event,
     Interrupted,
     Missed,
+    Reason,
     SessionBegan,
     Timing,
     lines,
 )
-from protocol.link.key_events import Appearances, BlockStored, key_events, key_notices
-from protocol.link.keying import Keying
-from protocol.link.peer import Notice
+from protocol.link.key_events import Appearances, block_notices, extraction_done
+from protocol.link.peer import Actions, Notice
 from protocol.link.session import CountedTransition, Truth
 from protocol.messages import SendCommand
-from protocol.secret.blocks import BlockResult, Schedule, Stored
+from protocol.secret.blocks import ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.tasks import Broken, Done
 from runtime.chance import fresh_nonce
 
 S = "1" * 16
@@ -109,14 +109,10 @@ ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
             },
         ),
         (COMMAND, {"event": "sent", "id": "m1", "payload": "YQ=="}),
-        (
-            BlockStored(S, 1, 5),
-            {"event": "block", "session": S, "number": 1, "keys": 5},
-        ),
         (Appearances(S, 4, 2), {"event": "appearances", "session": S, "k": 4, "times": 2}),
         (
-            BlockResult(S, 1, "confirmed", 5),
-            {"event": "judged", "session": S, "number": 1, "what": "confirmed"},
+            BlockEnded(S, 1, "confirmed", 5),
+            {"event": "block", "session": S, "number": 1, "what": "confirmed", "keys": 5},
         ),
     ],
     ids=lambda value: type(value).__name__ if isinstance(value, tuple) else "",
@@ -149,45 +145,53 @@ def test_an_attack_is_told_with_its_kind_place_and_onset(at: str) -> None:
     assert {"ghost", at, "7"} <= set(words)
 
 
-@pytest.mark.parametrize("key", ["k7", ""])
-def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(key: str) -> None:
-    alarm = Alarm(S, 2, 31, (0.125, -4.0), key, 3, (0.5, 2.25), 6.5)
+@pytest.mark.parametrize(
+    ("reason", "whose"),
+    [("unexplained", "all candidates"), ("another candidate", "the key stream chose")],
+)
+def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(
+    reason: Reason, whose: str
+) -> None:
+    alarm = Alarm(S, 2, 31, (0.125, -4.0), reason, 3, (0.5, 2.25), 6.5)
     assert alarm.as_event() == {"event": "alarm", **alarm._asdict()}
     words = alarm.sentence()
-    assert all(said in words for said in ("31", "0.125, -4", "0.5, 2.25", "6.5", " 3"))
-    assert ("k7" in words, "all candidates" in words) == (bool(key), not key)
+    assert all(said in words for said in ("31", "0.125, -4", "0.5, 2.25", "6.5", " 3", whose))
+
+
+@pytest.mark.parametrize(
+    ("reason", "what"),
+    [("unwatched", "too many steps had no digit"), ("digits refused", "the plant denies digits")],
+)
+def test_an_alarm_over_digits_tells_of_no_reading(reason: Reason, what: str) -> None:
+    words = Alarm(S, 2, 31, (0.125, -4.0), reason, 3, (0.5, 2.25), 6.5).sentence()
+    assert what in words
+    assert "31" in words
+    assert "0.125" not in words
 
 
 # --- key blocks -----------------------------------------------------------------------------------
 
 SCHEDULE = Schedule(Assumption(0.1), 32, 64)
-STORED = Stored(S, 0, "t", keys=5)
-DONE = BlockResult(S, 2, "confirmed", 5)
+FIRST = BlockEnded(S, 0, "confirmed", 5)
 CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
+DIFFERS = f"key block 2 of session {S} differs from the partner's"
 
 
 @pytest.mark.parametrize(
-    ("done", "events", "notices"),
+    ("ended", "notices"),
     [
-        (STORED, (BlockStored(S, 0, 5),), (Notice(CLAIM),)),
-        (STORED._replace(number=1), (BlockStored(S, 1, 5),), ()),
-        (STORED._replace(confirmed=True), (BlockStored(S, 0, 5),), ()),
-        (STORED._replace(keys=0), (BlockStored(S, 0, 0),), ()),
-        (DONE, (DONE,), ()),
-        (
-            DONE._replace(what="unequal", keys=0),
-            (DONE._replace(what="unequal", keys=0),),
-            (Notice(f"key block 2 of session {S} differs from the partner's: erased", "error"),),
-        ),
-        (Broken("disk"), (), (Notice("no key is made from here on: disk", "error"),)),
+        (FIRST, (Notice(CLAIM),)),
+        (FIRST._replace(number=1), ()),
+        (BlockEnded(S, 0, "poor"), ()),
+        (BlockEnded(S, 2, "unequal"), (Notice(DIFFERS, "error"),)),
     ],
 )
-def test_what_is_told_of_a_block(
-    done: Done, events: tuple[Event, ...], notices: tuple[Notice, ...]
-) -> None:
-    assert key_events(done) == events
-    assert key_notices(done, Keying(SCHEDULE, fresh_nonce)) == notices
+def test_what_is_told_of_a_block(ended: BlockEnded, notices: tuple[Notice, ...]) -> None:
+    assert block_notices(Distiller(SCHEDULE, 2, fresh_nonce), (ended,)) == notices
 
 
-def test_without_a_schedule_nothing_is_claimed() -> None:
-    assert key_notices(STORED, Keying(None, fresh_nonce)) == ()
+def test_where_blocks_cannot_be_extracted_it_is_told_once_and_why() -> None:
+    keys = Distiller(SCHEDULE, 2, fresh_nonce)
+    told = Notice("no key is made from here on: disk", "error")
+    assert extraction_done(keys, ExtractionFailed("disk")) == Actions(notices=(told,))
+    assert keys.status_fields()["keys_refused"] == "disk"

@@ -12,14 +12,13 @@ from plant_service.adapters.base import PlantError
 from plant_service.core import (
     FAREWELL_S,
     HELLO_S,
-    LAST_KEYS_REPEAT_S,
-    LAST_KEYS_S,
     MEETING_S,
     SYMBOLS_AT_ONCE,
     PlantCore,
     hex_digits,
 )
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import (
     FELL_BACK,
     NEW_JOURNAL,
@@ -35,7 +34,6 @@ from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
-    BlockAnnouncement,
     ControllerHello,
     Measurement,
     Message,
@@ -47,12 +45,11 @@ from protocol.messages import (
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
-from protocol.secret.blocks import BlockResult, Schedule, Stored
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.records import Key
-from protocol.secret.tasks import Broken, CoinKeys, CoinTask
+from protocol.secret.stream import Part, Position
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
@@ -60,8 +57,8 @@ from tests.support.end_in_hand import EndInHand, fields, kept
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
-KEYS = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
-COIN = replace(RULES, keyed=True)
+KEYS = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
+COIN = replace(KEYS, keyed=True)
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
 A, B, P = "a" * 16, "b" * 16, "c" * 16
 CANDIDATES = ((1.5,), (-1.5,))
@@ -315,7 +312,7 @@ def test_without_telemetry_no_status_is_ever_due() -> None:
     end = Told(step_s=None).met()
     end.hears(OFFER, 0.0)
     assert published(end.wakes(100.0), PlantStatus) == []
-    assert end.core.stop(101.0) == NOTHING_TO_DO
+    assert end.core.stop(101.0) == Actions(record=end.core.record)
     with pytest.raises(AssertionError):
         end.core.status(0.0)
 
@@ -340,7 +337,6 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
     )
     end = Told(KEYS, record, telemetry=news).met()
     end.core.receive(Offer, b"{", 0.0)
-    news.keys_refused = "a secret of its own"
     said = fields(end.core.status(0.0))
     assert said == {
         "phase": "running",
@@ -374,10 +370,10 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
         "keys_made": 0,
         "keys_of_block": 0,
         "key_block_steps": 0,
-        "keys_refused": "a secret of its own",
+        "keys_refused": "",
         "keys_stopped": "",
         "key_blocks_lost": 0,
-        "key_blocks_waiting": 0,
+        "digits_left": 0,
         "key_blocks_begun": 6,
         "appearances": 1,
         "pictured_k": -1,
@@ -561,7 +557,7 @@ NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
 def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     ends: Callable[[Told], object], level: str, news: PlantTelemetry
 ) -> None:
-    record = RECORD._replace(partial="01", p=9, coin_key="k", coin_from=2, keyed=True, applied_k=1)
+    record = RECORD._replace(partial="01", p=9, keyed=True, applied_k=1)
     end = Told(record=record, telemetry=news).met()
     ends(end)
     (actions,) = end.all
@@ -594,7 +590,6 @@ def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
     wrong: list[tuple[type[Message], bytes, str]] = [
         (Offer, b'{"session":1}', "offer"),
         (ControllerHello, b'{"session":1}', "hello"),
-        (BlockAnnouncement, b'{"session":1}', "word"),
         (Offer, offer(cipher=7).wire(), "offer.cipher"),
     ]
     for number, (kind, payload, name) in enumerate(wrong):
@@ -616,18 +611,18 @@ def test_a_wrong_message_of_its_own_is_no_malformed_input() -> None:
     assert end.core.malformed == 0
 
 
-@pytest.mark.parametrize("malformed", [{"coin_key": "k0"}, {"coin_from": 3}, {"coin_last": "k0"}])
-def test_an_offer_that_names_a_key_where_no_coin_is_keyed_is_malformed(
+@pytest.mark.parametrize("malformed", [{"stream_block": 0}, {"stream_at": 3}])
+def test_an_offer_that_names_digits_where_none_serve_is_malformed(
     malformed: dict[str, object],
 ) -> None:
     end = Told().met()
     (notice,) = end.hears(offer(**malformed), 0.0).notices
     assert notice.subject == "malformed"
-    named = {"coin_key": "k0", "coin_from": 3, "coin_last": "k0"}
-    end = Told(COIN).met()
+    named = {"stream_block": 0, "stream_at": 3}
+    end = Told(COIN, CONFIRMED).met()
     (notice,) = end.hears(offer(**{**named, **dict.fromkeys(malformed)}), 0.0).notices
     assert notice.subject == "malformed"
-    assert end.hears(offer(**named), 0.0).notices == ()
+    assert end.hears(offer(**named, nonce=NONCE), 0.0).notices == ()
 
 
 # --- steps ----------------------------------------------------------------------------------------
@@ -905,113 +900,81 @@ def test_without_a_watchdog_a_plant_waits_for_ever() -> None:
 
 # --- the keyed coin -------------------------------------------------------------------------------
 
-TWO = (Key("k0", bytes(range(32))), Key("k1", bytes(range(32, 64))))
-DIGITS = digits(TWO[0].key, 2)
+DIGITS = digits(bytes(range(32)), 2)
+PART = Part(0, 0, 0, bytes(DIGITS))
+CONFIRMED = RECORD._replace(transitions=3, block=0, tag="a" * 32, confirmed=0)
+"""Block 0 is confirmed, and its digits are held."""
 
 
-def keyed(key: str, first: int, last: str = "k1", **fields: object) -> Offer:
-    return offer(**{"coin_key": key, "coin_from": first, "coin_last": last, **fields})
+def keyed(block: int, at: int, **fields: object) -> Offer:
+    return offer(**{"stream_block": block, "stream_at": at, "nonce": NONCE, **fields})
 
 
 @pytest.mark.parametrize("named", [True, False])
-def test_a_measurement_says_which_key_chose_the_coin(named: bool) -> None:
+def test_a_measurement_says_whether_a_digit_chose_the_coin(named: bool) -> None:
     machine = Machine()
     machine.coin = 1 - DIGITS[0]
-    end = Told(COIN, machine=machine, coin_keys=TWO).met()
+    end = Told(COIN, CONFIRMED, machine=machine, parts=(PART,)).met()
     chosen = DIGITS[0] if named else 1 - DIGITS[0]
     machine.x_next = CANDIDATES[chosen]
-    end.hears(keyed("k0" if named else "", 3 if named else 0), 0.25)
+    end.hears(keyed(*((0, 0) if named else (-1, 0))), 0.25)
     (counted,) = [e for a in end.all for e in a.events]
     assert isinstance(counted, CountedTransition)
-    assert (counted.coin, counted.coin_key) == (chosen, "k0" if named else "")
-    assert counted.coin_from == (3 if named else -1)
-    record = end.core.record
-    assert record.keyed == named
-    assert (record.coin_key, record.coin_from) == (("k0", 3) if named else ("", -1))
+    assert (counted.coin, counted.keyed) == (chosen, named)
+    assert counted.digits == (Position(0, 0) if named else None)
+    assert end.core.record.keyed == named
     (report,) = published(end.wakes(1.0), Measurement)
-    assert report.applied_key == ("k0" if named else "")
-    end.wakes(2.0)  # missed
-    after = end.core.record
-    assert (after.coin_key, after.coin_from) == (record.coin_key, record.coin_from)
-    assert end.core.said_key("k0", keyed=True) == "k0"
-    assert Told().core.said_key("k0", keyed=True) is None
+    assert report.keyed == named
+    left = len(DIGITS) - named
+    assert end.core.keys.stream.left == left, "what has served is erased"
 
 
-@pytest.mark.parametrize("applied", ["k0", ""])
-@pytest.mark.parametrize("measured", [True, False])
-def test_a_process_binds_the_newest_key_that_may_have_served(measured: bool, applied: str) -> None:
-    """Of a step that was begun and not read nobody knows whether its key chose."""
-    report = REPORT.model_copy(update={"applied_key": applied}) if measured else None
-    record = RECORD._replace(coin_key="", coin_from=-1)
-    begun: dict[str, Any] = {"offer": keyed("k0", 3), "tossed": 0, "report": report}
-    machine = Machine(acts=True, device=True)
-    end = Told(COIN, record, machine=machine, **begun, coin_keys=TWO, back=(9.0,))
+def test_digits_that_have_served_serve_no_second_step() -> None:
+    end = Told(COIN, CONFIRMED, parts=(PART,)).met()
+    keyed_steps = []
+    for k, at in ((3, 4), (4, 4), (5, 2), (6, 5)):
+        end.hears(keyed(0, at, k=k), k - 2.75)
+        end.wakes(k - 2.0)
+        keyed_steps.append(end.core.record.keyed)
+    assert keyed_steps == [True, False, False, True]
+
+
+@pytest.mark.parametrize("served", [True, False])
+def test_a_process_goes_on_with_the_digits_of_the_step_under_way(served: bool) -> None:
+    report = REPORT.model_copy(update={"keyed": served, "block": 0, "tag": "a" * 32})
+    end = Told(COIN, CONFIRMED, offer=keyed(0, 0), tossed=0, report=report, parts=(PART,))
     end.does(end.core.start(0.0))
-    bound = not measured or applied
-    assert (end.core.coins.key, end.core.coins.first) == (("k0", 3) if bound else ("", -1))
-    other = Told(
-        COIN,
-        RECORD,
-        offer=keyed("k0", 3, session=T),
-        tossed=0,
-        coin_keys=TWO,
-        back=(9.0,),
-    )
-    assert other.core.coins.key == ""
-
-
-def test_a_record_says_the_newest_key_where_no_step_does() -> None:
-    end = Told(COIN, RECORD._replace(coin_key="k1", coin_from=2), coin_keys=TWO).met()
-    assert end.core.coins.digit(keyed("k0", 3)) is None
-    assert end.core.coins.digit(keyed("k1", 3)) is None
-    assert end.core.coins.digit(keyed("k1", 2)) == digits(TWO[1].key, 2)[1]
-
-
-def test_keys_that_the_controller_holds_are_asked_for() -> None:
-    rules = replace(KEYS, keyed=True)
-    end = Told(rules, RECORD._replace(transitions=0)).met()
-    end.hears(keyed("", 0, "k1", nonce=NONCE), 0.25)
-    assert [t for a in end.all for t in a.keys] == [CoinTask(S, "")]
-    assert end.core.key_task_done(CoinKeys(S), 0.5) == NOTHING_TO_DO
-    end.all.clear()
-    for k, asks in ((4, []), (5, [CoinTask(S, "")])):
-        end.wakes(k - 3.0)
-        end.hears(keyed("", 0, "k1", k=k, nonce=NONCE), k - 2.75)
-        tasks = [t for a in end.all for t in a.keys if isinstance(t, CoinTask)]
-        assert tasks == asks, "once a second where there are none"
-        end.all.clear()
+    (counted,) = [e for a in end.all for e in a.events if isinstance(e, CountedTransition)]
+    assert counted.keyed == served
+    assert end.core.keys.stream.left == len(DIGITS) - served
 
 
 # --- key blocks -----------------------------------------------------------------------------------
 
 
 def rows(until: int) -> list[Contribution]:
-    return [Contribution(j, 1, b"n" * 32, None) for j in range(1, until)]
+    return [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in range(1, until)]
 
 
-def keys_at_work(steps: int | None = None, **more: Any) -> Told:
-    """Block 0 is whole, stored, and not confirmed."""
+MADE = ExtractedBlock(S, 0, "a" * 32, (b"k" * 32, b"l" * 32))
+
+
+def keys_at_work(**more: Any) -> Told:
+    """Block 0 is whole and extracted, and not confirmed."""
     record = RECORD._replace(transitions=4, k=5)
-    end = Told(KEYS, record, contributions=rows(4), steps=steps, **more)
+    end = Told(KEYS, record, contributions=rows(4), **more)
     end.does(end.core.start(0.0))
-    if steps is None:
-        end.hears(hello(), 0.0)
-        end.hears(hello(verdict="accepted", answers=P), 0.0)
-    stored = end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
-    assert [event.as_event()["event"] for event in stored.events] == ["block"]
+    end.hears(hello(), 0.0)
+    end.hears(hello(verdict="accepted", answers=P), 0.0)
+    assert end.does(end.core.extracted(MADE)) == NOTHING_TO_DO
     end.all.clear()
     return end
 
 
-def word(tag: str = "a" * 32, waiting: int = 1, **fields: Any) -> BlockAnnouncement:
-    made = BlockAnnouncement(side="controller", session=S, block=0, tag=tag, waiting=waiting)
-    return made.model_copy(update=fields)
-
-
-def test_a_life_with_keys_gives_its_keeper_what_the_journal_has() -> None:
+def test_a_life_with_keys_asks_for_blocks_whose_rows_the_journal_has() -> None:
     end = Told(KEYS, RECORD._replace(transitions=4), contributions=rows(4))
     began = end.core.start(0.0)
-    assert [type(task).__name__ for task in began.keys] == ["ClosedBlock"]
+    assert [type(task).__name__ for task in began.tasks] == ["ClosedBlock"]
 
 
 @pytest.mark.parametrize("right", [True, False])
@@ -1020,31 +983,31 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     tag = "a" * 32 if right else "c" * 32
     end.hears(offer(k=5, nonce=NONCE, block=0, tag=tag), 0.25)
     counted = end.all[-1]
-    judged = BlockResult(S, 0, "confirmed" if right else "unequal")
-    assert counted.keys == (judged,)
+    ended = BlockEnded(S, 0, "confirmed", 2) if right else BlockEnded(S, 0, "unequal")
+    assert counted.events[0] == ended
     if right:
-        assert counted.notices == ()
+        assert [n.level for n in counted.notices] == ["info"], "what the first keys rest on"
         assert kept(counted) == NOTHING_TO_DO
-        assert (end.core.record.session, end.core.record.block) == (S, 0)
-        done = end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5)
-        (row,) = done.contributions
-        assert row.j == 4
-        saved = Actions(record=end.core.record, contributions=(row,), obsolete_rows=(range(1, 3),))
-        assert kept(done) == saved
+        assert end.core.record.session == S
+        assert end.core.keys.stream.left == sum(len(digits(key, 2)) for key in MADE.keys)
         return
-    assert [type(e) for e in counted.events] == [CountedTransition, SessionBegan]
-    assert [(n.level, n.subject) for n in counted.notices] == [("error", "")]
-    assert NEW in counted.notices[0].text
+    assert [type(e) for e in counted.events[1:]] == [CountedTransition, SessionBegan]
+    assert [(n.level, n.subject) for n in counted.notices] == [("error", "")] * 2
+    assert NEW in counted.notices[-1].text
     assert end.core.record.session == NEW
     assert kept(counted) == Actions(record=end.core.record)
     assert [type(m) for m in counted.publish] == [PlantHello]
+    assert end.core.keys.stream.left == 0
 
 
-def test_rows_that_may_go_are_saved_at_once_with_the_step_that_lets_them() -> None:
+def test_rows_of_a_confirmed_block_go_with_the_step_that_announces_it_and_digits_stay() -> None:
     end = keys_at_work()
-    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.1))
-    step = end.hears(offer(k=5, nonce=NONCE), 0.25)
-    assert step.obsolete_rows == (range(1, 3),), "its report announces the block"
+    step = end.hears(offer(k=5, nonce=NONCE, block=0, tag="a" * 32), 0.25)
+    end.wakes(1.0)
+    later = end.hears(offer(k=6, nonce=NONCE, block=0, tag="a" * 32), 1.25)
+    rows = [one.rows for one in (step, later)]
+    assert [part.number for one in rows for part in one.parts] == [0, 1], "once"
+    assert [gone for one in rows for gone in one.obsolete_rows] == [range(1, 3)]
 
 
 def test_blocks_are_counted_as_they_begin() -> None:
@@ -1074,7 +1037,7 @@ def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
     )
     for tag in ("a" * 32, "c" * 32):
         end = Told(KEYS, record, contributions=rows(4)).met()
-        end.does(end.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
+        end.does(end.core.extracted(MADE))
         end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
         counted = end.all[-1]
         differs = tag[0] == "c"
@@ -1094,27 +1057,12 @@ def test_a_status_between_models_shows_the_newest_steps_alone(news: PlantTelemet
     assert len(end.core.status(9.0, whole=False).tail_k) == TAIL_AT_LEAST
 
 
-def test_a_missed_step_takes_rows_along_that_may_go() -> None:
-    end = keys_at_work()
-    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 0.5))
-    end.wakes(1.0)  # missed: its measurement announces the block
-    assert end.core.record.block == 0
-    (saving,) = [actions for actions in end.all if actions.record is not None]
-    assert saving.obsolete_rows == (range(1, 3),)
-
-
-def test_a_plant_that_stops_says_how_many_blocks_wait() -> None:
-    end = keys_at_work()
-    (notice,) = end.core.stop(1.0).notices
-    assert (notice.level, notice.subject) == ("warning", "")
-    assert "1" in notice.text.split(":")[1]
-
-
-def test_a_broken_key_store_is_an_error() -> None:
-    end = keys_at_work()
-    (notice,) = end.core.key_task_done(Broken("disk full"), 0.0).notices
+def test_blocks_that_cannot_be_extracted_are_an_error(news: PlantTelemetry) -> None:
+    end = keys_at_work(telemetry=news)
+    (notice,) = end.core.extracted(ExtractionFailed("no memory")).notices
     assert (notice.level, notice.subject) == ("error", "")
-    assert "disk full" in notice.text
+    assert "no memory" in notice.text
+    assert end.core.status(0.0).keys_refused == "no memory"
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone(news: PlantTelemetry) -> None:
@@ -1166,60 +1114,6 @@ def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> N
     assert end.core.code == DONE
 
 
-def test_whole_blocks_are_waited_for_until_both_ends_have_none() -> None:
-    end = keys_at_work(steps=5)
-    end.wakes(10.0)
-    last = end.hears(offer(k=5), 10.25)
-    (said,) = last.publish
-    assert said == BlockAnnouncement(side="plant", session=S, block=0, tag="a" * 32, waiting=1)
-    assert [(n.level, n.subject) for n in last.notices] == [("info", "")]
-    assert "1" in last.notices[0].text
-    assert end.core.wake_at() == 10.25 + LAST_KEYS_REPEAT_S
-    again = end.wakes(10.5)
-    assert again == Actions(publish=(said,))
-    assert end.hears(offer(k=5), 10.55) == NOTHING_TO_DO, "that was counted"
-    assert end.hears(word(), 10.6).keys == (BlockResult(S, 0, "confirmed"),)
-    end.does(end.core.key_task_done(BlockResult(S, 0, "confirmed", 5), 10.7))
-    end.wakes(10.8)
-    assert end.core.code is None, "the controller waits still"
-    end.hears(word(waiting=0), 10.9)
-    assert end.wakes(11.0) == NOTHING_TO_DO
-    assert end.core.code == DONE
-
-
-def test_whole_blocks_are_waited_for_no_longer_than_stated() -> None:
-    end = keys_at_work(steps=5)
-    end.wakes(10.0)
-    end.hears(offer(k=5), 10.25)
-    end.wakes(10.24 + LAST_KEYS_S)
-    assert end.core.code is None
-    assert end.wakes(10.25 + LAST_KEYS_S) == NOTHING_TO_DO
-    assert end.core.code == DONE
-
-
-def test_after_a_block_that_differs_nothing_is_waited_for() -> None:
-    end = keys_at_work(steps=5)
-    end.wakes(10.0)
-    end.hears(offer(k=5), 10.25)
-    told = end.hears(word("c" * 32, waiting=3), 10.5)
-    assert told.keys == (BlockResult(S, 0, "unequal"),)
-    end.does(end.core.key_task_done(BlockResult(S, 0, "unequal"), 10.6))
-    end.wakes(10.7)
-    assert end.core.code == DONE
-
-
-@pytest.mark.parametrize("fields", [{"side": "plant"}, {"session": T}])
-def test_a_word_that_is_not_the_controllers_of_the_session_counts_for_nothing(
-    fields: dict[str, Any],
-) -> None:
-    end = keys_at_work(steps=5)
-    end.wakes(10.0)
-    end.hears(offer(k=5), 10.25)
-    assert end.hears(word(**fields), 10.5) == NOTHING_TO_DO
-    end.hears(word(waiting=0), 10.6)
-    assert Told().met().hears(word(), 1.0) == NOTHING_TO_DO, "no keys are made"
-
-
 def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantTelemetry) -> None:
     machine = Machine()
     machine.closing = "the valve does not move"
@@ -1236,7 +1130,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     assert isinstance(status, PlantStatus)
     assert (status.phase, status.k) == ("stopped", 4)
     assert stopped.health == status, "the last status is kept"
-    assert stopped.record is None
+    assert kept(stopped) == Actions(record=end.core.record)
 
 
 def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:

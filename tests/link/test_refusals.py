@@ -8,17 +8,18 @@ import pytest
 
 from controller_service.core import REMEMBERED_SESSIONS, STALE
 from protocol.agreement import INSIDE, AgreementRule, Gauge
+from protocol.link.distiller import BlockEnded
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import Rules
-from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
+from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
-from protocol.secret.blocks import BlockResult, Schedule, Stored
+from protocol.secret.blocks import ExtractedBlock, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
-from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done
+from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done, done
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
 
@@ -282,7 +283,7 @@ def test_where_the_law_has_no_answer_the_transition_counts_all_the_same() -> Non
 
 def test_where_the_law_has_no_answer_the_row_of_the_transition_is_saved() -> None:
     """A process that dies there would make another key block than the plant."""
-    rules = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+    rules = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
     row = Contribution(1, 1, b"n" * 32, None)
     sender = ControllerInHand(
         rules, propose, A, RECORD._replace(incarnation=0), contributions=[row]
@@ -294,25 +295,29 @@ def test_where_the_law_has_no_answer_the_row_of_the_transition_is_saved() -> Non
 
 
 def test_a_difference_of_key_blocks_ends_the_session() -> None:
-    sender = at_work()
-    told = BlockAnnouncement(side="plant", session=S, block=0, tag="c" * 32, waiting=1)
     sender = ControllerInHand(
-        replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4)),
+        replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4)),
         propose,
         A,
         RECORD._replace(incarnation=0, transitions=3),
-        contributions=[Contribution(j, 1, b"n" * 32, None) for j in (1, 2)],
+        contributions=[Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)],
     )
     sender.core.start(0.0)
     sender.heard_plant(hello(transitions=3, applied_k=1))
-    sender.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0)
-    ended = sender.hear_of_blocks(told)
+    sender.core.extracted(ExtractedBlock(S, 0, "a" * 32, (b"k" * 32,)))
+    actions = sender.core.receive(Measurement, measurement(block=0, tag="c" * 32).wire(), 1e4)
+    assert actions.finish_step
+    counted = sender.core.finish_step()
+    assert BlockEnded(S, 0, "unequal") in counted.events
+    assert counted.finish_step
+    ended = done(sender.core.finish_step())
     assert ended == Done(
         save=True,
         reply=GREETING,
         refusal="a key block differs from the plant's; session ended",
     )
     assert sender.record == OVER
+    assert sender.keys.stream.left == 0, "no key of it serves"
 
 
 def test_an_answer_is_settled_before_the_next_measurement() -> None:
@@ -419,19 +424,19 @@ def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
 
 
 def test_a_difference_of_key_blocks_begins_a_session() -> None:
-    keys = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+    keys = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
     receiver = PlantInHand(keys, P, AT_THE_PLANT._replace(transitions=0))
     receiver.look_around()
     receiver.heard_controller(reply("greeting"), NEW)
     assert receiver.heard_controller(reply("accepted"), NEW) == "accepted"
     for k in (3, 4, 5):
         receiver.applied(OFFER.model_copy(update={"k": k, "nonce": fresh_nonce()}), 0, (1.5,))
-    receiver.carry_out(receiver.core.key_task_done(Stored(S, 0, "a" * 32, keys=5), 0.0))
+    receiver.carry_out(receiver.core.extracted(ExtractedBlock(S, 0, "a" * 32, (b"k" * 32,))))
     differs = {"k": 6, "nonce": fresh_nonce(), "block": 0, "tag": "c" * 32}
     receiver.applied(OFFER.model_copy(update=differs), 0, (1.5,))
     assert not receiver.accepted
     assert (receiver.record.session, receiver.record.sessions) == (NEW, 2)
-    assert [task.what for task in receiver.tasks if isinstance(task, BlockResult)] == ["unequal"]
+    assert BlockEnded(S, 0, "unequal") in receiver.events
 
 
 @pytest.mark.parametrize("record", [AT_THE_PLANT, AT_THE_PLANT._replace(transitions=0, sessions=2)])
@@ -462,7 +467,7 @@ def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int)
 
 def test_in_a_new_session_no_copy_of_the_step_under_way_is_the_first() -> None:
     """That of the session before may have left with the nonce of this step."""
-    keys = replace(RULES, schedule=Schedule(Assumption(0.1), 2, 4))
+    keys = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
     receiver = PlantInHand(keys, P, AT_THE_PLANT)
     assert receiver.heard_controller(reply("greeting"), NEW) == "greet"
     receiver.missed((0.0,), (0.0,))

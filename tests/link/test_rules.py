@@ -7,6 +7,7 @@ import pytest
 from protocol.agreement import AgreementResult, Gauge
 from protocol.box_observer import Box, Estimate
 from protocol.defence.alarm_rule import AT_ONCE
+from protocol.defence.watch import UNWATCHED
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
@@ -14,8 +15,10 @@ from protocol.link.session import CountedTransition, Truth, rules_of
 from protocol.messages import Offer
 from protocol.schemes.base import Carry
 from protocol.schemes.pipelined import Pipelined
+from protocol.schemes.sealed import Sealed
 from protocol.schemes.switched import Switched
 from protocol.secret.nonces import Contribution
+from protocol.secret.stream import NOWHERE, Position
 from runtime.scenario_file import scenario_of
 from tests.support.line_ends import line_rules
 from wyner.api import vary
@@ -59,27 +62,37 @@ def test_what_is_expected_is_the_offers_prediction_or_the_models() -> None:
 @pytest.mark.parametrize(
     ("keyed", "said", "malformed"),
     [
-        (False, (None, None, None), False),
-        (False, (None, None, ""), True),
-        (False, ("", 0, ""), True),
-        (True, ("", 0, ""), False),
-        (True, ("k", 3, None), True),
+        (False, (None, None), False),
+        (False, (None, 0), True),
+        (False, (-1, 0), True),
+        (True, (-1, 0), False),
+        (True, (3, None), True),
         (True, (None,), True),
-        (True, ("",), False),
+        (True, (False,), False),
     ],
 )
-def test_a_coin_is_said_where_it_is_keyed_and_nowhere_else(
+def test_digits_are_named_where_they_serve_and_nowhere_else(
     keyed: bool, said: tuple[object, ...], malformed: bool
 ) -> None:
-    told = replace(RULES, keyed=keyed).malformed_coin("offer.coin_key", *said)
-    assert bool(told) == malformed
-    assert told.split(":")[0] == ("offer.coin_key" if malformed else "")
+    for rules in (
+        replace(RULES, keyed=keyed),
+        replace(RULES, scheme=Sealed(2) if keyed else Switched(2)),
+    ):
+        told = rules.malformed_digits("offer.stream_block", *said)
+        assert bool(told) == malformed
+        assert told.split(":")[0] == ("offer.stream_block" if malformed else "")
+
+
+def test_an_offer_takes_a_digit_for_the_coin_and_one_for_a_sealed_symbol() -> None:
+    sealed = replace(RULES, scheme=Sealed(2))
+    rules = (RULES, replace(RULES, keyed=True), sealed, replace(sealed, keyed=True))
+    assert [one.digits for one in rules] == [0, 1, 1, 2]
 
 
 def test_rules_of_a_line_promise_nothing_beside() -> None:
     assert (RULES.size, RULES.keyed, RULES.halts, RULES.predicted) == (2, False, False, False)
     assert (RULES.schedule, RULES.outputs) == (None, None)
-    assert (RULES.alarm_rule, RULES.defence) == (AT_ONCE, "residual")
+    assert (RULES.alarm_rule, RULES.watch, RULES.digits) == (AT_ONCE, UNWATCHED, 0)
 
 
 @pytest.mark.parametrize("name", ["sustained", "watched", "encoder", "pendulum", "motor"])
@@ -92,7 +105,7 @@ def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
     assert rules.schedule == (None if s.keys is None else s.keys.schedule())
     assert rules.predicted == (s.defender.model is not None)
     assert (rules.keyed, rules.halts) == (s.defence.keyed, s.defence.on_alarm == "safe")
-    assert (rules.defence, rules.alarm_rule) == (s.defence.kind, s.alarm_rule)
+    assert (rules.watch, rules.alarm_rule) == (s.watch, s.alarm_rule)
     assert (rules.agreement.A, rules.agreement.B) == (s.A, s.B)
     assert rules.agreement.alpha == s.secrecy.alpha
     H, h = s.test_set.rows()
@@ -213,9 +226,9 @@ ROW = Contribution(4, 1, b"n" * 32, None)
 
 @pytest.mark.parametrize("role", ["plant", "controller"])
 @pytest.mark.parametrize("carried", [True, False])
-@pytest.mark.parametrize("coin_key", [None, "", "k0"])
+@pytest.mark.parametrize("digits", [None, NOWHERE, Position(2, 5)])
 def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
-    role: str, carried: bool, coin_key: str | None
+    role: str, carried: bool, digits: Position | None
 ) -> None:
     state = Switched(2).restore((2, 1) if carried else (1, -1))
     record: SenderRecord | ReceiverRecord
@@ -224,8 +237,14 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
     else:
         record = SenderRecord(session=S, k=7, x=(2.0,), state=state, transitions=4, p=9)
     offer = OFFER.model_copy(
-        update={"predictions": ((3.0,), (4.0,)), "coin_key": "k0", "coin_from": 5}
+        update={
+            "predictions": ((3.0,), (4.0,)),
+            "stream_block": None if digits is None else digits.block,
+            "stream_at": None if digits is None else digits.at,
+        }
     )
+    named = digits if digits != NOWHERE else None
+    keyed = named is not None
     truth = Truth((7.0,), (8.0,))
     carry = Carry(0 if not carried else -1, 1 if carried else -1)
     made = CountedTransition.of(
@@ -241,7 +260,7 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
         1,
         (1.5,),
         truth,
-        coin_key,
+        keyed,
         0,
     )
     assert made == CountedTransition(
@@ -265,8 +284,8 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
         coin=1,
         u=(1.5,),
         truth=truth,
-        coin_key=coin_key,
-        coin_from=5 if coin_key else -1,
+        digits=named,
+        keyed=keyed,
         expected=0,
     )
     assert made.shared == made._replace(coin=-1, u=(), truth=None, expected=-1)
@@ -276,13 +295,11 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
     assert told["expected"] == 0
     assert (told["true_x_next"], told["true_u"]) == ((7.0,), (8.0,))
     assert "attack_failed" not in told
-    assert ("coin_key" in told) == (coin_key is not None)
-    assert told.get("coin_key") == coin_key
-    assert told.get("coin_from", -1) == (5 if coin_key else -1)
+    assert (told.get("digits"), told.get("keyed")) == (named, keyed or None)
     public = made.shared.as_event()
     assert not {"coin", "u", "expected", "true_u", "true_x_next"} & set(public)
     none = CountedTransition.of(
-        Pipelined(2), record, offer, (3.5,), VERDICT, (2, 0), carry, 1, None, coin_key=coin_key
+        Pipelined(2), record, offer, (3.5,), VERDICT, (2, 0), carry, 1, None
     )
     assert (none.counts, none.coin, none.u, none.truth, none.expected) == (0, -1, (), None, -1)
     assert none.tested, "each transition is tested there"

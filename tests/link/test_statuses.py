@@ -12,7 +12,6 @@ from protocol.link.peer import Actions
 from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
 from protocol.messages import (
-    BlockAnnouncement,
     ControllerHello,
     Measurement,
     Message,
@@ -165,7 +164,7 @@ def status(receiver: PlantInHand) -> PlantStatus:
 
 @pytest.mark.parametrize(
     ("kind", "name"),
-    [(Offer, "offer"), (ControllerHello, "hello"), (BlockAnnouncement, "word")],
+    [(Offer, "offer"), (ControllerHello, "hello")],
 )
 def test_what_is_malformed_is_named_and_counted_from_none_on(
     kind: type[Message], name: str, news: PlantTelemetry

@@ -15,6 +15,7 @@ import pytest
 
 from plant_service.core import SYMBOLS_AT_ONCE
 from protocol.agreement import NO_SYMBOL, AgreementResult
+from protocol.link.distiller import BlockEnded
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Offer, SendCommand
@@ -95,7 +96,7 @@ class Ends:
 
     def controller(self, record: SenderRecord | None, **step: Any) -> ControllerInHand:
         """A process of it, with the rows that its journal has."""
-        counted = [row for row in self.rows if record is not None and row.j < record.transitions]
+        counted = [] if record is None else self.rows_of(record)
         return ControllerInHand(
             self.rules,
             self.propose,
@@ -106,6 +107,11 @@ class Ends:
             fresh=self.draws,
             **step,
         )
+
+    def rows_of(self, record: SenderRecord | ReceiverRecord) -> list[Contribution]:
+        """Rows in the journal with a record: those of the open block."""
+        begins = 1 + max(0, record.transitions - 1) // 64 * 64
+        return [row for row in self.rows if begins <= row.j < record.transitions]
 
     def meet(self) -> None:
         """A life greets, or the same once more; the plant saves which it was."""
@@ -128,6 +134,12 @@ class Ends:
         assert self.sender.record == self.said
         assert self.sender.carries == (self.said.state[1] != NO_SYMBOL)
 
+    def poor(self, counted: CountedTransition | None) -> tuple[BlockEnded, ...]:
+        """The block that a transition ends: copies are lost so often that none makes a key."""
+        if not self.keys or counted is None or counted.j == 0 or counted.j % 64:
+            return ()
+        return (BlockEnded(SESSION, counted.j // 64 - 1, "poor"),)
+
     # --- what happens -----------------------------------------------------------------------------
 
     def die(self) -> None:
@@ -137,7 +149,9 @@ class Ends:
             self.said = self.said._replace(incarnation=self.said.incarnation + 1)
         else:
             record = self.receiver.record
-            self.receiver = PlantInHand(self.rules, PLANT, record, self.symbols, self.rows)
+            self.receiver = PlantInHand(
+                self.rules, PLANT, record, self.symbols, self.rows_of(record)
+            )
             self.woke, self.unsaved = self.keys, ()
         self.meet()
         self.compare()
@@ -249,6 +263,7 @@ class Ends:
             transition=counted,
             delivered=None if delivered is None else str(delivered),
             rows=() if delivered is None or contribution is None else (contribution,),
+            blocks=self.poor(counted),
         )
         assert not self.sender.unfinished
         self.compare()
@@ -321,12 +336,12 @@ class Ends:
             applied_copy=offer.copy_number,
         )
         assert self.receiver.check(offer) == "current"
-        rows, unsaved = list(self.rows), self.unsaved
+        rows, unsaved = self.rows_of(self.receiver.record), self.unsaved
         self.rows += [] if self.contribution is None else [self.contribution]
         self.woke = False
         if self.random.random() < 0.2:  # it dies before it has counted
             record, step = self.receiver.record, self.receiver.dies_over(offer, coin, x_next)
-            assert step.contributions == unsaved
+            assert step.rows.contributions == unsaved
             self.receiver = PlantInHand(
                 self.rules,
                 PLANT,
@@ -342,11 +357,11 @@ class Ends:
         else:
             counted = [self.receiver.applied(offer, coin, x_next)]
             assert self.receiver.step is not None
-            assert self.receiver.step.contributions == unsaved
+            assert self.receiver.step.rows.contributions == unsaved
         assert counted == [self.uncounted]
         row = () if self.contribution is None else (self.contribution,)
         saved = self.receiver.saved
-        assert [(s.symbols, s.received, s.contributions) for s in saved] == (
+        assert [(s.symbols, s.received, s.rows.contributions) for s in saved] == (
             [(chunk, frame, row)] if chunk or frame is not None else []
         )
         self.unsaved = () if saved else row

@@ -30,29 +30,34 @@ def refused(changed: dict[str, Any]) -> str:
 def test_a_keyed_coin_needs_keys() -> None:
     changed = tables("watched")
     del changed["keys"]
-    assert "defence.kind: keyed-coin takes distilled keys, and there is no table keys" in refused(
-        changed
-    )
+    assert "takes distilled keys, expected a table [keys] beside it" in refused(changed)
     changed["keys"] = {"eps_E": 0.0}
-    assert "defence.kind: keyed-coin takes distilled keys, and under keys.eps_E = 0" in refused(
-        changed
-    )
+    with pytest.raises(
+        ScenarioError, match=r"defence.coin: 'keys' takes distilled keys, and eps_E = 0"
+    ):
+        made(changed)
+
+
+def test_a_sealed_symbol_needs_keys() -> None:
+    changed = tables("sealed")
+    del changed["keys"]
+    assert "takes distilled keys, expected a table [keys] beside it" in refused(changed)
 
 
 def test_a_keyed_coin_needs_candidates_that_every_step_tells_apart() -> None:
     changed = tables("watched")
     changed["control"]["alphabet"] = {"spacing": 1.9}
     assert (
-        "defence.kind: got 'keyed-coin' beside control.alphabet.spacing = 1.9, expected a spacing "
+        "defence.coin: got 'keys' beside control.alphabet.spacing = 1.9, expected a spacing "
         "of 2 or more"
     ) in refused(changed)
     changed["control"]["alphabet"] = {"spacing": 2.0}
     assert made(changed).defence.keyed
     for law in ("sustained", "paper"):
         changed = tables(law)
-        changed |= {"keys": {"eps_E": 0.3}, "defence": {"kind": "keyed-coin"}}
+        changed |= {"keys": {"eps_E": 0.3}, "defence": {"coin": "keys"}}
         assert (
-            f"defence.kind: got 'keyed-coin' beside control.law = '{law}', expected law 'packed'"
+            f"defence.coin: got 'keys' beside control.law = '{law}', expected law 'packed'"
         ) in refused(changed)
         del changed["defence"]
         assert made(changed).keys is not None
@@ -79,7 +84,7 @@ def test_who_keys_the_coin_and_who_does_not_have_other_models() -> None:
     private = made(changed)
     assert keyed.fingerprint() != private.fingerprint()
     assert keyed.loop_fingerprint() != private.loop_fingerprint()
-    changed["defence"] = {"kind": "residual"}
+    changed["defence"] = {"coin": "private"}
     same = made(changed)
     assert (same.fingerprint(), same.loop_fingerprint()) == (
         private.fingerprint(),

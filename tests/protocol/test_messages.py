@@ -70,12 +70,12 @@ def test_the_field_bus_has_these_messages_with_these_fields_only() -> None:
     """A key, a plaintext or a state would need a field: adding one must not go unnoticed."""
     assert {kind.__name__: set(kind.model_fields) for kind in FIELD} == {
         "Measurement": {
-            *("v", "session", "k", "x", "applied_k", "x_after", "applied_copy", "applied_key"),
+            *("v", "session", "k", "x", "applied_k", "x_after", "applied_copy", "keyed"),
             *OF_KEYS,
         },
         "Offer": {
             *("v", "session", "k", "candidates", "cipher", "predictions", "heard"),
-            *("coin_key", "coin_from", "coin_last"),
+            *("stream_block", "stream_at"),
             *OF_KEYS,
         },
     }

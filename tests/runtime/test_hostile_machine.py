@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from protocol.secret.records import Side
+from protocol.link.records import Side
 from runtime.errors import Failure
 from tests.support.recorded_loop import RecordedLoop
 from tests.support.two_ends import SIDES

@@ -15,10 +15,12 @@ from zlib import crc32
 import pytest
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import KeyRows
 from protocol.link.peer import Actions
 from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
+from protocol.secret.stream import Part
 from runtime import journal as journals
 from runtime.journal import (
     JOURNAL_VERSION,
@@ -57,6 +59,7 @@ SENDER = SenderRecord(
 
 MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4, x_after=(1.0, 2.0))
 OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
+PART = Part(block=3, number=1, first=4, digits=bytes(range(7)))
 
 
 def row(j: int) -> Contribution:
@@ -69,10 +72,10 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     plant = PlantJournal(None if in_memory else tmp_path / "p", SCENARIO)
     assert controller.load() == Loaded()
     assert plant.load() == Loaded()
-    controller.save(Actions(record=SENDER, contributions=(row(5), row(4))))
+    controller.save(Actions(record=SENDER, rows=KeyRows((row(5), row(4)), parts=(PART,))))
     plant.save(Actions(record=RECEIVER._replace(stored=3), symbols="100"))
     plant.save(Actions(record=RECEIVER._replace(stored=5), symbols="11", offer=OFFER, coin=1))
-    assert plant.load() == Loaded(RECEIVER._replace(stored=5), OFFER, 1, None, (), "10011")
+    assert plant.load() == Loaded(RECEIVER._replace(stored=5), OFFER, 1, None, symbols="10011")
     controller.save(Actions(record=SENDER, offer=OFFER, measurement=MEASUREMENT))
     step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT)
     plant.save(step)
@@ -82,7 +85,7 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
         controller = ControllerJournal(controller.path, SCENARIO)
         plant = PlantJournal(plant.path, SCENARIO)
     rows = (row(4), row(5))
-    assert controller.load() == Loaded(SENDER, OFFER, NO_SYMBOL, MEASUREMENT, rows)
+    assert controller.load() == Loaded(SENDER, OFFER, NO_SYMBOL, MEASUREMENT, rows, (PART,))
     assert plant.load() == Loaded(RECEIVER, OFFER, 1, MEASUREMENT), "the frame is over"
     plant.save(Actions(record=RECEIVER._replace(k=5)))
     assert plant.load() == Loaded(RECEIVER._replace(k=5)), "a record takes the step's place"
@@ -92,13 +95,32 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
 
 def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER, contributions=tuple(map(row, range(5)))))
-        journal.save(Actions(record=RECEIVER, obsolete_rows=(range(2), range(3, 4))))
+        journal.save(Actions(record=RECEIVER, rows=KeyRows(tuple(map(row, range(5))))))
+        journal.save(Actions(record=RECEIVER, rows=KeyRows(obsolete_rows=(range(2), range(3, 4)))))
         assert journal.load().rows == (row(2), row(4))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         following = RECEIVER._replace(session="fedcba9876543210")
-        journal.save(Actions(record=following, contributions=(row(0),)))
+        journal.save(Actions(record=following, rows=KeyRows((row(0),))))
         assert journal.load().rows == (row(0),)
+
+
+def test_digits_of_the_key_stream_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
+    """What was erased is in no file of the journal any more."""
+    secret = b"digits that have served"
+    path = tmp_path / "p"
+    with PlantJournal(path, SCENARIO) as journal:
+        first, second = Part(0, 0, 0, secret), Part(0, 1, len(secret), b"behind them")
+        journal.save(Actions(record=RECEIVER, rows=KeyRows(parts=(first, second))))
+        assert journal.load().parts == (first, second)
+        left = Part(0, 0, 7, secret[7:])
+        journal.save(Actions(record=RECEIVER, rows=KeyRows(parts=(left,))))
+        assert journal.load().parts == (left, second)
+        journal.save(Actions(record=RECEIVER, rows=KeyRows(parts=(left._replace(digits=b""),))))
+        assert journal.load().parts == (second,)
+    assert secret not in path.read_bytes()
+    with PlantJournal(path, SCENARIO) as journal:
+        journal.save(Actions(record=RECEIVER._replace(session="fedcba9876543210")))
+        assert journal.load().parts == ()
 
 
 def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
@@ -170,6 +192,7 @@ def test_a_long_run_of_messages_and_steps_takes_no_more_room(tmp_path: Path) -> 
 TRACED = r"""
 import os, sys
 from pathlib import Path
+from protocol.link.distiller import KeyRows
 from protocol.link.peer import Actions
 from protocol.link.records import SenderRecord
 from runtime.journal import ControllerJournal
@@ -338,6 +361,7 @@ def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> 
 WRITER = """
 import sys
 from pathlib import Path
+from protocol.link.distiller import KeyRows
 from protocol.link.peer import Actions
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
@@ -392,7 +416,7 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
         if rest:
             acknowledged = int(rest[-1])
         with PlantJournal(path, SCENARIO) as journal:
-            record, offer, coin, measurement, _, symbols, _ = journal.load()
+            record, offer, coin, measurement, _, _, symbols, _ = journal.load()
             assert record is not None
             assert record.k + (offer is not None) in (acknowledged, acknowledged + 1)
             if offer is not None:
@@ -461,10 +485,10 @@ def test_a_torn_or_flipped_save_is_not_there_or_told(tmp_path: Path) -> None:
     """Cut at many places, and many bytes of it flipped: the state before it, or one line."""
     live = tmp_path / "live" / "journal"
     with PlantJournal(live, SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER, contributions=(row(1),), symbols="0101"))
+        journal.save(Actions(record=RECEIVER, rows=KeyRows((row(1),)), symbols="0101"))
         before = copied(live, tmp_path / "before")
         step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT)
-        journal.save(step._replace(contributions=(row(2),), received=b"whole"))
+        journal.save(step._replace(rows=KeyRows((row(2),)), received=b"whole"))
         after = copied(live, tmp_path / "after")
     log = "journal-wal"
     old, new = (path.with_name(log).read_bytes() for path in (before, after))

@@ -9,8 +9,7 @@ from protocol.link.peer import Actions, Notice
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
 from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
-from protocol.secret.blocks import BlockResult
-from protocol.secret.tasks import Done, Task
+from protocol.secret.blocks import ClosedBlock, ExtractedBlock, ExtractionFailed
 from runtime.perform import Crashed, CrashingPorts, perform
 from tests.support.end_in_hand import kept
 from tests.support.line_ends import line_rules
@@ -22,7 +21,7 @@ SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
 OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)
 STEP = Actions(record=SenderRecord(), offer=OFFER, coin=0, measurement=SAID)
 RECORD = Actions(record=SenderRecord(k=7))
-VERDICT = BlockResult("1" * 16, 0, "confirmed")
+BLOCK = ClosedBlock("1" * 16, 0, 1, 1, 1, 2, "1", (b"n" * 32,), 1)
 WELL = next(
     arrival.message
     for arrival in next(Rehearsal().arrivals(10))
@@ -37,6 +36,7 @@ class Script:
     hears: tuple[type[Message], ...] = ()
     says: tuple[type[Message], ...] = ()
     code: int | None = None
+    makes_keys = True
 
     def __init__(self, done: list[object]) -> None:
         self._done = done
@@ -56,10 +56,10 @@ class Script:
     def finish_step(self) -> Actions:
         self._done.append("settle")
         return RECORD._replace(
-            events=(EVENT,), notices=(Notice("told"),), health=WELL, keys=(VERDICT,)
+            events=(EVENT,), notices=(Notice("told"),), health=WELL, tasks=(BLOCK,)
         )
 
-    def key_task_done(self, done: Done, now: float) -> Actions:
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
         raise NotImplementedError
 
     def appear(self, count: int) -> Actions:
@@ -81,8 +81,8 @@ class Listing:
     def publish(self, message: Message) -> None:
         self._done.append(message)
 
-    def submit_key_task(self, task: Task) -> None:
-        self._done.append(task)
+    def extract(self, block: ClosedBlock) -> None:
+        self._done.append(block)
 
     def trace(self, event: Event) -> None:
         self._done.append(event)
@@ -98,14 +98,14 @@ def test_save_publish_settle_trace_keep_tell() -> None:
     done: list[object] = []
     actions = STEP._replace(publish=(SAID,), finish_step=True)
     perform(actions, Script(done), Listing(done))
-    assert done == [STEP, SAID, "settle", EVENT, RECORD, VERDICT, "told", WELL]
+    assert done == [STEP, SAID, "settle", EVENT, RECORD, BLOCK, "told", WELL]
 
 
 @pytest.mark.parametrize(("before", "done"), [
     ("saving", []),
     ("publishing", [STEP]),
     ("tracing", [STEP, SAID, "settle"]),
-    ("keeping", [STEP, SAID, "settle", EVENT, RECORD]),
+    ("extracting", [STEP, SAID, "settle", EVENT, RECORD]),
 ])  # fmt: skip
 def test_who_dies_before_something_has_done_all_that_comes_before_it(
     before: str, done: list[object]
@@ -124,9 +124,9 @@ EVERYTHING = STEP._replace(
     publish=(SAID,),
     notices=(Notice("told"),),
     health=WELL,
-    keys=(VERDICT,),
+    tasks=(BLOCK,),
 )
-DONE = [EVENT, EVENT, STEP, SAID, VERDICT, "told", WELL]
+DONE = [EVENT, EVENT, STEP, SAID, BLOCK, "told", WELL]
 
 
 @pytest.mark.parametrize("after", range(5))

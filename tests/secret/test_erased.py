@@ -1,72 +1,84 @@
-"""Keys that were delivered cannot be made again from any file of an end that has stopped."""
+"""No nonce, digit or key that has served stands in any file of an end that has stopped."""
 
 import base64
 import json
 from collections import defaultdict
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any, NamedTuple
 
 import pytest
 
-from protocol.secret.blocks import Blocks
+from protocol.link.distiller import Distiller
+from protocol.link.records import Side
+from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
-from runtime.journal import ControllerJournal, PlantJournal
-from runtime.keys.store import KeyStore
+from protocol.secret.stream import Part, Position, Stream
+from runtime.chance import fresh_nonce
+from runtime.journal import ControllerJournal, Loaded, PlantJournal
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
-    CONTROLLER_KEYS,
+    CONTROLLER_TRACE,
     PLANT_JOURNAL,
-    PLANT_KEYS,
+    PLANT_TRACE,
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
-from tests.support.giving import deliver, deliver_named
 from tests.support.recorded_loop import RecordedLoop
+from tests.support.traces import read_trace
 from tests.support.two_ends import SIDES
 
+RUN = 16
+"""Digits in a row that are looked for: 32 bits, so that none is found by chance."""
 
-def confirmed(loop: RecordedLoop, block: int) -> bool:
-    """Whether both ends have it on disk that a block is confirmed."""
-    key_makers = [end.key_maker for end in loop.ends.values()]
-    rows = [k.store.blocks(last=1) for k in key_makers if k is not None]
-    return all(row and (row[0].number, row[0].state) == (block, "confirmed") for row in rows)
+TRACES = {"plant": PLANT_TRACE, "controller": CONTROLLER_TRACE}
 
 
-@pytest.fixture(scope="module", params=["at the last confirmation", "later"])
-def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A run whose ends have stopped, with all its keys delivered at both."""
-    loop = RecordedLoop(tmp_path_factory.mktemp("erased") / "run", b"", "keys")
-    if request.param == "later":
-        loop.run(lambda: loop.transitions >= 400)
-    else:
-        loop.run(lambda: loop.transitions >= 300)
-        loop.run(lambda: confirmed(loop, 2))
-    loop.stop()
-    folder = loop.folder
-    with (
-        KeyStore(folder / CONTROLLER_KEYS, "controller") as controller,
-        KeyStore(folder / PLANT_KEYS, "plant") as plant,
-    ):
-        for mine, theirs in ((controller, plant), (plant, controller)):
-            keys = deliver(mine, mine.available(), partner=theirs)
-            ids = [key.key_id for key in keys]
-            assert deliver_named(theirs, ids, partner=mine) == keys
-        assert plant.counts().delivered == controller.counts().delivered == 63
-    return folder
+class Stopped(NamedTuple):
+    """A run whose ends have stopped, and the keys of each block that both have confirmed."""
+
+    folder: Path
+    keys: dict[int, Sequence[bytes]]
 
 
-def delivered_blocks(folder: Path) -> set[tuple[str, int]]:
-    with KeyStore(folder / PLANT_KEYS, "plant") as store:
-        return {(b.session, b.number) for b in store.blocks() if b.state == "confirmed"}
+def confirmed(loop: RecordedLoop) -> int:
+    """The newest block that both ends have confirmed."""
+    return min(loop.plant.keys.confirmed, loop.controller.keys.confirmed)
 
 
-def nonces(folder: Path) -> dict[tuple[str, int], list[bytes]]:
+@pytest.fixture(scope="module", params=["at a confirmation", "later"])
+def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Stopped:
+    keys: dict[int, Sequence[bytes]] = {}
+    add = Stream.add
+
+    def noted(self: Stream, block: int, new: Sequence[bytes]) -> tuple[Part, ...]:
+        assert keys.setdefault(block, new) == new
+        return add(self, block, new)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Stream, "add", noted)
+        loop = RecordedLoop(tmp_path_factory.mktemp("erased") / "run", b"a message", "sealed")
+        loop.run(lambda: confirmed(loop) >= 2)
+        if request.param == "later":
+            loop.advance(100)
+        over = confirmed(loop)
+        loop.stop()
+    return Stopped(loop.folder, {block: keys[block] for block in range(over + 1)})
+
+
+def contents(folder: Path, side: Side) -> dict[str, bytes]:
+    """The files of an end."""
+    files = [path for path in (folder / side).rglob("*") if path.is_file()]
+    return {path.name: path.read_bytes() for path in files}
+
+
+def nonces(folder: Path) -> dict[int, list[bytes]]:
     """The nonces of every key block, as the wire carried them."""
     keys = load_scenario(folder / SCENARIO).keys
-    assert keys is not None
-    schedule = keys.schedule()
+    schedule = None if keys is None else keys.schedule()
     assert schedule is not None
-    found: dict[tuple[str, int], list[bytes]] = defaultdict(list)
+    found: dict[int, list[bytes]] = defaultdict(list)
     for line in (folder / CAPTURE).read_bytes().splitlines():
         event = json.loads(line)
         if event.get("topic") in ("offer", "measurement"):
@@ -74,41 +86,85 @@ def nonces(folder: Path) -> dict[tuple[str, int], list[bytes]]:
             # in this loop each step is a transition: k counts them
             number = schedule.block_of(message["k"])
             if message["nonce"] and number >= 0:
-                found[message["session"], number].append(as_bytes(message["nonce"]))
+                found[number].append(as_bytes(message["nonce"]))
     return found
 
 
-def test_no_nonce_of_a_delivered_key_is_in_any_file(stopped: Path) -> None:
-    blocks, of = delivered_blocks(stopped), nonces(stopped)
-    assert len(blocks) >= 3
+def forms(secret: bytes) -> tuple[bytes, ...]:
+    """How it may stand in a file."""
+    return secret, base64.b64encode(secret), secret.hex().encode()
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_no_nonce_or_key_of_a_block_that_is_over_is_in_any_file(
+    stopped: Stopped, side: Side
+) -> None:
+    files, of = contents(stopped.folder, side), nonces(stopped.folder)
     looked_at = 0
-    for side in SIDES:
-        for path in (stopped / side).rglob("*"):
-            if path.is_file():
-                data = path.read_bytes()
-                for at in blocks:
-                    for nonce in of[at]:
-                        looked_at += 1
-                        assert nonce not in data, f"{path.name}: a nonce of block {at[1]}"
-                        text = base64.b64encode(nonce)
-                        assert text not in data, f"{path.name}: a nonce of block {at[1]}"
-    assert looked_at > 1000
+    for block, keys in stopped.keys.items():
+        assert keys
+        for secret in (*of[block], *keys):
+            looked_at += 1
+            for name, data in files.items():
+                found = any(form in data for form in forms(secret))
+                assert not found, f"{name}: of block {block}"
+    assert looked_at > 300
     # and such a look finds what is there: the block that is under way
-    rest = [n for at, some in of.items() if at not in blocks for n in some]
-    data = b"".join(p.read_bytes() for p in stopped.rglob("journal*"))
-    assert any(nonce in data or base64.b64encode(nonce) in data for nonce in rest)
+    rest = [nonce for block, some in of.items() if block > max(stopped.keys) for nonce in some]
+    assert any(form in data for n in rest for form in forms(n) for data in files.values())
 
 
-def test_no_delivered_block_can_be_made_from_either_journal(stopped: Path) -> None:
-    scenario = load_scenario(stopped / SCENARIO)
+@pytest.mark.parametrize("side", SIDES)
+def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -> None:
+    """A digit is a byte of a part in the journal; those of one key stand side by side there."""
+    files = contents(stopped.folder, side)
+    last = newest(stopped, side)
+    looked_at, left = 0, False
+    for block, keys in stopped.keys.items():
+        first = 0
+        for key in keys:
+            row = bytes(digits(key, 4))
+            for at in range(0, len(row) - RUN + 1, RUN):
+                run = row[at : at + RUN]
+                there = any(run in data for data in files.values())
+                if Position(block, first + at + RUN - 1) <= last:
+                    looked_at += 1
+                    assert not there, f"digits of block {block} that have served"
+                left |= there
+            first += len(row)
+    assert looked_at >= 4
+    assert left, "such a look finds digits that are to come"
+
+
+def loaded_of(stopped: Stopped, side: Side) -> Loaded[Any]:
+    """What an end's journal holds."""
+    path = stopped.folder / (PLANT_JOURNAL if side == "plant" else CONTROLLER_JOURNAL)
+    kind = PlantJournal if side == "plant" else ControllerJournal
+    with kind(path, load_scenario(stopped.folder / SCENARIO).fingerprint()) as journal:
+        return journal.load()
+
+
+def newest(stopped: Stopped, side: Side) -> Position:
+    """Of the digits that have served, as an end has counted."""
+    trace = read_trace(stopped.folder / TRACES[side])
+    return max(Position(*e["digits"]) for e in trace.of("transition") if e.get("keyed"))
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_the_last_digit_that_has_served_is_no_part_of_a_journal(
+    stopped: Stopped, side: Side
+) -> None:
+    parts = loaded_of(stopped, side).parts
+    assert parts
+    assert min(part.begins for part in parts) > newest(stopped, side)
+
+
+@pytest.mark.parametrize("side", SIDES)
+def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side: Side) -> None:
+    loaded, scenario = loaded_of(stopped, side), load_scenario(stopped.folder / SCENARIO)
     assert scenario.keys is not None
-    schedule = scenario.keys.schedule()
-    assert schedule is not None
-    for kind, path in ((ControllerJournal, CONTROLLER_JOURNAL), (PlantJournal, PLANT_JOURNAL)):
-        with kind(stopped / path, scenario.fingerprint()) as journal:
-            record, *_, rows, _, _ = journal.load()
-            assert record is not None
-            assert record.session is not None
-            blocks = Blocks(schedule, record.session, -1, "", rows)
-            made = blocks.to_keep()
-            assert made is None or (record.session, made.number) not in delivered_blocks(stopped)
+    assert loaded.record is not None
+    assert loaded.rows
+    keys = Distiller(scenario.keys.schedule(), 4, fresh_nonce)
+    keys.begin(loaded.record.session, rows=loaded.rows)
+    assert not [block.number for block in keys.tasks() if block.number in stopped.keys]

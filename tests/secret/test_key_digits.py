@@ -1,4 +1,4 @@
-"""The keyed coin: its digits are uniform exactly, and a digit belongs to one step."""
+"""The digits of a key are uniform exactly, and what a keyed coin is tested by."""
 
 import itertools
 import secrets
@@ -8,10 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.agreement import INSIDE, fails
-from protocol.link.coins import AppliedCoins
-from protocol.messages import Offer
 from protocol.secret.key_digits import WORD_BITS, digits, digits_per_word
-from protocol.secret.records import Key
 
 SIZES = st.integers(2, 256)
 KEYS = st.binary(min_size=32, max_size=32)
@@ -59,21 +56,6 @@ def test_every_pair_of_digits_comes_as_often_as_every_other() -> None:
             found.add(digits(word.to_bytes(4) * 8, 3)[:2])
         assert found == set(itertools.product(range(3), repeat=2))
     assert digits(values.to_bytes(4) * 8, 3) == ()
-
-
-@given(st.integers(1, 10**9), st.integers(2, 9), KEYS)
-def test_a_digit_belongs_to_one_step(first: int, size: int, key: bytes) -> None:
-    def offer(k: int) -> Offer:
-        candidates = tuple((float(i),) for i in range(size))
-        coin = {"coin_key": "a", "coin_from": first, "coin_last": "a"}
-        return Offer(session="0" * 16, k=k, candidates=candidates, cipher=0, **coin)
-
-    plant, served = AppliedCoins(size, on=True), digits(key, size)
-    plant.begin("s", [Key("a", key)])
-    end = first + len(served)
-    assert tuple(plant.digit(offer(k)) for k in range(first, end)) == served
-    assert plant.digit(offer(end)) is None
-    assert plant.digit(offer(first - 1)) is None
 
 
 def test_the_test_is_the_agreements_own() -> None:

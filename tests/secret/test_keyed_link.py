@@ -1,10 +1,9 @@
-"""The two real ends and their key stores as a state machine, and seven wrong ones it must catch.
+"""The two real ends that make keys as a state machine, and wrong ones that it must catch.
 
-hypothesis plays the network, the reaper, the keepers' threads and the key servers.
+hypothesis plays the network, the reaper and whoever extracts key blocks.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
 from random import Random
 
 import pytest
@@ -14,12 +13,11 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from controller_service import core as controller_core
 from plant_service import core as plant_core
-from protocol.link import keying as keying_module
-from protocol.link.keying import Keying
+from protocol.link import distiller as distiller_module
+from protocol.link.distiller import Distiller
 from protocol.link.peer import Actions, Peer
+from protocol.link.records import Side
 from protocol.secret.nonces import Contribution, contribution_of
-from protocol.secret.records import WHOLE, Share, Side, StoreError, TooFewKeys
-from runtime.keys.store import KeyStore
 from runtime.perform import CrashPoint, Ports, perform
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
@@ -27,7 +25,7 @@ from tests.support.size import size
 from tests.support.two_ends import SIDES
 
 SIDE = st.sampled_from(SIDES)
-POINTS: tuple[CrashPoint, ...] = ("saving", "publishing", "tracing", "keeping")
+POINTS: tuple[CrashPoint, ...] = ("saving", "publishing", "tracing", "extracting")
 POINT = st.sampled_from(POINTS)
 PLACE = st.integers(0, 11)
 
@@ -56,20 +54,12 @@ class KeyedLink(RuleBasedStateMachine):
         self.world.wake(side)  # type: ignore[arg-type]
 
     @rule(side=SIDE)
-    def a_keeper_works(self, side: str) -> None:
-        self.world.keeps(side)  # type: ignore[arg-type]
+    def a_block_is_extracted(self, side: str) -> None:
+        self.world.extract(side)  # type: ignore[arg-type]
 
     @rule(side=SIDE)
-    def a_keeper_is_heard(self, side: str) -> None:
+    def an_end_is_told(self, side: str) -> None:
         self.world.told(side)  # type: ignore[arg-type]
-
-    @rule()
-    def the_ends_ask_each_other(self) -> None:
-        self.world.ask()
-
-    @rule(side=SIDE)
-    def a_key_is_served(self, side: str) -> None:
-        self.world.serve(side)  # type: ignore[arg-type]
 
     @rule(side=SIDE, before=POINT)
     def a_process_will_die(self, side: str, before: str) -> None:
@@ -88,7 +78,7 @@ class KeyedLink(RuleBasedStateMachine):
         self.world.well(rounds, victim, before)  # type: ignore[arg-type]
 
     @invariant()
-    def both_order_alike(self) -> None:
+    def both_hold_the_same(self) -> None:
         self.world.agree()
 
 
@@ -111,14 +101,15 @@ TestKeyedLinkOnDisk = pytest.mark.slow(KeyedLinkOnDisk.TestCase)
 TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=size(4, 10))
 
 
-def test_keys_are_made_and_served_once_all_is_well() -> None:
+def test_both_ends_confirm_the_same_blocks_while_all_is_well() -> None:
     world = KeyedEnds(keyed_rules())
     world.well(900)
-    for side in SIDES:
-        for _ in range(10):
-            world.serve(side)
-    world.agree()
-    assert len(world.given) == 20
+    plant, controller = (world.confirmed[side] for side in SIDES)
+    assert len(plant) > 20
+    assert all(keys >= 1 for keys in plant.values())
+    shared = plant.keys() & controller.keys()
+    assert len(shared) >= len(plant) - 1
+    assert all(plant[at] == controller[at] for at in shared)
     assert len(world.journals["plant"].load().rows) < 12
     world.close()
 
@@ -152,7 +143,7 @@ class Hasty(KeyedEnds):
 
 
 def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
-    patch.setattr(Keying, "again", lambda _, offer: offer.model_copy(update={"copy_number": 1}))
+    patch.setattr(Distiller, "again", lambda _, offer: offer.model_copy(update={"copy_number": 1}))
 
 
 def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
@@ -176,33 +167,7 @@ def nonces_swapped(patch: pytest.MonkeyPatch) -> None:
             )
         return contribution
 
-    patch.setattr(keying_module, "contribution_of", wrong)
-
-
-def both_own_all(patch: pytest.MonkeyPatch) -> None:
-    add = KeyStore.add
-
-    def wrong(self: KeyStore, *args: object, **more: object) -> bool:
-        added = add(self, *args, **more)  # type: ignore[arg-type]
-        with self.transaction() as db:
-            db.execute("UPDATE key SET own = 1")
-        return added
-
-    patch.setattr(KeyStore, "add", wrong)
-
-
-def given_before_confirmed(patch: pytest.MonkeyPatch) -> None:
-    set_aside = KeyStore.set_aside
-
-    def wrong(self: KeyStore, use: str, number: int, share: Share = WHOLE) -> tuple[str, ...]:
-        try:
-            return set_aside(self, use, number, share)
-        except TooFewKeys:
-            with self.transaction() as db:
-                db.execute("UPDATE key SET state = 'confirmed' WHERE state = 'stored'")
-            return set_aside(self, use, number, share)
-
-    patch.setattr(KeyStore, "set_aside", wrong)
+    patch.setattr(distiller_module, "contribution_of", wrong)
 
 
 WRONG: dict[str, Callable[[pytest.MonkeyPatch], None]] = {
@@ -224,9 +189,8 @@ def stagger(world: KeyedEnds, random: Random, side: Side) -> None:
         lambda: world.well(random.randrange(5, 60), side, random.choice(POINTS)),
         lambda: world.deliver(side, random.randrange(12)),
         lambda: world.wake(side),
-        lambda: world.keeps(side),
+        lambda: world.extract(side),
         lambda: world.told(side),
-        lambda: world.serve(side),
         lambda: world.die(side),
     ]
     random.choice(actions)()
@@ -251,18 +215,6 @@ def caught() -> bool:
         except AssertionError:
             return True
     return False
-
-
-@pytest.mark.wrong_on_purpose
-@pytest.mark.parametrize("wrong", [both_own_all, given_before_confirmed])
-def test_an_end_that_gives_what_is_not_its_own_is_refused_by_the_other(
-    wrong: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Keys are marked at the partner before they are given: nothing comes of either fault."""
-    wrong(monkeypatch)
-    for seed in range(size(10, 20)):
-        with suppress(StoreError):  # a row whose check does not hold any more is not given either
-            wander(seed)
 
 
 @pytest.mark.wrong_on_purpose

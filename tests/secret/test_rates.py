@@ -7,6 +7,8 @@ from itertools import pairwise
 import pytest
 
 from controller_service.laws.base import CandidateLaw
+from protocol.link.distiller import BlockEnded
+from protocol.link.events import Event
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Keys, Scenario
 from protocol.secret.bound import Assumption
@@ -22,6 +24,19 @@ def keyed(scenario: Scenario, eps_E: float, unheard_bits: int = 256) -> Scenario
     return scenario.model_copy(update={"keys": keys})
 
 
+class Making(Simulation):
+    """Notes what becomes of key blocks, at both ends."""
+
+    def __init__(self, *args: object, **more: object) -> None:
+        self.made: list[BlockEnded] = []
+        super().__init__(*args, **more)  # type: ignore[arg-type]
+
+    def traced(self, event: Event) -> None:
+        if isinstance(event, BlockEnded):
+            self.made.append(event)
+        super().traced(event)
+
+
 @pytest.mark.long
 @pytest.mark.parametrize(
     ("eps_E", "unheard_bits", "first_s", "rate", "blocks"),
@@ -32,17 +47,19 @@ def test_the_first_key_comes_early_and_the_rate_after_it(
     sustained: Scenario, sustained_law: CandidateLaw,
 ) -> None:  # fmt: skip
     scenario = keyed(sustained, eps_E, unheard_bits)
-    simulation = Simulation(scenario, sustained_law, seed=1, step_s=0.1)
+    simulation = Making(scenario, sustained_law, seed=1, step_s=0.1)
     schedule = scenario.keys.schedule() if scenario.keys is not None else None
     assert schedule is not None
     simulation.run(seconds=0.1 * schedule.begins(blocks) + 1.0)
-    made = simulation.stores["plant"].blocks()
-    assert len(made) == blocks
-    assert {block.state for block in made} == {"confirmed"}
-    assert 0.1 * (1 + made[0].transitions) <= first_s
-    assert made[0].keys >= 1
-    assert 256 * made[-1].keys / (0.1 * made[-1].steps) >= rate
-    assert simulation.stores["controller"].compare() == simulation.stores["plant"].compare()
+    plant, controller = (simulation.ends[side].journal.load() for side in ("plant", "controller"))
+    assert len(simulation.made) == 2 * blocks
+    first, *_, last = simulation.made
+    assert {block.what for block in simulation.made} == {"confirmed"}
+    assert 0.1 * (1 + schedule.length(0)) <= first_s
+    assert first.keys >= 1
+    assert 256 * last.keys / (0.1 * schedule.length(last.number)) >= rate
+    assert plant.parts
+    assert plant.parts == controller.parts
 
 
 def test_she_holds_nothing_of_a_thousand_blocks_and_one_row_too_many_is_one_row() -> None:

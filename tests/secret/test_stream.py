@@ -25,7 +25,7 @@ def test_both_ends_find_the_same_digits_in_order_and_each_once(
     plant.add(0, keys)
     whole = in_order(keys, size)
     named: list[Position] = []
-    while (position := controller.name(count)) != NOWHERE:
+    while (position := controller.name(count, 0)) != NOWHERE:
         assert plant.at(position, count) == tuple(whole[position.at : position.at + count])
         assert controller.at(position, count) == plant.at(position, count)
         named.append(position)
@@ -50,24 +50,29 @@ def test_the_rows_that_change_make_the_same_stream_after_a_restart(
     for block, keys in enumerate(blocks):
         save(stream.add(block, keys))
         for _ in range(data.draw(st.integers(0, 40))):
-            position = stream.name(1)
+            position = stream.name(1, 99)
             save(stream.drop_before(position))
             served = max(served, Position(position.block, position.at + 1))
     kept = [part for part in journal.values() if part.digits]
     again = Stream(size, kept, after=served)
     assert again.left == stream.left
-    assert again.name(1) == stream.name(1)
+    assert again.name(1, 99) == stream.name(1, 99)
 
 
-def test_the_plant_may_be_a_block_ahead_and_holds_all_that_the_controller_names() -> None:
+def test_what_is_named_is_held_until_it_has_served_whoever_confirms_two_blocks_at_once() -> None:
     controller, plant = Stream(4), Stream(4)
-    for block in range(3 * BLOCKS):
-        keys = [bytes([block]) * 32]
-        plant.add(block, keys)
-        position = controller.name(1)
-        assert position == NOWHERE or plant.at(position, 1) is not None
-        controller.add(block, keys)
-    assert len({part for part in range(3 * BLOCKS) if plant.at(Position(part, 0), 1)}) == BLOCKS
+    keys = [[bytes([block]) * 32] for block in range(5 * BLOCKS)]
+    plant.add(0, keys[0])
+    for block in range(0, len(keys) - 3, 2):
+        for at in (block + 1, block + 2):
+            plant.add(at, keys[at])
+        position = controller.name(1, 99)
+        controller.add(block, keys[block])
+        controller.add(block + 1, keys[block + 1])
+        if position != NOWHERE:
+            assert controller.at(position, 1) is not None
+            assert plant.at(position, 1) == controller.at(position, 1)
+    assert len({part for part in range(5 * BLOCKS) if plant.at(Position(part, 0), 1)}) == BLOCKS
 
 
 def test_what_is_not_held_has_no_digits() -> None:
@@ -78,3 +83,12 @@ def test_what_is_not_held_has_no_digits() -> None:
     assert stream.at(Position(4, 0), 1) is None
     assert stream.at(Position(3, 127), 2) is None
     assert stream.at(Position(3, 126), 2) == (0, 0)
+
+
+def test_no_digit_is_named_of_a_block_that_was_not_announced() -> None:
+    stream = Stream(4)
+    stream.add(0, [bytes(32)])
+    stream.add(1, [bytes(32)])
+    assert [stream.name(2, 0).at for _ in range(64)] == list(range(0, 128, 2))
+    assert stream.name(2, 0) == NOWHERE
+    assert stream.name(2, 1) == Position(1, 0)

@@ -9,12 +9,11 @@ from typing import Any, NamedTuple
 from zlib import crc32
 
 from controller_service.core import ControllerCore, Predict
-from protocol.link.keying import Keying
+from protocol.link.distiller import BlockEnded, Distiller
 from protocol.link.peer import Actions
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
-from protocol.messages import BlockAnnouncement, ControllerHello, Measurement, Offer, PlantHello
-from protocol.secret.blocks import BlockResult
+from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.nonces import Contribution, NonceSource
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
@@ -63,7 +62,7 @@ class Done(NamedTuple):
     reply: ControllerHello | None = None
     refusal: str = ""
     rows: tuple[Contribution, ...] = ()
-    judged: tuple[BlockResult, ...] = ()
+    blocks: tuple[BlockEnded, ...] = ()
 
 
 NOTHING = Done()
@@ -89,8 +88,8 @@ def done(actions: Actions) -> Done:
         offer=said.get(Offer),
         reply=said.get(ControllerHello),
         refusal=refusals[0] if refusals else "",
-        rows=actions.contributions if save else (),
-        judged=tuple(t for t in actions.keys if isinstance(t, BlockResult)),
+        rows=actions.rows.contributions if save else (),
+        blocks=tuple(event for event in actions.events if isinstance(event, BlockEnded)),
     )
 
 
@@ -161,8 +160,8 @@ class ControllerInHand:
         return self.core.unfinished
 
     @property
-    def keying(self) -> Keying:
-        return self.core.keying
+    def keys(self) -> Distiller:
+        return self.core.keys
 
     def greeting(self) -> ControllerHello:
         """Its greeting, as it was when it started."""
@@ -195,8 +194,3 @@ class ControllerInHand:
     def finish_step(self) -> Done:
         """Count the step under way."""
         return done(self.core.finish_step())
-
-    def hear_of_blocks(self, word: BlockAnnouncement) -> Done:
-        """The plant's word on blocks, and all that comes of it."""
-        actions = self.core.receive(BlockAnnouncement, word.wire(), self._now)
-        return done(self.core.finish_step() if actions.finish_step else actions)

@@ -53,7 +53,7 @@ class EndInHand(Generic[E]):
 def kept(actions: Actions) -> Actions:
     """What of the actions is saved, and nothing else."""
     return actions._replace(
-        events=(), publish=(), notices=(), health=None, finish_step=False, keys=()
+        events=(), publish=(), notices=(), health=None, finish_step=False, tasks=()
     )
 
 

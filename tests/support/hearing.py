@@ -2,7 +2,7 @@
 
 from protocol.link.peer import Actions
 from protocol.messages import Message
-from protocol.secret.tasks import Done
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 
 
 class Hearing:
@@ -16,13 +16,14 @@ class Hearing:
         When.
     appearances : int
         How often its messages leave.
-    done : list of tuple
-        Tasks of keys that it was told of, and when.
+    blocks : list
+        Key blocks that it was told of.
     """
 
     hears: tuple[type[Message], ...] = ()
     says: tuple[type[Message], ...] = ()
     code = None
+    makes_keys = False
 
     def __init__(self, due: float) -> None:
         self.due = due
@@ -32,7 +33,7 @@ class Hearing:
         self.woken: list[float] = []
         self.stopped: list[float] = []
         self.appearances = 0
-        self.done: list[tuple[Done, float]] = []
+        self.blocks: list[ExtractedBlock | ExtractionFailed] = []
 
     def _said(self) -> Actions:
         return Actions(publish=self.says_now)
@@ -56,8 +57,8 @@ class Hearing:
     def finish_step(self) -> Actions:
         return self._said()
 
-    def key_task_done(self, done: Done, now: float) -> Actions:
-        self.done.append((done, now))
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+        self.blocks.append(block)
         return self._said()
 
     def appear(self, count: int) -> Actions:

@@ -1,19 +1,21 @@
-"""Both ends on the line with key stores and two key servers: what must happen once is looked at."""
+"""Both ends on the line with distilled keys: what must happen once is looked at."""
 
 from dataclasses import replace
 from typing import Any, Final
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import BlockEnded
 from protocol.link.events import Alarm, Event
+from protocol.link.records import Side
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
-from protocol.secret.blocks import BlockResult, Schedule
+from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.records import Key, Side, TooFewKeys, UnknownKeys
-from tests.support.giving import deliver, deliver_named
+from protocol.secret.stream import Part
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
 from tests.support.once import Copies, Digits
+from tests.support.safety import differing_key
 from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
@@ -26,41 +28,26 @@ def keyed_rules(**more: Any) -> Rules:
 
 
 class KeyedEnds(LineEnds):
-    """Ends whose keys are made, and given to others by two servers.
+    """Ends whose keys are made, and serve where the rules say so.
 
     Attributes
     ----------
-    given : list of Key
-        By the servers.
+    copies, digits
+        What the onlooker saw.
+    confirmed : dict of str to list
+        Blocks that each end has confirmed, by session and number, and how many keys each gave.
     """
 
     def __init__(self, rules: Rules, **more: Any) -> None:
-        self.copies, self.digits = Copies(), Digits()
+        self.copies, self.digits = Copies(), Digits(rules.digits)
         self.counted: dict[Name, dict[tuple[str, int], CountedTransition]] = {s: {} for s in SIDES}
-        self.given: list[Key] = []
+        self.confirmed: dict[Name, dict[tuple[str, int], int]] = {s: {} for s in SIDES}
         super().__init__(rules, **more)
 
     @property
     def deaths(self) -> int:
         """Lives that are over."""
         return sum(self.lives.values()) - len(SIDES)
-
-    def serve(self, side: Side) -> None:
-        """A key server gives a key, and its partner finds the same one by its id."""
-        try:
-            (key,) = deliver(self.stores[side], 1, side, partner=self.stores[OTHER[side]])
-        except TooFewKeys:
-            return
-        assert key not in self.given, "a key was given twice"
-        assert key.key_id not in {name for name, _ in self.digits.served}, "a coin came from it"
-        self.given.append(key)
-        try:
-            (same,) = deliver_named(
-                self.stores[OTHER[side]], [key.key_id], partner=self.stores[side]
-            )
-        except UnknownKeys:
-            raise AssertionError("a key was given that the partner does not have") from None
-        assert same == key, "the two ends gave different keys under one id"
 
     def said(self, side: Name, message: Mail) -> None:
         super().said(side, message)
@@ -69,22 +56,34 @@ class KeyedEnds(LineEnds):
         said = message.kind.model_validate_json(message.payload)
         assert isinstance(said, Measurement | Offer)
         self.copies.left(said)
+        if isinstance(said, Offer):
+            self.digits.named(said)
 
     def traced(self, side: Name, event: Event) -> None:
-        if isinstance(event, BlockResult):
-            assert event.what == "confirmed", "the ends hold different blocks"
-        assert not isinstance(event, Alarm), "an honest step made an alarm"
+        if isinstance(event, BlockEnded):
+            assert event.what != "unequal", "the ends hold different blocks"
+            self.confirmed[side][event.session, event.number] = event.keys
+        honest = not isinstance(event, Alarm) or event.reason == "unwatched"  # the stream was dry
+        assert honest, "an honest step made an alarm"
         if isinstance(event, CountedTransition):
             assert (event.coin == NO_SYMBOL) == (side == "controller")
-            self.digits.counted(event)
+            self.digits.counted(event, coins=self.rules.keyed)
             transition = event.shared
             at = transition.session, transition.j
             self.counted[side][at] = transition
             other = self.counted[OTHER[side]].get(at)
             assert other is None or other == transition, "the ends counted differently"
 
+    def parts(self, side: Side) -> dict[tuple[int, int], Part]:
+        """The key stream that an end's journal holds."""
+        return {(part.block, part.number): part for part in self.journals[side].load().parts}
+
     def agree(self) -> None:
-        """Ids come in one order at both ends."""
-        mine, theirs = ([name for name, _ in self.stores[side].ids()] for side in SIDES)
-        shared = set(mine) & set(theirs)
-        assert [n for n in mine if n in shared] == [n for n in theirs if n in shared]
+        """What both journals hold of the key stream of one session is the same."""
+        mine, theirs = (self.journals[side].load() for side in SIDES)
+        if mine.record is None or theirs.record is None:
+            return
+        if mine.record.session != theirs.record.session:
+            return
+        wrong = differing_key(mine.parts, theirs.parts)
+        assert not wrong, wrong

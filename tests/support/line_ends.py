@@ -4,7 +4,7 @@ It is a model, or a device: actuated, read, and there when the process is not. A
 and disturbance.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 from controller_service.core import ControllerCore
@@ -21,7 +21,6 @@ from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
 from protocol.schemes.switched import Switched
 from protocol.secret.nonces import NonceSource
-from protocol.secret.records import Key
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
@@ -119,7 +118,7 @@ class Reports:
             )
             assert (record.nonce, record.applied_copy) == (report.nonce, report.applied_copy)
             assert (record.block, record.tag) == (report.block, report.tag)
-            assert (report.applied_key or "") == (record.coin_key if record.keyed else "")
+            assert bool(report.keyed) == record.keyed
 
 
 def line_controller(
@@ -130,7 +129,6 @@ def line_controller(
     instance: str,
     nonces: NonceSource = fresh_nonce,
     period_s: float = PERIOD_S,
-    coin_keys: Iterable[Key] = (),
 ) -> ControllerCore:
     """A controller's endpoint as its journal has it."""
     loaded = journal.load()
@@ -145,7 +143,7 @@ def line_controller(
         measurement=loaded.measurement,
         offer=loaded.offer,
         contributions=loaded.rows,
-        coin_keys=coin_keys,
+        parts=loaded.parts,
         nonces=nonces,
     )
 
@@ -241,7 +239,6 @@ def line_plant(
     step_s: float | None,
     nonces: NonceSource = fresh_nonce,
     repeats: int = 4,
-    coin_keys: Iterable[Key] = (),
     steps: int | None = None,
     device: LineDevice | None = None,
 ) -> tuple[PlantCore, LinePlant | ActingLine]:
@@ -263,7 +260,7 @@ def line_plant(
         record=first,
         symbols=loaded.symbols,
         contributions=loaded.rows,
-        coin_keys=coin_keys,
+        parts=loaded.parts,
         offer=loaded.offer,
         tossed=loaded.coin,
         report=loaded.measurement,

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from protocol.link.events import Event
     from protocol.link.peer import Actions, Notice, Peer
     from protocol.messages import Message, Status
-    from protocol.secret.tasks import Task
+    from protocol.secret.blocks import ClosedBlock
     from runtime.ports import Files
 
 HEARS: "dict[str, tuple[type[Message], ...]]" = {
@@ -50,9 +50,9 @@ class Ports:
             line = b'{"event":"field","t_ns":%d,"topic":"%s","message":%s}'
             self._tap.write(line % (time.time_ns(), message.topic.encode(), payload))
 
-    def submit_key_task(self, task: "Task") -> None:
+    def extract(self, block: "ClosedBlock") -> None:
         """No scenario of these makes keys."""
-        raise AssertionError(task)
+        raise AssertionError(block)
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""

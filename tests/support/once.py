@@ -1,8 +1,9 @@
-"""What may happen once, as an onlooker sees it: copy 0, nonces and digits of keys."""
+"""What may happen once, as an onlooker sees it: copy 0, nonces and digits of the key stream."""
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.session import CountedTransition
 from protocol.messages import Measurement, Offer
+from protocol.secret.stream import NOWHERE, Position
 
 
 class Copies:
@@ -25,30 +26,56 @@ class Copies:
 
 
 class Digits:
-    """All coins of a loop whose coin is keyed, as both ends count them (rule 12).
+    """The positions in the key stream that offers name, and the digits that serve (rule 12).
+
+    Parameters
+    ----------
+    count : int
+        Digits that an offer takes.
 
     Attributes
     ----------
     served : dict
-        Session and step that each digit served, by key and number.
+        Session and step that the digits at each position of each session served.
     watched : set of tuple
         Sessions and steps at which the controller expected a candidate.
     """
 
-    def __init__(self) -> None:
-        self.served: dict[tuple[str, int], tuple[str, int]] = {}
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self.served: dict[tuple[str, Position], int] = {}
         self.watched: set[tuple[str, int]] = set()
+        self._named: dict[tuple[str, int], Position] = {}
+        self._newest: dict[str, tuple[int, Position]] = {}
         self._applied: dict[tuple[str, int], int] = {}
 
-    def counted(self, t: CountedTransition) -> None:
-        """A keyed coin is the digit of its step alone, and who watches it expects that one."""
-        at = t.session, t.k
-        if t.coin == NO_SYMBOL:
-            if t.expected != NO_SYMBOL:
-                self.watched.add(at)
-                assert self._applied.get(at, t.expected) == t.expected, "another coin was expected"
+    def named(self, offer: Offer) -> None:
+        """An offer leaves: each step has digits of its own, and they lie beyond all before."""
+        if offer.stream_block is None:
             return
-        self._applied[at] = t.coin
-        if t.coin_key:
-            digit = t.coin_key, t.k - t.coin_from
-            assert self.served.setdefault(digit, at) == at, "a digit served two steps"
+        assert offer.stream_at is not None
+        position, at = Position(offer.stream_block, offer.stream_at), (offer.session, offer.k)
+        if position == NOWHERE:
+            return
+        assert self._named.setdefault(at, position) == position, "a step was given other digits"
+        k, newest = self._newest.get(offer.session, (-1, NOWHERE))
+        if offer.k <= k:
+            return
+        free = newest if newest == NOWHERE else newest._replace(at=newest.at + self.count)
+        assert position >= free, "digits were named for two steps"
+        self._newest[offer.session] = offer.k, position
+
+    def counted(self, t: CountedTransition, *, coins: bool) -> None:
+        """A transition is counted; ``coins``: the digits choose the plant's."""
+        if t.keyed:
+            assert t.digits is not None
+            at = t.session, t.digits
+            assert self.served.setdefault(at, t.k) == t.k, "a digit served two steps"
+        step = t.session, t.k
+        if not coins:
+            return
+        if t.coin != NO_SYMBOL:
+            self._applied[step] = t.coin
+        elif t.expected != NO_SYMBOL:
+            self.watched.add(step)
+            assert self._applied.get(step, t.expected) == t.expected, "another coin was expected"

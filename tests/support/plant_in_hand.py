@@ -12,16 +12,16 @@ from plant_service.core import HELLO_S, PlantCore
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import Distiller
 from protocol.link.events import Event, Missed, SessionBegan
-from protocol.link.keying import Keying
 from protocol.link.pacing import Pacing
 from protocol.link.peer import Actions, Notice
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
+from protocol.secret.blocks import ClosedBlock
 from protocol.secret.nonces import Contribution, NonceSource
-from protocol.secret.tasks import Task
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 
@@ -99,7 +99,7 @@ class PlantInHand:
         self.events: list[Event] = []
         self.notices: list[Notice] = []
         self.saved: list[Actions] = []
-        self.tasks: list[Task] = []
+        self.tasks: list[ClosedBlock] = []
         self.step: Actions | None = None
         """The step that was saved last, as its journal has it."""
         self.published: list[Message] = []
@@ -143,8 +143,8 @@ class PlantInHand:
         return self.core.controller
 
     @property
-    def keying(self) -> Keying:
-        return self.core.keying
+    def keys(self) -> Distiller:
+        return self.core.keys
 
     @property
     def deframer(self) -> Deframer:
@@ -156,7 +156,7 @@ class PlantInHand:
             self.events += actions.events
             self.notices += actions.notices
             self.published += actions.publish
-            self.tasks += actions.keys
+            self.tasks += actions.tasks
             if actions.record is not None and actions.finish_step and actions.offer is not None:
                 self.step = actions
             elif actions.record is not None:
@@ -279,7 +279,7 @@ class PlantInHand:
             When it says that the offer is malformed.
         """
         core = copy(self.core)
-        core.pacing, core.keying = copy(core.pacing), deepcopy(core.keying)
+        core.pacing, core.keys = copy(core.pacing), deepcopy(core.keys)
         core.answered_at = -1.0
         actions = core.receive(Offer, offer.wire(), self._now)
         for notice in actions.notices:

@@ -1,7 +1,7 @@
 """Both services' ends in one process, with their files on disk: a run's folder to be checked.
 
-Only time and network are make-believe. Journals, traces, statuses and key stores are the services'
-own, opened as the services open them; a capture has all that was on the field bus. So a test can
+Only time and network are make-believe. Journals, traces and statuses are the services' own, opened
+as the services open them; a capture has all that was on the field bus. So a test can
 kill an end at any of its ports, spoil a file between two lives, and ask ``wyner check``.
 """
 
@@ -10,7 +10,7 @@ import logging
 import time
 import tomllib
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -19,9 +19,10 @@ from controller_service.service import ControllerConfig, open_controller
 from plant_service.attacked import AttackedPlant
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.networked import behind
+from protocol.link.peer import Peer
 from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
 from protocol.scenario import Attack, parse_scenario
-from protocol.secret.tasks import Task
+from protocol.secret.blocks import ClosedBlock
 from runtime.health_files import HealthFiles
 from runtime.network import channel_of
 from runtime.pace import Pace
@@ -51,6 +52,18 @@ class _Publisher:
         self.loop.said(self.side, Mail(self.kind, payload))
 
 
+@dataclass
+class _Behind(Alive):
+    """One end's process, behind its direction of the network."""
+
+    _: KW_ONLY
+    outer: Peer
+
+    @property
+    def peer(self) -> Peer:
+        return self.outer
+
+
 class RecordedLoop(TwoEnds):
     """One loop whose run is kept in ``folder``: of the shipped scenario ``name`` and ``more``.
 
@@ -62,8 +75,7 @@ class RecordedLoop(TwoEnds):
         The controller's first.
     name, more : str
     pace : str
-        ``realtime``: a step takes its period, and the ends ask each other about keys as often as
-        the services do. ``fast``: lock-step, and they ask all the time.
+        ``realtime``: a step takes its period. ``fast``: lock-step.
     attack : Attack, optional
         One on the bus needs a :attr:`relay` besides.
 
@@ -98,8 +110,6 @@ class RecordedLoop(TwoEnds):
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
         header = {"capture_version": 2, "part": 0, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
-        if self.scenario.defence.keyed:
-            self.asks = "always" if self._pace.factor is None else "timed"
         self._clear_alarm = False
         for side in SIDES:
             self.start(side)
@@ -134,17 +144,16 @@ class RecordedLoop(TwoEnds):
         )
         peer = behind(channel, core, Offer if side == "plant" else Measurement)
         publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
-        tasks: deque[Task] = deque()
-        key_maker = None if files.key_maker is None else files.key_maker.open()
+        closed = deque[ClosedBlock]()
         health = HealthFiles(files.health, log)
         ports = LoopPorts(
             files,
             publishers,  # type: ignore[arg-type]
             log,
             lambda status: health.write(status, time.monotonic()),
-            tasks.append,
+            closed.append,
         )
-        return Alive(core, peer, MortalPorts(ports), key_maker, files, tasks)
+        return _Behind(core, MortalPorts(ports), files, closed, outer=peer)
 
     def die(self, side: Name) -> None:
         """It is killed, and comes back at once."""
@@ -156,8 +165,6 @@ class RecordedLoop(TwoEnds):
         end = self.ends.pop(side)
         kill(end.files.trace)
         end.files.journal.close()
-        if end.key_maker is not None:
-            end.key_maker.store.close()
         self.mail["plant" if side == "plant" else "controller"].clear()
 
     def stop(self) -> None:
@@ -165,8 +172,6 @@ class RecordedLoop(TwoEnds):
         for side, end in tuple(self.ends.items()):
             self.do(side, end.peer.stop)
             end.files.close()
-            if end.key_maker is not None:
-                end.key_maker.store.close()
         self._capture.close()
 
     def queue(self, identifier: str, payload: bytes) -> None:

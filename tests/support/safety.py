@@ -1,8 +1,9 @@
 """What must hold of a simulated link under every schedule."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 from protocol.link.session import CountedTransition
+from protocol.secret.stream import Part, Position
 from wyner.simulate.network import History
 
 
@@ -55,3 +56,19 @@ def _out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: boo
         elif not (again and payload in payloads[:place]):
             yield f"message {payload!r} arrived, expected {payloads[place : place + 1]!r}"
             return
+
+
+def differing_key(mine: Iterable[Part], theirs: Iterable[Part]) -> str:
+    """A key whose digits are not the same at both ends of a session; empty: they are.
+
+    One end may hold less of it than the other.
+    """
+    there = {(part.block, part.number): part for part in theirs}
+    for part in mine:
+        same = there.get((part.block, part.number))
+        if same is None:
+            continue
+        at = Position(part.block, max(part.first, same.first))
+        if part.since(at).digits != same.since(at).digits:
+            return f"key {part.number} of block {part.block} differs between the two ends"
+    return ""

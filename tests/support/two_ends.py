@@ -9,7 +9,7 @@ class                  the ends are                    who needs it
 =====================  ==============================  ========================================
 :class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
                        in memory, or on disk
-`KeyedEnds`            these with key stores, coin     what must happen once, at each event
+`KeyedEnds`            these with distilled keys       what must happen once, at each event
 `RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
 =====================  ==============================  ========================================
 """
@@ -19,27 +19,21 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
-from math import inf
 from typing import Any, Final, Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.events import Event, lines
 from protocol.link.peer import Actions, Notice, Peer
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import Side
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
-from protocol.secret.records import Key, Side
-from protocol.secret.tasks import Done, Task
+from protocol.secret.blocks import ClosedBlock, ExtractedBlock
+from protocol.secret.extractor import extracted
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.keys import coins
-from runtime.keys.asking import Asker
-from runtime.keys.key_maker import KeyMaker, work
-from runtime.keys.store import KeyStore
 from runtime.perform import Crashed, CrashingPorts, CrashPoint, Ports, perform
-from tests.support.giving import ask
 from tests.support.journals import (
     CopiedControllerJournal,
     CopiedPlantJournal,
@@ -68,11 +62,6 @@ Performer = Callable[[Actions, Peer, Ports], None]
 MEMORY: Final = 12
 """Messages that the network keeps for each side: its memory is long, but not endless."""
 
-ASK_EVERY: Final = 16
-"""Things that happen between two questions about keys, while all is well."""
-
-ASK_S: Final = 0.02
-
 QUIET_S: Final = 60.0
 """Virtual seconds without a step after which a loop is stuck."""
 
@@ -95,22 +84,19 @@ class MortalPorts(CrashingPorts):
 class Alive:
     """One end's process.
 
-    ``peer`` is the ``endpoint``. ``tasks`` wait for the key maker, and what is ``done`` for the
-    end, as they do in a service.
+    ``closed`` blocks wait to be extracted, and ``extracted`` ones for the end, as in a service.
     """
 
     endpoint: ControllerCore | PlantCore
-    peer: Peer
     ports: MortalPorts
-    key_maker: KeyMaker | None = None
     files: Any = None
-    tasks: deque[Task] = field(default_factory=deque)
-    done: deque[Done] = field(default_factory=deque)
-    asker: Asker | None = None
+    closed: deque[ClosedBlock] = field(default_factory=deque)
+    extracted: deque[ExtractedBlock] = field(default_factory=deque)
 
-    def __post_init__(self) -> None:
-        if self.key_maker is not None:
-            self.asker = Asker(self.key_maker.store)
+    @property
+    def peer(self) -> Peer:
+        """What a host has of it."""
+        return self.endpoint
 
 
 class TwoEnds(ABC):
@@ -124,20 +110,15 @@ class TwoEnds(ABC):
         What the network has for each side, in the order in which it was said.
     ends : dict of str to Alive
     lives : dict of str to int
-    asks : {"always", "timed", "never"}
-        When the ends ask each other about keys while all is well: all the time, as often as the
-        services do, or only when a test says so.
     """
 
     performer: Performer = staticmethod(perform)
-    asks: Literal["always", "timed", "never"] = "never"
 
     def __init__(self) -> None:
         self.now = 0.0
         self.mail: dict[Side, list[Mail]] = {side: [] for side in SIDES}
         self.ends: dict[Name, Alive] = {}
         self.lives: dict[Name, int] = dict.fromkeys(OTHER, 0)
-        self._happened = 0
         self._loses = False
 
     @abstractmethod
@@ -222,40 +203,27 @@ class TwoEnds(ABC):
         if self.ends[side].peer.wake_at() <= self.now:
             self.do(side, self.ends[side].peer.wake)
 
-    def keeps(self, side: Side) -> None:
-        """The key maker does its next task; its process learns of it later, or never."""
+    def extract(self, side: Side) -> None:
+        """The next block is extracted; its end learns of it later, or never."""
         end = self.ends[side]
-        if end.tasks:
-            assert end.key_maker is not None, "keys are made, and nobody keeps them"
-            end.done.append(work(end.key_maker, end.tasks.popleft()))
+        if end.closed:
+            end.extracted.append(extracted(end.closed.popleft()))
 
     def told(self, side: Side) -> None:
-        """An end learns of a task that is done."""
+        """An end learns of a block that is extracted."""
         end = self.ends[side]
-        if end.done:
-            done = end.done.popleft()
-            self.do(side, lambda now: end.peer.key_task_done(done, now))
-
-    def ask(self) -> None:
-        """Each end asks the other which keys may be given, and is answered."""
-        now = self.now if self.asks == "timed" else float(self._happened)
-        for mine in SIDES:
-            asker, partner = self.ends[mine].asker, self.ends[OTHER[mine]].asker
-            if asker is not None and partner is not None:
-                ask(asker, partner, now)
+        if end.extracted:
+            block = end.extracted.popleft()
+            self.do(side, lambda _now: end.peer.extracted(block))
 
     # --- all is well ------------------------------------------------------------------------------
 
-    def step(self, *, key_makers: bool = True) -> None:
-        """The next thing happens: tasks and mail first, in their order; else time passes."""
-        self._happened += 1
-        if self.asks == "always" and self._happened % ASK_EVERY == 0:
-            self.now += ASK_S
-            self.ask()
+    def step(self, *, extracts: bool = True) -> None:
+        """The next thing happens: blocks and mail first, in their order; else time passes."""
         quiet = True
         for side in SIDES:
-            if key_makers and self.ends[side].tasks:
-                self.keeps(side)
+            if extracts and self.ends[side].closed:
+                self.extract(side)
                 self.told(side)
             elif self.mail[side]:
                 self.hear(side, self.mail[side].pop(0))
@@ -268,13 +236,8 @@ class TwoEnds(ABC):
     def _wake_next(self) -> None:
         due = {side: self.ends[side].peer.wake_at() for side in SIDES}
         side = min(due, key=lambda s: due[s])
-        askers = [end.asker for end in self.ends.values() if end.asker is not None]
-        asks_at = min((a.wake_at() for a in askers if self.asks == "timed"), default=inf)
-        self.now = max(self.now, min(asks_at, due[side]))
-        if asks_at <= due[side]:
-            self.ask()
-        else:
-            self.do(side, self.ends[side].peer.wake)
+        self.now = max(self.now, due[side])
+        self.do(side, self.ends[side].peer.wake)
 
     def well(
         self,
@@ -318,10 +281,10 @@ class Covers:
 class _Ports:
     """What one end does to the world."""
 
-    def __init__(self, world: "LineEnds", side: Name, tasks: deque[Task]) -> None:
+    def __init__(self, world: "LineEnds", side: Name, closed: deque[ClosedBlock]) -> None:
         self._world, self._side = world, side
         self._reports = Reports()
-        self.submit_key_task = tasks.append
+        self.extract = closed.append
 
     def save(self, actions: Actions) -> None:
         self._reports.look(actions)
@@ -346,7 +309,6 @@ class LineEnds(TwoEnds):
     Parameters
     ----------
     rules : Rules
-        With a schedule each end has a key store.
     period_s : float, optional
         Between two steps; None for lock-step.
     payloads, rivals : sequence of bytes
@@ -386,11 +348,6 @@ class LineEnds(TwoEnds):
         self.fresh = fresh or Covers()
         self.names = 0
         self.device = LineDevice() if acts else None
-        self.stores: dict[Side, KeyStore] = {}
-        if rules.schedule is not None:
-            self.stores = {side: KeyStore(None, side) for side in SIDES}
-        if rules.keyed:
-            self.asks = "always"
         self._payloads: dict[Name, Sequence[bytes]] = {"controller": payloads}
         self.journals: dict[Name, ControllerJournal | PlantJournal] = {
             "plant": CopiedPlantJournal() if on_disk else plant_journal()
@@ -404,9 +361,9 @@ class LineEnds(TwoEnds):
             self.start(side)
 
     def close(self) -> None:
-        """Let go of stores and journals."""
-        for kept in (*self.stores.values(), *self.journals.values()):
-            kept.close()
+        """Let go of the journals."""
+        for journal in self.journals.values():
+            journal.close()
 
     def forget(self, side: Name) -> None:
         """An end loses its journal; a controller is handed its messages again."""
@@ -433,48 +390,24 @@ class LineEnds(TwoEnds):
         return f"{self.names:016x}"
 
     def open(self, side: Name) -> Alive:
-        tasks = deque[Task]()
-        ports = MortalPorts(_Ports(self, side, tasks))
+        closed = deque[ClosedBlock]()
+        ports = MortalPorts(_Ports(self, side, closed))
         end = self._plant(ports) if side == "plant" else self._controller(side)
-        if side == "rival" or not self.stores:
-            return Alive(end, end, ports, tasks=tasks)
-        store = self.stores[side]
-        return Alive(end, end, ports, KeyMaker(store), tasks=tasks)
+        return Alive(end, ports, closed=closed)
 
     def _controller(self, side: Name) -> ControllerCore:
         journal = self.journals[side]
         assert isinstance(journal, ControllerJournal)
-        keys = self._coin_keys("controller", journal.load().record)
-        return line_controller(
-            self.rules,
-            partial(self.propose, side),
-            journal,
-            self.fresh,
-            self.name(),
-            coin_keys=keys,
-        )
+        propose = partial(self.propose, side)
+        return line_controller(self.rules, propose, journal, self.fresh, self.name())
 
     def _plant(self, ports: CrashingPorts) -> PlantCore:
         journal = self.journals["plant"]
         assert isinstance(journal, PlantJournal)
-        keys = self._coin_keys("plant", journal.load().record)
         common = self.name, self.name(), self.now, self.period_s
         if self.device is not None:
             self.device.passes = ports.passes
         core, self.line = line_plant(
-            self.rules,
-            journal,
-            *common,
-            coin_keys=keys,
-            steps=self.steps,
-            device=self.device,
+            self.rules, journal, *common, steps=self.steps, device=self.device
         )
         return core
-
-    def _coin_keys(
-        self, side: Side, record: SenderRecord | ReceiverRecord | None
-    ) -> tuple[Key, ...]:
-        """Keys that a process that begins finds in its store, for the coin of its session."""
-        if record is None or not self.rules.keyed:
-            return ()
-        return coins.held(self.stores[side], record.session)

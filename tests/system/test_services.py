@@ -390,7 +390,7 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     (applied,) = [event for event in plant.events if isinstance(event, CountedTransition)]
     gauges = (float("inf"), 1.0)
     news.counted(applied._replace(verdict=AgreementResult(gauges, -1)))
-    status = news.status(plant.record, plant.deframer, plant.keying, 0, 1.0)
+    status = news.status(plant.record, plant.deframer, plant.keys, 0, 1.0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 
 

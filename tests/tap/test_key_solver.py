@@ -7,10 +7,13 @@ from functools import cache
 import pytest
 
 from protocol.knowledge import Knowledge
+from protocol.link.records import Side
 from protocol.messages import FieldMessage, Measurement, Message, Offer
-from protocol.secret.blocks import schedule_of
+from protocol.secret.blocks import ClosedBlock, ExtractedBlock, schedule_of
 from protocol.secret.bound import Assumption
-from protocol.secret.records import BlockRow
+from protocol.secret.extractor import extracted
+from protocol.secret.key_digits import digits
+from protocol.secret.stream import Position
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
@@ -33,6 +36,7 @@ class Recorded(KeyedEnds):
     def __init__(self, claim: Assumption, lose: Callable[[Message], bool]) -> None:
         self.field: list[FieldMessage] = []
         self._lose = lose
+        self.closed: list[ClosedBlock] = []
         super().__init__(keyed_rules(schedule=schedule_of(claim)), period_s=0.3)
 
     def said(self, side: Name, message: Mail) -> None:
@@ -44,20 +48,43 @@ class Recorded(KeyedEnds):
                 return
         super().said(side, message)
 
+    def extract(self, side: Side) -> None:
+        if side == "controller" and self.ends[side].closed:
+            self.closed.append(self.ends[side].closed[0])
+        super().extract(side)
+
 
 @cache
 def recorded(
     lossy: bool = False, claim: Assumption = CLAIM
-) -> tuple[list[FieldMessage], list[BlockRow], dict[str, bytes | None]]:
-    """Messages of some blocks, the controller's blocks, and its keys by their ids."""
+) -> tuple[list[FieldMessage], list[ClosedBlock], list[ExtractedBlock]]:
+    """Messages of some blocks, the controller's blocks, and their keys."""
     draw = random.Random(4)
     world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
-    while world.stores["controller"].available() < 4:
-        world.well(100)
-    blocks = world.stores["controller"].blocks()
-    keys = world.stores["controller"].compare()
+    while sum(world.confirmed["controller"].values()) < 4:
+        world.step()
+    for _ in range(60):  # so that who missed the last words hears later ones
+        world.step()
+    confirmed = world.confirmed["controller"]
+    blocks = [b for b in world.closed if (b.session, b.number) in confirmed]
     world.close()
-    return world.field, blocks, keys
+    return world.field, blocks, [extracted(block) for block in blocks]
+
+
+def keys_of(solver: KeySolver, made: list[ExtractedBlock]) -> list[tuple[bytes | None, ...]]:
+    """What she computes of the keys of these blocks; nothing of a block that she has not."""
+    return [solver.keys_of(block.session, block.number) for block in made]
+
+
+def words_of(
+    solver: KeySolver, made: list[ExtractedBlock]
+) -> list[tuple[bytes, tuple[bytes | None, ...]]]:
+    """Each key, and the words of it that she computes."""
+    return [
+        (key, solver.known_words(block.session, block.number, row))
+        for block in made
+        for row, key in enumerate(block.keys, 1)
+    ]
 
 
 def solver_of(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeySolver:
@@ -133,7 +160,13 @@ def test_who_hears_all_holds_every_row_and_every_key(lossy: bool, claim: Assumpt
     assert keys.broken == keys.blocks
     assert keys.refuted
     hers = solver_of(messages, knowledge)
-    assert {name: hers.key(name) for name in made} == made
+    assert keys_of(hers, made) == [block.keys for block in made]
+    for block in made:
+        stream = [digit for key in block.keys for digit in digits(key, hers.size)]
+        count = len(stream)
+        for at in range(0, count, 7):
+            found = hers.digits(block.session, Position(block.number, at), 1)
+            assert found == tuple(stream[at : at + 1])
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -144,7 +177,7 @@ def test_who_misses_as_much_as_is_claimed_holds_nothing(seed: int) -> None:
     assert (keys.bits, keys.broken, keys.refuted, keys.bursts) == (0, 0, False, False)
     assert 0.4 < keys.missed / keys.copies < 0.6
     hers = solver_of(without(messages, 0.5, seed))
-    assert {word for name in made for word in hers.known_words(name)} == {None}
+    assert {word for _, known in words_of(hers, made) for word in known} == {None}
 
 
 @pytest.mark.long
@@ -203,7 +236,7 @@ def test_one_row_too_many_is_one_combination_of_rows_and_half_of_it_is_of_keys()
 
 
 def with_one_missed_each(
-    messages: list[FieldMessage], blocks: list[BlockRow]
+    messages: list[FieldMessage], blocks: list[ClosedBlock]
 ) -> list[FieldMessage]:
     k = 1
     for block in blocks:
@@ -217,11 +250,10 @@ def test_who_missed_one_copy_knows_half_of_every_key_by_the_public_tag() -> None
     messages = with_one_missed_each(messages, blocks)
     assert [b.missed for b in held_by(messages).newest] == [1] * len(blocks)
     hers = solver_of(messages)
-    for name, key in made.items():
-        assert key is not None
+    for key, known in words_of(hers, made):
         words = tuple(key[place : place + 2] for place in range(0, 16, 2))
-        assert hers.known_words(name) == (*words, *[None] * 8)
-        assert hers.key(name) is None
+        assert known == (*words, *[None] * 8)
+    assert {key for keys in keys_of(hers, made) for key in keys} == {None}
 
 
 def test_tags_that_differ_are_signed_and_tell_her_nothing() -> None:
@@ -231,7 +263,7 @@ def test_tags_that_differ_are_signed_and_tell_her_nothing() -> None:
         for m in messages
     ]
     hers = solver_of(with_one_missed_each(signed, blocks))
-    assert {word for name in made for word in hers.known_words(name)} == {None}
+    assert {word for _, known in words_of(hers, made) for word in known} == {None}
 
 
 def test_one_who_comes_late_knows_no_block_and_says_so() -> None:
@@ -239,7 +271,7 @@ def test_one_who_comes_late_knows_no_block_and_says_so() -> None:
     late = held_by(messages[100:])
     assert (late.blocks, late.bits) == (0, 0)
     hers = solver_of(messages[100:])
-    assert {hers.key(name) for name in made} == {None}
+    assert keys_of(hers, made) == [()] * len(made)
 
 
 @pytest.mark.parametrize("claim", [None, Assumption(0.0)])

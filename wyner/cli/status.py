@@ -119,14 +119,12 @@ def _claim(run_dir: Path) -> tuple[str, float]:
 
 
 def _lines_of_distance(plant: "PlantStatus", distance: float) -> list[str]:
-    """What all blocks that were begun may cost, and what no end can tell of its key store."""
+    """What all blocks that were begun may cost."""
     if not plant.key_blocks_begun or plant.keys_refused:
         return []
     return [
         f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
         f"{distance:.2g} from perfect keys at most",
-        "stores      what one end gives is marked at the other first; put back together, both may "
-        "give keys twice",
     ]
 
 
@@ -134,7 +132,6 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
     late = max(plant.sampled_late_s, default=0.0)
     acted = max(plant.actuated_after_s, default=0.0)
     keys = plant.keys_refused or claim
-    waiting = max(plant.key_blocks_waiting, controller.key_blocks_waiting)
     return [
         f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
         f"messages, {plant.agreements} keys agreed",
@@ -144,7 +141,6 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
         f"measurement at most, {plant.overruns} overruns",
         f"keys        {plant.keys_made} made at the plant, {controller.keys_made} at the controller"
         + (f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else "")
-        + (f", blocks that wait for the other end: {waiting}" if waiting else "")
         + (f"; {keys}" if keys else ""),
         *_lines_of_coin(controller),
         *_lines_of_appearances(plant, controller, claim),
@@ -153,9 +149,9 @@ def _lines(plant: "PlantStatus", controller: "ControllerStatus", claim: str) -> 
 
 def _lines_of_coin(controller: "ControllerStatus") -> list[str]:
     """How many steps a key watched, where the coin is keyed."""
-    if controller.defence != "keyed-coin":
+    if not controller.watched + controller.unwatched:
         return []
-    left = f"{controller.coin_keys} keys left for it"
+    left = f"{controller.digits_left} digits left"
     return [f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, {left}"]
 
 

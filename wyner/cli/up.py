@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from pydantic import ValidationError
 
-from protocol.messages import ControllerStatus, PlantStatus
+from protocol.messages import ControllerStatus, PlantStatus, StopKeys, TapStatus
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
 from runtime.network import check_delays
@@ -202,6 +202,8 @@ def run_session(
         ):
             management.subscribe(key_of(PlantStatus, DEFAULT_LOOP), watching.plant_said)
             management.subscribe(key_of(ControllerStatus, DEFAULT_LOOP), watching.controller_said)
+            watching.stop_keys = management.publisher(key_of(StopKeys, DEFAULT_LOOP)).put
+            adversary_bus.subscribe(key_of(TapStatus, DEFAULT_LOOP), watching.tap_said)
             source = BusSource(management, adversary_bus, DEFAULT_LOOP)
             if screen:
                 ending = run_dashboard(
@@ -301,6 +303,9 @@ class Progress:
         self.received = 0
         self.delivered = 0
         self.waiting = True
+        self.keys_stopped = False
+        self.stop_keys: Callable[[bytes], None] = lambda _payload: None
+        """Sends a :class:`StopKeys` to the controller."""
         self._over_at: float | None = None
         self._began = time.monotonic()
         self._silent = {"plant", "controller"}
@@ -317,7 +322,20 @@ class Progress:
         with suppress(ValidationError):
             status = ControllerStatus.model_validate_json(payload)
             self.delivered = status.delivered
+            self.keys_stopped = status.keys_refused != ""
             self.waiting = status.queue > 0 or status.frame_symbols < status.frame_length
+
+    def tap_said(self, _key: str, payload: bytes, _t_ns: int) -> None:
+        """Have the keys stopped where the tap misses less than is claimed (the same thread).
+
+        It is said again with each status, until the controller says that it makes no more.
+        """
+        with suppress(ValidationError):
+            status = TapStatus.model_validate_json(payload)
+            if status.claim_refuted and not self.keys_stopped:
+                share = f"{status.missed_at_most:.2g} of the {status.missed_direction}"
+                reason = f"the claim is refuted: the tap misses {share} at most"
+                self.stop_keys(StopKeys(reason=reason).wire())
 
     def over(self) -> bool:
         """Whether there is nothing more to watch.

@@ -63,7 +63,7 @@ class RunOptions:
 
 KEYED_COIN: Final = """
 [defence]                        # of --attack, where keys are made
-kind = "keyed-coin"
+coin = "keys"
 """
 
 

@@ -15,8 +15,8 @@ from typing import Any, Final
 
 from pydantic_core import from_json
 
+from protocol.link.records import Side
 from protocol.scenario import Scenario
-from protocol.secret.records import Side
 from runtime.files import read_regular
 from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
 from runtime.run_folder import (

@@ -1,8 +1,8 @@
 """A run's seal: in its manifest, what every file of evidence held when the run was over.
 
 Recordings carry marks of their own, which also a lone service writes. The seal covers the rest:
-statuses, logs, journals, beliefs, the summary, and the manifest itself; of a key store what stays
-in it when keys are taken out. Nobody signs it: it tells what was changed by chance or by hand, and
+statuses, logs, journals, beliefs, the summary, and the manifest itself. Nobody
+signs it: it tells what was changed by chance or by hand, and
 not by somebody who makes it anew.
 """
 
@@ -12,11 +12,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from protocol.secret.records import Side, StoreError
 from runtime.files import open_regular, read_regular, write_atomically
-from runtime.keys.store import KeyStore
 from runtime.recording import CONTINUED, decode
-from runtime.run_folder import CONTROLLER_KEYS, MANIFEST, PLANT_KEYS, SUMMARY
+from runtime.run_folder import MANIFEST, SUMMARY
 from wyner.runs.evidence_files import evidence_below
 
 FILES: Final = "files"
@@ -26,17 +24,8 @@ ITSELF: Final = "manifest"
 COMING: Final = Path(".summary.json")
 """The summary before its seal is written. Where a run is killed between the two, it is no lack."""
 
-NOT_SEALED: Final = (MANIFEST.name, CONTROLLER_KEYS.name + "-given")
-"""Evidence that goes on after the run: the seal's own file, the count beside a key store."""
-
-STORES: Final[dict[str, Side]] = {str(CONTROLLER_KEYS): "controller", str(PLANT_KEYS): "plant"}
-
-_STAYS: Final = (
-    "SELECT name, value FROM meta WHERE name <> 'given' ORDER BY name",
-    "SELECT session, number, transitions, steps, counted, rows, keys, state, tag "
-    "FROM block ORDER BY place",
-    "SELECT id, row, own FROM key ORDER BY place",
-)
+NOT_SEALED: Final = (MANIFEST.name,)
+"""Evidence that changes after the run: the seal's own file."""
 
 CHANGED: Final = "it is not as the run left it"
 
@@ -101,7 +90,7 @@ def broken(run_dir: Path, manifest: dict[str, Any] | None) -> Iterator[tuple[str
         elif not path.is_file():
             yield name, "it was there when the run was over"
         else:
-            yield name, "" if _held_by(name, path) == held else CHANGED
+            yield name, "" if _held(path) == held else CHANGED
 
 
 def went_on_in(run_dir: Path, manifest: dict[str, Any] | None) -> set[str]:
@@ -130,16 +119,7 @@ def _continues(path: Path, size: int) -> bool:
 
 def _all_held(run_dir: Path) -> dict[str, Held]:
     names = (str(path.relative_to(run_dir)) for path in evidence_below(run_dir))
-    return {name: _held_by(name, run_dir / name) for name in names if not name.endswith(NOT_SEALED)}
-
-
-def _held_by(name: str, path: Path) -> Held:
-    if name in STORES:
-        try:
-            return {"stays": _what_stays(path, STORES[name])}
-        except StoreError as error:
-            return {"stays": str(error)}
-    return _held(path)
+    return {name: _held(run_dir / name) for name in names if not name.endswith(NOT_SEALED)}
 
 
 def _held(path: Path) -> Held:
@@ -161,21 +141,3 @@ def _digest(path: Path, size: object) -> str:
 def _digest_of(manifest: dict[str, Any]) -> str:
     without = {name: value for name, value in manifest.items() if name != ITSELF}
     return hashlib.sha256(json.dumps(without, sort_keys=True).encode()).hexdigest()
-
-
-def _what_stays(path: Path, side: Side) -> str:
-    """A SHA-256 of what nobody changes in a key store once both ends have ended.
-
-    Of keys it is their names: a digest of a key would tell something of it after it was erased.
-
-    Raises
-    ------
-    StoreError
-        When it cannot be read.
-    """
-    digest = hashlib.sha256()
-    with KeyStore.copy_of(path, side) as store:
-        for statement in _STAYS:
-            for row in (("",), *store.rows(statement)):
-                digest.update(json.dumps(row).encode() + b"\n")
-    return digest.hexdigest()

@@ -26,8 +26,6 @@ from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import (
-    KeyAnswer,
-    KeyRequest,
     Measurement,
     Message,
     Offer,
@@ -35,14 +33,10 @@ from protocol.messages import (
     Status,
 )
 from protocol.scenario import Scenario
-from protocol.secret.records import Key
-from protocol.secret.tasks import Done, Task
+from protocol.secret.blocks import ClosedBlock
+from protocol.secret.extractor import extracted
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.keys import coins
-from runtime.keys.asking import Asker
-from runtime.keys.key_maker import KeyMaker, work
-from runtime.keys.store import KeyStore
 from runtime.model import load_model
 from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
@@ -100,8 +94,8 @@ class _Ports:
     def publish(self, message: Message) -> None:
         self._world.send(self._partner, message)
 
-    def submit_key_task(self, task: Task) -> None:
-        self._world.keep(self._side, task)
+    def extract(self, block: ClosedBlock) -> None:
+        self._world.extract(self._side, block)
 
     def trace(self, event: Event) -> None:
         self._world.traced(event)
@@ -114,10 +108,7 @@ class _Ports:
 
 
 class SimulatedEnd:
-    """One end: its journal and, while it lives, its endpoint.
-
-    ``asker`` asks the other end which keys may be given, where a defence takes some.
-    """
+    """One end: its journal and, while it lives, its endpoint."""
 
     def __init__(
         self,
@@ -131,8 +122,6 @@ class SimulatedEnd:
         self.journal = journal
         self.ports = CrashingPorts(_Ports(world, side, partner, journal))
         self.endpoint: Peer | None = None
-        self.key_maker = world.key_maker(side)
-        self.asker: Asker | None = None
         self.wakes_at = inf
         self.incarnations = 0
 
@@ -205,7 +194,6 @@ class Simulation:
         self.plant: PlantCore
         self._offered: list[Offer] = []
         self._delivered = 0
-        self.stores: dict[Side, KeyStore] = {}
         self.ends: dict[Side, SimulatedEnd] = {
             "controller": SimulatedEnd(self, "controller", "plant", self._queue),
             "plant": SimulatedEnd(self, "plant", "controller", self._plant_journal),
@@ -273,39 +261,16 @@ class Simulation:
             late = self.random.random() * faults.delay_s if self._sick else 0.0
             self.after(late, lambda: self.deliver(to, message))
 
-    def key_maker(self, side: Side) -> KeyMaker | None:
-        """A new process's key maker, over the store that outlives it."""
-        if self.scenario.keys is None:
-            return None
-        if side not in self.stores:
-            self.stores[side] = KeyStore(None, side)
-        return KeyMaker(self.stores[side])
-
-    def _coin_keys(self, side: Side, session: str | None) -> tuple[Key, ...]:
-        """What a new process finds in its store for the coin of its session."""
-        if side not in self.stores or session is None or not self.scenario.defence.keyed:
-            return ()
-        return coins.held(self.stores[side], session)
-
-    def keep(self, side: Side, task: Task) -> None:
-        """Have a task done some time later, if the process still lives, and told later still."""
+    def extract(self, side: Side, block: ClosedBlock) -> None:
+        """Tell an end of an extracted block some time later, if the process still lives."""
         end = self.ends[side]
-        incarnation, late_s = end.incarnations, self._faults.delay_s
+        incarnation = end.incarnations
 
-        def do() -> None:
-            if (
-                end.incarnations == incarnation
-                and end.endpoint is not None
-                and end.key_maker is not None
-            ):
-                done = work(end.key_maker, task)
-                self.after(self.random.random() * late_s, lambda: tell(done))
-
-        def tell(done: Done) -> None:
+        def tell() -> None:
             if end.incarnations == incarnation and end.endpoint is not None:
-                self._perform(end, end.endpoint.key_task_done(done, self.now_s))
+                self._perform(end, end.endpoint.extracted(extracted(block)))
 
-        self.after(self.random.random() * late_s, do)
+        self.after(self.random.random() * self._faults.delay_s, tell)
 
     def kept(self, actions: Actions) -> None:
         """Note what a record says of messages that came through."""
@@ -337,21 +302,8 @@ class Simulation:
         end = self.ends[side]
         end.incarnations += 1
         end.ports.crash_at()
-        end.key_maker = self.key_maker(side)
         end.endpoint = self._behind_the_network(side, end.incarnations)
-        if self.scenario.defence.keyed and side in self.stores:
-            end.asker = Asker(self.stores[side])
-            self._ask(end, end.incarnations)
         self._perform(end, end.endpoint.start(self.now_s))
-
-    def _ask(self, end: SimulatedEnd, incarnation: int) -> None:
-        """A process asks what it has to ask about its keys, and will again."""
-        if end.asker is None or end.endpoint is None or end.incarnations != incarnation:
-            return
-        for request in end.asker.wake(self.now_s):
-            self.send(end.partner, request)
-        wait_s = end.asker.wake_at() - self.now_s
-        self.after(wait_s, lambda: self._ask(end, incarnation))
 
     def _behind_the_network(self, side: Side, incarnations: int) -> Peer:
         """A new process of an end; its channel begins anew, too."""
@@ -370,7 +322,6 @@ class Simulation:
 
     def _new_controller(self) -> ControllerCore:
         loaded = self._queue.load()
-        record = loaded.record
         self._controller = ControllerCore(
             rules_of(self.scenario),
             self._law.candidates,
@@ -378,11 +329,11 @@ class Simulation:
             SeededSymbols(self._seed, CIPHER, run=self._run),
             instance=self._identifier(),
             period_s=self.scenario.plant.period_s,
-            record=record,
+            record=loaded.record,
             measurement=loaded.measurement,
             offer=loaded.offer,
             contributions=loaded.rows,
-            coin_keys=self._coin_keys("controller", None if record is None else record.session),
+            parts=loaded.parts,
             predict=self._predict,
         )
         return self._controller
@@ -392,7 +343,6 @@ class Simulation:
         draws = self._run if incarnations == 1 else self._run + 1000 * incarnations
         # Where outputs are read such a step is made again with the d that it had.
         disturbed = draws if self.scenario.plant.C is None else self._run
-        record = self._plant_journal.load().record
         self.plant = open_core(
             self.scenario,
             self._plant_journal,
@@ -403,7 +353,6 @@ class Simulation:
             Pacing(self._step_s, self.scenario.link.repeats_per_period, self.now_s),
             own=None if self._own is None else self._own(),
             folder=self._folder,
-            coin_keys=self._coin_keys("plant", None if record is None else record.session),
             sensors=Stream(self._seed, SENSOR, width=self.scenario.readings, run=self._run),
         )
         return self.plant
@@ -414,11 +363,7 @@ class Simulation:
         if end.endpoint is None:
             return
         kind, payload = type(message), message.wire()
-        if not isinstance(message, KeyRequest | KeyAnswer):
-            self._perform(end, end.endpoint.receive(kind, payload, self.now_s))
-        elif end.asker is not None:
-            for answer in end.asker.receive(kind, payload).publish:
-                self.send(end.partner, answer)
+        self._perform(end, end.endpoint.receive(kind, payload, self.now_s))
 
     def _wake(self, end: SimulatedEnd, at_s: float) -> None:
         if end.endpoint is None or at_s != end.wakes_at:  # overtaken by an earlier one, or dead

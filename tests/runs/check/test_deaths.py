@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from protocol.secret.records import Side
+from protocol.link.records import Side
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_loop import RecordedLoop
 from tests.support.small_run import SmallRun, read_lines, write_lines

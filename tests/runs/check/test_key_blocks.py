@@ -1,21 +1,17 @@
 """The checks of keys one by one: what they count, what they find, and how they say it."""
 
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
 
-from protocol.secret.records import BlockRow, Side, key_id
-from runtime.keys.store import KeyStore
-from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tests.runs.check.judged import SCHEDULE, evidence, heard, judge
 from wyner.runs.check import key_blocks
 from wyner.runs.check.base import Check, Counter, Place
 from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.evidence import Pair, Part
 from wyner.runs.check.records import (
-    BlockStoredLine,
+    BlockLine,
     Item,
     OtherLine,
     SessionLine,
@@ -145,7 +141,7 @@ def test_a_copy_that_was_named_later_than_0_does_not_count() -> None:
 
 
 def stored(number: int, keys: int, session: str = A) -> OtherLine:
-    return OtherLine(BlockStoredLine("block", session, number, keys), b"")
+    return OtherLine(BlockLine("block", session, number, "confirmed", keys), b"")
 
 
 def block_items(number: int, keys: int, counts: int = 3, session: str = A) -> list[Item]:
@@ -186,14 +182,16 @@ def test_a_block_with_too_many_keys_fails_at_its_end() -> None:
 
 
 def test_ends_that_made_other_numbers_of_a_block_fail() -> None:
-    """One of them had no pad for the block's tag, and made none."""
+    """One of them says that it made none."""
     start: list[Item] = [walked(0, 3)]
     some, none = ([*start, *block_items(0, keys)] for keys in (rows(0) - 1, 0))
     found = judge(key_blocks.Blocks, evidence(), Part(some, none, [], []))
     text = f"block 0: {rows(0) - 1} keys at the plant, 0 at the controller"
     note = f"{rows(0) - 1} keys made of 1 blocks at the plant"
-    assert found == Counter(3, 1, first(-1, text), note)
-    assert judge(key_blocks.Blocks, evidence(), Part(none, none, [], [])).failures == 0
+    alone = f"the controller made 0 keys of block 0, expected {rows(0) - 1}"
+    assert found == Counter(3, 2, first(-1, alone), note)
+    assert text.startswith("block 0")
+    assert judge(key_blocks.Blocks, evidence(), Part(none, none, [], [])).failures == 2
 
 
 def test_missed_steps_and_uncounted_copies_cost_rows() -> None:
@@ -244,12 +242,7 @@ def test_a_block_that_began_before_what_is_left_of_a_trace_is_not_judged() -> No
 # --- tags -----------------------------------------------------------------------------------------
 
 
-def store(folder: Path, side: Side, create: bool = True) -> KeyStore:
-    path = folder / (CONTROLLER_KEYS if side == "controller" else PLANT_KEYS)
-    return KeyStore(path, side, create=create)
-
-
-def test_a_block_has_one_tag_at_both_ends(tmp_path: Path) -> None:
+def test_a_block_has_one_tag_at_both_ends() -> None:
     part = heard(
         told(2, "offer", 1, block=-1, tag="0"),
         told(3, "offer", 2, block=-1, tag="1"),
@@ -259,69 +252,17 @@ def test_a_block_has_one_tag_at_both_ends(tmp_path: Path) -> None:
         told(7, "measurement", 6, block=1, tag="z"),
         told(8, "offer", 7, block=0, tag="x"),
     )
-    assert judge(key_blocks.Tags, evidence(tmp_path), part) == Counter(6)
+    assert judge(key_blocks.Tags, evidence(), part) == Counter(6)
     other = heard(told(9, "offer", 8, block=0, tag="w"))
     text = "capture.jsonl line 9: block 0 has another tag than before"
-    found = judge(key_blocks.Tags, evidence(tmp_path), part, other)
+    found = judge(key_blocks.Tags, evidence(), part, other)
     assert found == Counter(7, 1, first(8, text))
 
 
-def test_tags_of_a_block_are_the_same_at_both_ends(tmp_path: Path) -> None:
+def test_tags_of_a_block_are_the_same_at_both_ends() -> None:
     part = heard(told(2, "offer", 1, block=3, tag="x"), told(3, "measurement", 1, block=3, tag="y"))
     expected = Counter(3, 1, first(-1, "block 3: the ends' tags differ"))
-    assert judge(key_blocks.Tags, evidence(tmp_path), part) == expected
-
-
-# --- stores ---------------------------------------------------------------------------------------
-
-
-def fill(keys: KeyStore, *blocks: tuple[int, int]) -> None:
-    for number, count in blocks:
-        row = BlockRow(A, number, 4, 4, 8, count + 1, count, "stored", 1)
-        keys.add(row, [bytes(32)] * count)
-
-
-def test_stores_hold_the_same_ids_in_disjoint_halves(tmp_path: Path) -> None:
-    with store(tmp_path, "controller") as controller, store(tmp_path, "plant") as plant:
-        fill(controller, (7, 1), (0, 2), (1, 3))
-        fill(plant, (0, 2), (1, 3), (2, 1))
-    assert judge(key_blocks.KeyIds, evidence(tmp_path), heard()) == Counter(6)
-
-
-def test_stores_in_another_order_fail(tmp_path: Path) -> None:
-    with store(tmp_path, "controller") as controller, store(tmp_path, "plant") as plant:
-        fill(controller, (0, 1), (1, 1))
-        fill(plant, (1, 1), (0, 1))
-    ids = key_id(A, 0, 1), key_id(A, 1, 1)
-    text = f"key {ids[0]} at the controller stands where {ids[1]} does"
-    found = judge(key_blocks.KeyIds, evidence(tmp_path))
-    assert found == Counter(3, 2, Place("", -1, -1, text))
-
-
-def test_a_key_of_both_halves_fails(tmp_path: Path) -> None:
-    with store(tmp_path, "controller") as controller, store(tmp_path, "plant") as plant:
-        fill(controller, (0, 4))
-        fill(plant, (0, 4))
-        with plant.transaction() as db:
-            db.execute("UPDATE key SET own = 1 WHERE row IN (1, 3)")
-    found = judge(key_blocks.KeyIds, evidence(tmp_path))
-    assert found == Counter(5, 1, Place("", -1, -1, "2 keys belong to both halves"))
-
-
-def test_stores_that_are_not_there_or_not_stores(tmp_path: Path) -> None:
-    none = Counter(skipped="no key store at one of the ends")
-    assert judge(key_blocks.KeyIds, evidence(tmp_path)) == none
-    with store(tmp_path, "controller") as controller:
-        fill(controller, (0, 1))
-    assert judge(key_blocks.KeyIds, evidence(tmp_path)) == none
-    path = tmp_path / PLANT_KEYS
-    path.parent.mkdir()
-    path.write_bytes(b"no store" * 1000)
-    found = judge(key_blocks.KeyIds, evidence(tmp_path))
-    assert found.failures == 1
-    assert found.first is not None
-    assert (found.first.session, found.first.j, found.first.k) == ("", -1, -1)
-    assert found.first.text.startswith(str(path))
+    assert judge(key_blocks.Tags, evidence(), part) == expected
 
 
 # --- where no key is claimed ----------------------------------------------------------------------
@@ -348,37 +289,3 @@ def test_where_nothing_is_claimed_nothing_is_counted() -> None:
         found = judge(key_blocks.RefusedAtZero, e, part, Part(items[0], items[1], [], []))
         text = f"the {side} counts copies, and no key is claimed"
         assert found == Counter(5, 1, first(8, text, j=6))
-
-
-@pytest.mark.parametrize("seeded", [False, True])
-@pytest.mark.parametrize("claimed", [False, True])
-def test_keys_that_are_for_nobody_are_refused(seeded: bool, claimed: bool, tmp_path: Path) -> None:
-    """Refused where the run is seeded or the claim makes none; else nothing is looked at."""
-    manifest = {"seed": 0 if seeded else None}
-    e = evidence(tmp_path, schedule=SCHEDULE if claimed else None, manifest=manifest)
-    with store(tmp_path, "controller") as controller, store(tmp_path, "plant"):
-        controller.refuse("seeded")
-    expected = Counter(2, 1, Place("", -1, -1, "the plant's keys are not refused"))
-    used = heard(told(2, "offer", 1, nonce="p")) if claimed else heard()
-    looked = seeded or not claimed
-    assert judge(key_blocks.RefusedAtZero, e, used) == (expected if looked else Counter())
-    with store(tmp_path, "plant") as plant:
-        plant.refuse("seeded")
-    assert judge(key_blocks.RefusedAtZero, e, used) == (Counter(2) if looked else Counter())
-
-
-def test_of_a_lone_store_its_own_end_is_named(tmp_path: Path) -> None:
-    with store(tmp_path, "plant"):
-        e = evidence(tmp_path, manifest={"seed": 0})
-        found = judge(key_blocks.RefusedAtZero, e, heard())
-    assert found == Counter(1, 1, Place("", -1, -1, "the plant's keys are not refused"))
-
-
-def test_a_run_of_a_scenario_without_keys_needs_no_store(tmp_path: Path) -> None:
-    with store(tmp_path, "controller"), store(tmp_path, "plant"):
-        pass
-    for manifest in (None, {}, {"seed": 1}):
-        e = evidence(tmp_path, schedule=None, keys=None, manifest=manifest)
-        assert judge(key_blocks.RefusedAtZero, e, heard()) == Counter()
-    e = evidence(tmp_path, manifest=None)
-    assert judge(key_blocks.RefusedAtZero, e, heard()) == Counter()

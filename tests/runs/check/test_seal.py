@@ -12,14 +12,11 @@ from typing import Any
 
 import pytest
 
-from protocol.secret.records import BlockRow
 from runtime.files import write_atomically
-from runtime.keys.store import KeyStore
 from runtime.recording import LineWriter
 from runtime.run_folder import (
     BELIEFS,
     CONTROLLER_JOURNAL,
-    CONTROLLER_KEYS,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
     KNOWLEDGE,
@@ -35,7 +32,6 @@ from runtime.run_folder import (
 from runtime.scenario_file import load_scenario
 from tests.runs.check.mutants import ALTERATIONS
 from tests.support.checked_runs import failed
-from tests.support.giving import deliver
 from tests.support.long_run import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
@@ -67,9 +63,6 @@ def sealed(tmp_path_factory: pytest.TempPathFactory) -> Path:
         write_atomically(run / name, text)
     identity = load_scenario(run / SCENARIO).identity()
     put(run, MANIFEST, {"wyner": "0", "seed": None, "command": ["up"], **identity})
-    with KeyStore(run / CONTROLLER_KEYS, "controller", create=True) as store:
-        store.add(BlockRow("s", 0, 44, 44, 88, 4, 3, "stored", 1), [bytes(32)] * 3, tag="t")
-        store.confirm("s", 0)
     seal(run)
     return run
 
@@ -93,10 +86,8 @@ def fields(value: Any) -> Iterator[tuple[Any, Any]]:
             yield from fields(inner)
 
 
-def test_an_honest_run_passes_and_a_key_that_is_taken_out_later_is_none_of_it(run: Path) -> None:
+def test_an_honest_run_passes_and_a_table_that_is_made_later_is_none_of_it(run: Path) -> None:
     assert failed(run) == set()
-    with KeyStore(run / CONTROLLER_KEYS, "controller") as store:
-        assert len(deliver(store, 1, "alice")) == 1
     (run / "plant" / "steps.csv").write_text("made later")
     assert wrong(run) == {}
     assert failed(run) == set()
@@ -111,7 +102,7 @@ def test_what_is_made_anew_beside_a_run_is_none_of_it(run: Path) -> None:
     assert failed(run) == set()
 
 
-@pytest.mark.parametrize("name", [str(CONTROLLER_KEYS), str(PLANT_TRACE), "plant/log"])
+@pytest.mark.parametrize("name", [str(CONTROLLER_JOURNAL), str(PLANT_TRACE), "plant/log"])
 def test_looking_at_a_run_writes_nothing_in_its_folder(run: Path, name: str) -> None:
     def listing() -> dict[str, tuple[int, bytes]]:
         files = (path for path in run.rglob("*") if path.is_file())

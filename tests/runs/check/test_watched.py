@@ -54,8 +54,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_no_death_makes_an_alarm_or_a_digit_twice(run: Path) -> None:
     assert failed(run) == set()
     mine, theirs = (transitions(run, trace) for trace in (PLANT_TRACE, CONTROLLER_TRACE))
-    keyed = {(t["coin_key"], t["k"] - t["coin_from"]): t["coin"] for t in mine if t["coin_key"]}
-    assert len({t["k"] for t in mine if t["coin_key"]}) == len(keyed) > 500
+    served = {(t["session"], *t["digits"], t["k"]) for t in mine if t.get("keyed")}
+    positions = {(session, block, at) for session, block, at, _ in served}
+    assert len({(session, k) for session, *_, k in served}) == len(positions) == len(served) > 500
     watched = {t["k"]: t["expected"] for t in theirs if "expected" in t}
     assert len(watched) > 500
     coins = {t["k"]: t["coin"] for t in mine}
@@ -87,7 +88,7 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose sensor is spoofed for its last sixty steps, by one who has no key."""
     folder = tmp_path_factory.mktemp("runs") / "attacked"
     loop = RecordedLoop(folder, name="watched")
-    loop.run(lambda: loop.controller.coins.left > 1 and loop.transitions > size(300, 600))
+    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > size(300, 600))
     until = loop.transitions + 60
     loop.plant.plant = Ghost(loop.plant)
     loop.run(lambda: loop.controller.record.transitions > until)
@@ -110,7 +111,7 @@ def test_a_spoofed_reading_is_an_alarm_and_the_check_finds_it_right(attacked: Pa
     assert [a["j"] for a in alarms] == [t["j"] for t in tested if t["expected"] != 0]
     assert 0.5 < len(alarms) / len(tested) < 0.95
     results = {r.check.name: r.result for r in check(read_evidence(attacked))}
-    assert results["alarms"] == results["keyed-coin"] == "PASS"
+    assert results["alarms"] == results["key-stream"] == "PASS"
     status = json.loads((attacked / CONTROLLER_STATUS).read_text())
     assert status["alarms"] == len(alarms)
     assert status["alarm_k"] == alarms[-1]["k"]
@@ -119,13 +120,13 @@ def test_a_spoofed_reading_is_an_alarm_and_the_check_finds_it_right(attacked: Pa
 
 FIELDS = [
     (CONTROLLER_TRACE, "alarm", name)
-    for name in ("session", "j", "k", "reading", "coin_key", "candidate", "expected", "gauge")
+    for name in ("session", "j", "k", "reading", "reason", "candidate", "expected", "gauge")
 ] + [
     (CONTROLLER_TRACE, "transition", "expected"),
-    (CONTROLLER_TRACE, "transition", "coin_key"),
-    (CONTROLLER_TRACE, "transition", "coin_from"),
-    (PLANT_TRACE, "transition", "coin_key"),
-    (PLANT_TRACE, "transition", "coin_from"),
+    (CONTROLLER_TRACE, "transition", "digits"),
+    (CONTROLLER_TRACE, "transition", "keyed"),
+    (PLANT_TRACE, "transition", "digits"),
+    (PLANT_TRACE, "transition", "keyed"),
 ]
 
 
@@ -185,7 +186,7 @@ def halted(loop: RecordedLoop) -> bool:
 
 def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
     loop = RecordedLoop(tmp_path / "run", name="watched")
-    loop.run(lambda: loop.controller.coins.left > 1 and loop.transitions > 600)
+    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > 600)
     loop.controller.rules = replace(loop.controller.rules, halts=True)
     at = loop.transitions
     loop.plant.plant = Ghost(loop.plant)

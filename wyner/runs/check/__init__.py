@@ -20,8 +20,6 @@ from wyner.runs.check.key_blocks import (
     Blocks,
     Copy0Once,
     Counted,
-    GivenOnce,
-    KeyIds,
     NonceOnce,
     RefusedAtZero,
     Tags,
@@ -29,8 +27,7 @@ from wyner.runs.check.key_blocks import (
 from wyner.runs.check.keys import Agreement, Coin, InStep, Paper, Receiver, Sender
 from wyner.runs.check.loop import Admissible, Reachable, Switching
 from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
-from wyner.runs.check.stores import KeyStores
-from wyner.runs.check.watched import Alarms, KeyedCoins
+from wyner.runs.check.watched import Alarms, KeyStream
 
 CHECKS: Final[tuple[type[Check], ...]] = (
     Traces,
@@ -59,11 +56,8 @@ CHECKS: Final[tuple[type[Check], ...]] = (
     Counted,
     Blocks,
     Tags,
-    GivenOnce,
-    KeyIds,
-    KeyStores,
     RefusedAtZero,
-    KeyedCoins,
+    KeyStream,
     Alarms,
 )
 
@@ -75,10 +69,7 @@ OF_KEYS: Final = frozenset(
         Counted,
         Blocks,
         Tags,
-        GivenOnce,
-        KeyIds,
-        KeyStores,
-        KeyedCoins,
+        KeyStream,
     )
 )
 """Checks of which a scenario that makes no keys knows nothing."""

@@ -27,11 +27,11 @@ PUBLIC: Final = {
 """The field bus's messages and all their fields, written out here so that adding one to the message
 types is noticed."""
 
-OF_COIN: Final = {
-    "measurement": frozenset({"applied_key"}),
-    "offer": frozenset({"coin_key", "coin_from", "coin_last"}),
+OF_STREAM: Final = {
+    "measurement": frozenset({"keyed"}),
+    "offer": frozenset({"stream_block", "stream_at"}),
 }
-"""What besides travels where the coin is keyed."""
+"""What besides travels where the key stream is used."""
 
 WITHOUT_KEYS: Final = {
     "copy_number": 0,
@@ -49,7 +49,7 @@ _ANEW: Final = re.compile(rb'"copy_number":[01],"nonce":"[^"]*",')
 """What a repeated message has anew; where no keys are made it is the same as well."""
 
 _OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
-_COIN: Final = re.compile(rb',"(?:applied_key|coin_key|coin_from|coin_last)":(?:"[^"]*"|[0-9]+)')
+_STREAM: Final = re.compile(rb',"(?:keyed|stream_block|stream_at)":(?:true|false|-?[0-9]+)')
 _BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
 _AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
 
@@ -66,7 +66,7 @@ class _First:
     def same(self, seen: CapturedMessage) -> bool | None:
         """Whether it is the same as the first of its number; None where it is the first."""
         mine = hash(_ANEW.sub(b"", seen.raw, 1)) or 1
-        at = seen.topic, seen.session
+        at = (seen.topic, seen.session)
         found = self._dense.setdefault(at, array("q"))
         k = seen.k
         if 0 <= k < len(found) + 4096:
@@ -224,8 +224,8 @@ class PublicFields(Check):
         allowed = PUBLIC.get(topic)
         if allowed is None:
             return f"on {topic!r}"
-        if rules.keyed:
-            allowed |= OF_COIN.get(topic, frozenset())
+        if rules.digits:
+            allowed |= OF_STREAM.get(topic, frozenset())
         if seen.message.keys() != allowed:
             return f"{topic} with {_extra(frozenset(seen.message), allowed)}"
         try:
@@ -275,12 +275,12 @@ _DIGITS: Final = b"0123456789abcdef.+-"
 def _shape(raw: bytes) -> tuple[bytes, int]:
     """A message's names, lengths and kinds of value: all that is left without digits.
 
-    Of a nonce and a tag that is their length; which block was stored last and which key serves the
-    coin follow from what was counted, and that is public.
+    Of a nonce and a tag that is their length; which block was announced last and which digits an
+    offer has follow from what was counted, and that is public.
     """
     keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
     keyless = _BLOCK.sub(b"", keyless, 1)
-    keyless = _COIN.sub(b"", keyless)
+    keyless = _STREAM.sub(b"", keyless)
     return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 

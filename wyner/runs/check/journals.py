@@ -83,6 +83,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 measurement=loaded.measurement,
                 offer=loaded.offer,
                 contributions=loaded.rows,
+                parts=loaded.parts,
             )
             pending = None
             if core.unfinished:
@@ -134,6 +135,7 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 record=loaded.record,
                 symbols=loaded.symbols,
                 contributions=loaded.rows,
+                parts=loaded.parts,
                 offer=loaded.offer,
                 tossed=loaded.coin,
                 report=loaded.measurement,

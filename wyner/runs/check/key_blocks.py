@@ -1,24 +1,13 @@
-"""The checks of keys: nonces leave once, both ends count alike, blocks and ids are the same."""
+"""The checks of keys: nonces leave once, both ends count alike, blocks and tags are the same."""
 
-from abc import abstractmethod
 from collections.abc import Iterator
-from contextlib import ExitStack
 from dataclasses import dataclass, field
-from typing import Final
 
 from protocol.secret.blocks import Schedule
-from protocol.secret.records import Side, StoreError
-from runtime.keys.store import KeyStore
-from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from wyner.runs.check.base import Check, Counter
 from wyner.runs.check.capture import CapturedMessage
 from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.records import BlockStoredLine, OtherLine, TracedTransition, Walked
-
-FILES: Final[tuple[tuple[Side, str], ...]] = (
-    ("controller", str(CONTROLLER_KEYS)),
-    ("plant", str(PLANT_KEYS)),
-)
+from wyner.runs.check.records import BlockLine, OtherLine, TracedTransition, Walked
 
 
 class NonceOnce(Check):
@@ -113,7 +102,7 @@ class TracedBlock:
 
 @dataclass(slots=True)
 class TracedBlocks:
-    """The blocks of one end's trace, from its transitions, and those it says it stored."""
+    """The blocks of one end's trace, from its transitions, and those it says were confirmed."""
 
     schedule: Schedule
     blocks: dict[tuple[str, int], TracedBlock] = field(default_factory=dict)
@@ -167,7 +156,7 @@ class Blocks(Check):
         for side, line in _lines(part):
             if isinstance(line, TracedTransition):
                 self._ends[side].transition(line)
-            else:
+            elif line.what == "confirmed":
                 self._ends[side].stored[line.session, line.number] = line.keys
 
     def finish(self) -> None:
@@ -179,8 +168,7 @@ class Blocks(Check):
                     continue  # it began before what is left
                 expected = end.keys(at)
                 text = f"the {side} made {keys} keys of block {at[1]}, expected {expected}"
-                # a block that began before its store makes none
-                self.counter.count(keys == expected or not keys, at[0], -1, -1, text)
+                self.counter.count(keys == expected, at[0], -1, -1, text)
         plant, controller = self._ends["plant"], self._ends["controller"]
         for at in plant.stored.keys() & controller.stored.keys():
             made = plant.stored[at], controller.stored[at]
@@ -190,12 +178,12 @@ class Blocks(Check):
         self.counter.note = f"{made_in_all} keys made of {len(plant.stored)} blocks at the plant"
 
 
-def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockStoredLine]]:
+def _lines(part: Part) -> Iterator[tuple[str, TracedTransition | BlockLine]]:
     for side, items in part.sides():
         for item in items:
             if isinstance(item, Walked):
                 yield side, item.t
-            elif isinstance(item, OtherLine) and isinstance(item.line, BlockStoredLine):
+            elif isinstance(item, OtherLine) and isinstance(item.line, BlockLine):
                 yield side, item.line
 
 
@@ -228,73 +216,8 @@ class Tags(Check):
                 self.counter.count(tag == other, session, -1, -1, text)
 
 
-class _BothStores(Check):
-    """Compares what both ends' key stores hold once the run is over."""
-
-    of = "keys"
-
-    def finish(self) -> None:
-        with ExitStack() as stack:
-            stores = [
-                open_store(self.evidence, side, name, self.counter, stack) for side, name in FILES
-            ]
-            there = [store for store in stores if store is not None]
-            if len(there) == len(FILES):
-                self._compare(*there)
-            else:
-                self.counter.skipped = "no key store at one of the ends"
-
-    @abstractmethod
-    def _compare(self, controller: KeyStore, plant: KeyStore) -> None: ...
-
-
-class GivenOnce(_BothStores):
-    """What one end gave has its mark at the other, for the same use."""
-
-    name = "given-once"
-    source = "rule 11"
-    says = "what one end gave has its mark at the other"
-
-    def _compare(self, controller: KeyStore, plant: KeyStore) -> None:
-        uses = controller.uses(), plant.uses()
-        unknown = 0
-        for mine, theirs in (uses, uses[::-1]):
-            for name, (given, _) in mine.items():
-                mark = theirs.get(name, ("", ""))[1]
-                if given and mark:
-                    text = f"key {name} was given for {given!r}, and its mark is {mark!r}"
-                    self.counter.count(given == mark, "", -1, -1, text)
-                # the check keyed-coin looks at those that the hearer adopts unmarked
-                unknown += bool(given) and not mark and not given.startswith("coin ")
-        if unknown:
-            self.counter.note = f"{unknown} more have no mark: a key store was put back, or removed"
-
-
-class KeyIds(_BothStores):
-    """Both stores hold the same ids in the same order, in disjoint halves."""
-
-    name = "key-ids"
-    source = "rule 10"
-    says = "both stores hold the same ids in one order, in disjoint halves"
-
-    def _compare(self, controller: KeyStore, plant: KeyStore) -> None:
-        mine = [name for name, _ in controller.ids()]
-        theirs = [name for name, _ in plant.ids()]
-        shared = set(mine) & set(theirs)
-        pairs = zip(
-            (name for name in mine if name in shared),
-            (name for name in theirs if name in shared),
-            strict=True,
-        )
-        for a, b in pairs:
-            text = f"key {a} at the controller stands where {b} does"
-            self.counter.count(a == b, "", -1, -1, text)
-        both = set(controller.own_ids()) & set(plant.own_ids())
-        self.counter.count(not both, "", -1, -1, f"{len(both)} keys belong to both halves")
-
-
 class RefusedAtZero(Check):
-    """Where nothing is claimed there is no nonce and no key; a seeded run's keys are refused."""
+    """Where nothing is claimed there is no nonce and no key."""
 
     name = "refused-at-zero"
     source = "rule 10"
@@ -314,36 +237,3 @@ class RefusedAtZero(Check):
             if isinstance(line, TracedTransition):
                 text = f"the {side} counts copies, and no key is claimed" if line.counts else ""
                 count(not text, line.session, line.j, line.k, text)
-
-    def finish(self) -> None:
-        e = self.evidence
-        seeded = (e.manifest or {}).get("seed") is not None
-        if e.scenario.keys is None or (e.rules.schedule is not None and not seeded):
-            return
-        for side, note in _notes(e, "refused").items():
-            self.counter.count(bool(note), "", -1, -1, f"the {side}'s keys are not refused")
-
-
-def open_store(
-    e: Evidence, side: Side, name: str, counter: Counter, stack: ExitStack
-) -> KeyStore | None:
-    """A copy of a side's key store, if it is there; one that cannot be read fails the check."""
-    path = e.run_dir / name
-    if not path.is_file():
-        return None
-    try:
-        return stack.enter_context(KeyStore.copy_of(path, side))
-    except StoreError as error:
-        counter.fail("", -1, -1, str(error))
-        return None
-
-
-def _notes(e: Evidence, note: str) -> dict[Side, str | None]:
-    """A note of each store that is there."""
-    found: dict[Side, str | None] = {}
-    with ExitStack() as stack:
-        for side, name in FILES:
-            store = open_store(e, side, name, Counter(), stack)
-            if store is not None:
-                found[side] = store.note(note)
-    return found

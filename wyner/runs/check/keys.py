@@ -10,8 +10,8 @@ import numpy as np
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.box_observer import BoxObserver
+from protocol.link.records import Side
 from protocol.schemes.base import decrypt
-from protocol.secret.records import Side
 from wyner.runs.check.attacked import lies, rewrites
 from wyner.runs.check.base import EDGE, Check, Counter, may_leave
 from wyner.runs.check.evidence import Evidence, Part
@@ -222,6 +222,8 @@ class _Scheme(Check):
             if t.session != self._session:
                 self._session, self._p = t.session, 0
                 self._sessions += 1
+            if self.evidence.rules.scheme.from_stream:
+                pad = t.key if t.keyed else NO_SYMBOL
             role, recovered = "test", NO_SYMBOL
             if pad != NO_SYMBOL:
                 role, recovered = "message", decrypt(t.cipher, pad, size)

@@ -380,6 +380,12 @@ class OneTimePad(Check):
     says = "every key symbol serves one message symbol"
     of = "message symbols"
 
+    @classmethod
+    def skipped(cls, evidence: Evidence) -> str:
+        if evidence.rules.scheme.from_stream:
+            return "digits of the key stream are the pads: see key-stream"
+        return super().skipped(evidence)
+
     def __init__(self, evidence: Evidence, counter: Counter) -> None:
         super().__init__(evidence, counter)
         self._sessions: dict[str, str] = {}
@@ -433,7 +439,7 @@ class OneCipher(Check):
                 if isinstance(item, Again):
                     self._written_twice(name, item)
         for seen in part.seen:
-            if seen.topic == "offer":
+            if seen.topic == "offer" and not self.evidence.rules.scheme.from_stream:
                 self._offered(seen)
 
     def _written_twice(self, name: str, item: Again) -> None:

@@ -22,8 +22,9 @@ class TracedTransition:
 
     ``box`` is where the state lay before it, low and high, where some outputs alone are read.
 
-    ``coin_key`` and ``coin_from`` are there where the coin is keyed; ``expected`` is the
-    controller's alone. The last three are there where the plant is attacked.
+    ``digits`` is the position in the key stream that the offer named, if any, and ``keyed`` whether
+    its digits served; ``expected`` is the controller's alone. The last three are there where the
+    plant is attacked.
 
     A model would take three times the room, and a run has millions.
     """
@@ -46,8 +47,8 @@ class TracedTransition:
     counts: int
     predictions: tuple[Vector, ...] = ()
     box: tuple[Vector, Vector] | None = None
-    coin_key: str | None = None
-    coin_from: int = -1
+    digits: tuple[int, int] | None = None
+    keyed: bool = False
     expected: int = -1
     coin: int | None = None
     u: Vector | None = None
@@ -118,23 +119,14 @@ class Refused:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
-class BlockStoredLine:
-    """A key block is on disk; ``keys`` were made of it."""
+class BlockLine:
+    """What became of a key block; ``keys`` were made of it."""
 
     event: Literal["block"]
     session: str
     number: int
+    what: Literal["confirmed", "unequal", "poor"]
     keys: int
-
-
-@checked_dataclass(frozen=True, slots=True, config=STRICT)
-class BlockJudgedLine:
-    """The partner's word on a key block is on disk."""
-
-    event: Literal["judged"]
-    session: str
-    number: int
-    what: Literal["confirmed", "unequal"]
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -149,14 +141,14 @@ class AppearancesLine:
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class AlarmLine:
-    """A transition's test failed at the controller, and made an alarm."""
+    """A transition made an alarm at the controller."""
 
     event: Literal["alarm"]
     session: str
     j: int
     k: int
     reading: Vector
-    coin_key: str
+    reason: Literal["unexplained", "another candidate", "digits refused", "unwatched"]
     candidate: int
     expected: Vector
     gauge: float
@@ -191,8 +183,7 @@ EventLine = (
     | QueuedLine
     | RecoveredLine
     | Refused
-    | BlockStoredLine
-    | BlockJudgedLine
+    | BlockLine
     | AppearancesLine
     | AlarmLine
     | TimingLine
@@ -209,8 +200,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "session": TypeAdapter(SessionLine),
         "recovered": TypeAdapter(RecoveredLine),
         "refused": TypeAdapter(Refused),
-        "block": TypeAdapter(BlockStoredLine),
-        "judged": TypeAdapter(BlockJudgedLine),
+        "block": TypeAdapter(BlockLine),
         "appearances": TypeAdapter(AppearancesLine),
     },
     "controller": {
@@ -219,8 +209,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "alarm": TypeAdapter(AlarmLine),
         "sent": TypeAdapter(QueuedLine),
         "delivered": TypeAdapter(QueuedLine),
-        "block": TypeAdapter(BlockStoredLine),
-        "judged": TypeAdapter(BlockJudgedLine),
+        "block": TypeAdapter(BlockLine),
         "appearances": TypeAdapter(AppearancesLine),
     },
 }

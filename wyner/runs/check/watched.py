@@ -1,133 +1,114 @@
-"""The checks of the keyed coin and of alarms, by code of their own."""
+"""The checks of the key stream and of alarms, by code of their own."""
 
 from collections import deque
-from contextlib import ExitStack
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
-from protocol.secret.records import Side
 from wyner.runs.check.base import EDGE, Check, Counter
 from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.key_blocks import FILES, open_store
-from wyner.runs.check.records import AlarmLine, OtherLine, TracedTransition, Walked
-
-WORDS: Final = 8
-WORD: Final = 2**32
+from wyner.runs.check.records import AlarmLine, BlockLine, OtherLine, TracedTransition, Walked
 
 PREDICTED: Final = 1e-9
 """Relative: an expected state is a sum of products in an order of its own."""
 
-
-def base_digits(key: bytes, size: int) -> list[int]:
-    """The digits of a key: of each word of 32 bits as many as give the most in the mean.
-
-    A word at or above the largest multiple of ``size`` to their number gives none.
-    """
-    choices = []
-    number = 1
-    while size**number <= WORD:
-        multiple = WORD - WORD % size**number
-        choices.append((number * multiple, -number, multiple))
-        number += 1
-    _, number, multiple = max(choices)
-    found = []
-    for word in range(WORDS):
-        value = int(key[4 * word : 4 * word + 4].hex(), 16)
-        if value < multiple:
-            found += [value // size**place % size for place in range(-number)]
-    return found
+WORDS_OF_A_KEY: Final = 8
+DIGITS_OF_A_WORD: Final = 32
+"""Bits of a word: no base gives more digits than that."""
 
 
-class _Served(NamedTuple):
-    """What is known of a key: the step of its first digit, and the last step that it served."""
+class KeyStream(Check):
+    """Digits serve once and in order, of blocks that both ends have confirmed, alike at both."""
 
-    first: int
-    last: int
-
-
-class KeyedCoins(Check):
-    """Each keyed coin is the digit that belongs to its step, of a key of both ends."""
-
-    name = "keyed-coin"
-    source = "rule 12"
-    says = "coins are digits of keys that both stores gave, in order, none twice"
-    of = "coins"
+    name = "key-stream"
+    source = "rule 11"
+    says = "digits of confirmed blocks serve in order, none twice, and alike at both ends"
+    of = "offers"
     needs = ("plant",)
 
     def __init__(self, evidence: Evidence, counter: Counter) -> None:
         super().__init__(evidence, counter)
-        self._served: dict[str, _Served] = {}
-        self._key = ""
-        self._watched = self._private = 0
-        self._digits: dict[str, list[int]] = {}
-        self._uses: dict[str, dict[str, str]] = {}
-        with ExitStack() as stack:
-            for side, name in FILES:
-                self._read(side, name, stack)
+        rules = evidence.rules
+        self._digits = rules.digits
+        self._keyed, self._sealed = rules.keyed, rules.scheme.from_stream
+        self._session = ""
+        self._after = (-1, 0)
+        self._keys: dict[int, int] = {}
+        self._named: dict[str, tuple[int, tuple[int, int]]] = {}
+        self._served = self._without = 0
 
     @classmethod
     def skipped(cls, evidence: Evidence) -> str:
-        if not evidence.scenario.defence.keyed:
-            return "the scenario keys no coin"
+        if not evidence.rules.digits:
+            return "nothing uses the key stream"
         return super().skipped(evidence)
 
-    def _read(self, side: Side, name: str, stack: ExitStack) -> None:
-        """The uses of a store's keys, and the digits of those whose bytes are left."""
-        store = open_store(self.evidence, side, name, self.counter, stack)
-        if store is None:
-            return
-        column = "use" if side == "controller" else "there"
-        rows = store.rows(f"SELECT id, {column}, body FROM key WHERE {column} LIKE 'coin %'")
-        self._uses[side] = {key: use for key, use, _ in rows}
-        size = self.evidence.rules.size
-        for key, _, body in rows:
-            if body is not None and len(body) == 4 * WORDS:
-                self._digits[key] = base_digits(bytes(body), size)
-
     def feed(self, part: Part) -> None:
+        for item in part.plant:
+            if isinstance(item, OtherLine) and isinstance(item.line, BlockLine):
+                self._begin(item.line.session)
+                if item.line.what == "confirmed":
+                    self._keys[item.line.number] = item.line.keys
         for plant, controller in part.pairs:
             if plant is None:
                 continue
             t = plant.t
-            if not t.coin_key:
-                text = "" if t.coin_key == "" else "coin_key: expected one, as the coin is keyed"
-                self.counter.count(not text, t.session, t.j, t.k, text)
-                self._private += 1
-                continue
-            expected = -1 if controller is None else controller.t.expected
-            self._watched += expected != -1
-            text = self._wrong(t, t.coin_key, expected)
+            self._begin(t.session)
+            self._served += t.keyed
+            self._without += not t.keyed
+            text = self._wrong(t, None if controller is None else controller.t)
             self.counter.count(not text, t.session, t.j, t.k, text)
+        for seen in part.seen:
+            if seen.topic == "offer":
+                text = self._position(seen.session, seen.k, seen.message)
+                self.counter.count(not text, seen.session, -1, seen.k, f"{seen.where}: {text}")
 
-    def _wrong(self, t: TracedTransition, key: str, expected: int) -> str:
-        before, self._served[key] = self._served.get(key), _Served(t.coin_from, t.k)
-        if before is not None and key != self._key:
-            return f"key {key} had been left for another one"
-        self._key = key
-        at = t.k - t.coin_from
-        if at < 0 or t.coin_from < 0:
-            return f"key {key} begins at step {t.coin_from}"
-        if before is not None and before.first != t.coin_from:
-            return f"key {key} begins at step {t.coin_from}, and began at {before.first}"
-        if before is not None and t.k <= before.last:
-            return f"key {key} had served step {before.last}"
-        if expected not in (-1, t.coin):
-            return f"the plant's coin was {t.coin}, the controller expected {expected}"
-        found = self._digits.get(key)
-        if found is not None and found[at : at + 1] != [t.coin]:
-            return f"digit {at} of key {key} is not the coin {t.coin}"
-        uses = [self._uses[side].get(key) for side in self._uses]
-        named = f"coin {t.session} "
-        if any(use is None or not use.startswith(named) for use in uses):
-            return f"key {key} was given for {uses[0]}, not for this session's coin"
-        both = " and for ".join(map(str, uses))
-        return "" if len(set(uses)) < 2 else f"key {key} was given for {both}"
+    def _begin(self, session: str) -> None:
+        if session != self._session:
+            self._session, self._after, self._keys = session, (-1, 0), {}
+
+    def _wrong(self, t: TracedTransition, other: TracedTransition | None) -> str:
+        """What is wrong with a transition's digits; the controller's trace tells the same."""
+        if self._sealed and (t.role == "message") != t.keyed:
+            return f"role {t.role}, and keyed is {t.keyed}"
+        if t.digits is None:
+            return "keyed, and the offer named no digits" if t.keyed else ""
+        block, at = t.digits
+        if (block, at) < self._after:
+            return f"position {t.digits} is not beyond {self._after}"
+        self._after = block, at + self._digits
+        if block not in self._keys and self._known():
+            return f"position {t.digits}: block {block} was not confirmed"
+        most = self._keys.get(block, 1 << 30) * WORDS_OF_A_KEY * DIGITS_OF_A_WORD
+        if at + self._digits > most:
+            return f"position {t.digits}: block {block} has no such digit"
+        if other is not None and self._keyed and other.expected not in (-1, t.coin):
+            return f"the plant's coin was {t.coin}, the controller expected {other.expected}"
+        return ""
+
+    def _known(self) -> bool:
+        """Whether the plant's trace is there from the beginning of its session."""
+        plant = self.evidence.plant
+        return plant is not None and not plant.gone and not plant.behind
+
+    def _position(self, session: str, k: int, message: dict[str, object]) -> str:
+        """What is wrong with the position that an offer names: each new one names a later one."""
+        block, at = message.get("stream_block"), message.get("stream_at")
+        if not isinstance(block, int) or not isinstance(at, int):
+            return "an offer without a position"
+        if block < 0:
+            return ""
+        known = self._named.get(session)
+        self._named[session] = k, (block, at)
+        if known is None or (known[0] == k and known[1] == (block, at)):
+            return ""
+        before = known[1][0], known[1][1] + self._digits
+        if known[0] == k or (k > known[0] and (block, at) < before):
+            return f"position {(block, at)}, and step {known[0]} had {known[1]}"
+        return ""
 
     def finish(self) -> None:
-        self.counter.note = (
-            f"{self._watched} watched, {self._private} private, of {len(self._served)} keys"
-        )
+        self.counter.note = f"{self._served} transitions had digits, {self._without} had none"
 
 
 class Alarms(Check):
@@ -146,7 +127,10 @@ class Alarms(Check):
         self._tests: deque[bool] = deque(maxlen=self._rule.window)
         self._known = True
         self._last: TracedTransition | None = None
-        self._due: dict[tuple[str, int], TracedTransition] = {}
+        self._due: dict[tuple[str, int], tuple[TracedTransition, str]] = {}
+        self._keyed = evidence.rules.keyed
+        self._share, self._burst = evidence.rules.watch
+        self._sum: float | None = None
         self._seen: set[tuple[str, int]] = set()
 
     def feed(self, part: Part) -> None:
@@ -170,33 +154,52 @@ class Alarms(Check):
         holds = any(explained)
         if t.expected != -1:
             inside = 0 <= t.expected < len(explained)
-            text = f"expected: got {t.expected}, expected a candidate of key {t.coin_key!r}"
-            self.counter.count(inside and bool(t.coin_key), t.session, t.j, t.k, text)
+            text = f"expected: got {t.expected}, expected a candidate"
+            self.counter.count(inside and t.keyed, t.session, t.j, t.k, text)
             holds = inside and explained[t.expected]
         else:
             self.counter.count(True, t.session, t.j, t.k)
-        self._tests.append(not holds)
-        if not holds and sum(self._tests) >= self._rule.failures:
-            self._due[t.session, t.j] = t
+        refused = self._keyed and t.digits is not None and not t.keyed
+        self._tests.append(not holds or refused)
+        reason = ""
+        if self._tests[-1] and sum(self._tests) >= self._rule.failures:
+            reason = "digits refused" if holds else "unexplained"
+            reason = "another candidate" if not holds and t.expected != -1 else reason
+        if self._keyed and self._unwatched(watched=t.expected != -1):
+            reason = reason or "unwatched"
+        if reason:
+            self._due[t.session, t.j] = t, reason
+
+    def _unwatched(self, *, watched: bool) -> bool:
+        """Whether too many steps had no digit: their cumulative sum, once there were keys."""
+        if self._sum is None:
+            self._sum = 0.0 if watched else None
+            return False
+        self._sum = max(0.0, self._sum - self._share + (0.0 if watched else 1.0))
+        over = self._sum > self._burst
+        self._sum = 0.0 if over else self._sum
+        return over
 
     def _alarmed(self, line: AlarmLine) -> None:
-        t = self._due.get((line.session, line.j))
+        due = self._due.get((line.session, line.j))
         where = line.session, line.j, line.k
-        if t is None:
+        if due is None:
             assert self.evidence.controller is not None
             spared = self.evidence.controller.behind or not self._known
             self.counter.count(bool(spared), *where, "an alarm, and the test did not fail")
             return
-        text = self._unlike(line, t)
+        text = self._unlike(line, *due)
         self.counter.count(not text, *where, text)
         self._seen.add((line.session, line.j))
 
-    def _unlike(self, line: AlarmLine, t: TracedTransition) -> str:
+    def _unlike(self, line: AlarmLine, t: TracedTransition, reason: str) -> str:
         if (line.k, line.reading) != (t.k, t.x_next):
             return f"the alarm is of step {line.k}, {line.reading}; read was {t.x_next} at {t.k}"
         nearest = min(range(len(t.gauges)), key=t.gauges.__getitem__)
-        key, candidate = (t.coin_key or "", t.expected) if t.expected != -1 else ("", nearest)
-        if (line.coin_key, line.candidate) != (key, candidate):
+        candidate = t.expected if t.expected != -1 else nearest
+        if line.reason != reason:
+            return f"the alarm says {line.reason!r}, the test {reason!r}"
+        if line.candidate != candidate:
             return f"the alarm expects candidate {line.candidate}, the test candidate {candidate}"
         if line.gauge != t.gauges[candidate]:
             return f"the alarm's gauge is {line.gauge}, recomputed {t.gauges[candidate]}"
@@ -216,10 +219,16 @@ class Alarms(Check):
     def finish(self) -> None:
         controller = self.evidence.controller
         assert controller is not None
-        for at, t in self._due.items():
+        for at, (t, _) in self._due.items():
             if at in self._seen:
                 continue
             cut_off = t is self._last and not controller.ended
             spared = cut_off or not self._known or controller.behind > 0
-            self.counter.count(spared, t.session, t.j, t.k, "its test failed, and no alarm is told")
+            self.counter.count(
+                spared,
+                t.session,
+                t.j,
+                t.k,
+                "no alarm is told",
+            )
         self.counter.note = f"{len(self._seen)} alarms"

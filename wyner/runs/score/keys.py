@@ -1,4 +1,4 @@
-"""What the tap of a run holds of its keys, from the plant's trace, the capture and the stores.
+"""What the tap of a run holds of its keys, from both ends' traces and the capture.
 
 The claim is the operator's; a run can refute it, and never prove it. What she missed is exact here:
 her capture is all that she heard, and which copies counted stands in the plant's trace.
@@ -7,21 +7,17 @@ her capture is all that she heard, and which copies counted stands in the plant'
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.records import StoreError
 from protocol.statistics import COUNTED, POOLED
-from runtime.keys.store import KeyStore
 from runtime.recording import TraceError
-from runtime.run_folder import CONTROLLER_KEYS, PLANT_KEYS
 from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
-from tap_service.inference.miss_rate import AWAY, Audit, MissRate
+from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
 from wyner.runs.resolve import Event
 from wyner.runs.run import Run
 from wyner.runs.score.by_step import BySteps
@@ -137,7 +133,6 @@ class _Walk:
     blocks: dict[tuple[str, int], _Block] = field(default_factory=dict)
     sent: Copies = field(default_factory=Copies)
     keys: dict[tuple[str, int], int] = field(default_factory=dict)
-    confirmed: set[tuple[str, int]] = field(default_factory=set)
     steps: int = 0
     _last_k: dict[str, int] = field(default_factory=dict)
 
@@ -149,10 +144,8 @@ class _Walk:
             self.sent.add(("measurement", event["session"], event["k"]))
         elif kind == "transition":
             self._transition(event)
-        elif kind == "block":
+        elif kind == "block" and event["what"] == "confirmed":
             self.keys[event["session"], event["number"]] = event["keys"]
-        elif kind == "judged" and event["what"] == "confirmed":
-            self.confirmed.add((event["session"], event["number"]))
 
     def _transition(self, event: dict[str, Any]) -> None:
         session, j, k = event["session"], event["j"], event["k"]
@@ -183,11 +176,8 @@ class KeyAudit:
     sentence : str
         Under which claim the keys are secret, in words.
     refused : str or None
-        Why nobody gets them.
+        Why none is made.
     blocks : tuple of AuditedBlock
-    same : bool or None
-        Whether both stores hold the same keys under the same ids in the same order; None where one
-        of them is not there.
     rates : mapping of str to MissRate
         Her misses of copies 0 while she was there, each direction by itself, and in it each number
         of times that messages left; empty where nothing was captured.
@@ -204,7 +194,6 @@ class KeyAudit:
     sentence: str
     refused: str | None
     blocks: tuple[AuditedBlock, ...]
-    same: bool | None
     rates: Mapping[str, MissRate]
     seconds: float
     period_s: float
@@ -222,15 +211,11 @@ class KeyAudit:
         return sum(block.held_bits or 0 for block in self.blocks if block.keys)
 
     @property
-    def waiting(self) -> int:
-        """Whole blocks with rows for a key that the partner has not confirmed."""
-        return sum(block.rows >= 2 and not block.confirmed for block in self.blocks)
-
-    @property
     def missed(self) -> float | None:
         """Share of copies 0 that she missed while she was there; None where she never was."""
-        copies = sum(rate.copies for rate in self.rates.values())
-        return sum(rate.missed for rate in self.rates.values()) / copies if copies else None
+        classes = [rate for name, rate in self.rates.items() if name != ALL]
+        copies = sum(rate.copies for rate in classes)
+        return sum(rate.missed for rate in classes) / copies if copies else None
 
     @property
     def first_key_s(self) -> float | None:
@@ -253,10 +238,8 @@ class KeyAudit:
                 )
             if rate.bursts:
                 found.append(f"her misses of {name} come in bursts ({rate.lag} copies apart)")
-            if not rate.copies and rate.absent:
+            if not rate.copies and rate.absent and name != ALL:
                 found.append(f"she was not there: of {rate.absent} {name} she heard one at most")
-        if self.same is False:
-            found.append("the two stores differ")
         return tuple(found)
 
     def as_json(self, *, blocks: bool = False) -> dict[str, Any]:
@@ -267,13 +250,11 @@ class KeyAudit:
         last = made[-1] if made else None
         return {
             "made": self.made,
-            "waiting": self.waiting,
             "bits_per_second": KEY_BITS * self.made / self.seconds if self.seconds else 0.0,
             "last_block_bits_per_second": 0.0
             if last is None
             else KEY_BITS * last.keys / (last.steps * self.period_s),
             "first_key_s": self.first_key_s,
-            "same_at_both_ends": self.same,
             "listened": self.listened,
             "held_by_tap_bits": self.held_bits if self.listened else None,
             "refused": self.refused,
@@ -304,9 +285,6 @@ def key_lines(keys: dict[str, Any]) -> list[str]:
         f"counted. {held}",
         f"           {keys['assumption']}",
     ]
-    if keys["waiting"]:
-        text = f"{keys['waiting']} blocks are whole, and wait to be confirmed at both ends"
-        lines.append(f"           {text}")
     if refused is not None:
         lines.append(f"           refused: {refused}")
     return lines + [f"           WARNING: {text}" for text in keys["warnings"]]
@@ -318,10 +296,10 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         return None
     claim = scenario.keys.assumption()
     schedule = scenario.keys.schedule()
-    refused = _refused(run.folder) or scenario.keys.refusal()
+    refused = scenario.keys.refusal()
     if schedule is None:
         rates: dict[str, MissRate] = {}
-        nothing = (claim.sentence(), refused, (), None, rates, 0.0, scenario.plant.period_s)
+        nothing = (claim.sentence(), refused, (), rates, 0.0, scenario.plant.period_s)
         return KeyAudit(claim.eps_E, *nothing)
     walk, behind = _Walk(schedule), 0
     leaving = {"measurement": _Leaving(), "offer": _Leaving()}
@@ -346,7 +324,6 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         claim.sentence(),
         refused,
         blocks,
-        _same(run.folder),
         rates,
         (walk.steps + behind) * scenario.plant.period_s,
         scenario.plant.period_s,
@@ -410,7 +387,7 @@ def _audited(
         keys=walk.keys.get(at, 0),
         missed=missed,
         held_bits=held,
-        confirmed=at in walk.confirmed,
+        confirmed=at in walk.keys,
         last_k=block.last_k,
         lost=a.copies * block.steps - len(block.copies),
     )
@@ -428,23 +405,3 @@ def _heard(run: Run) -> HeardCopies | None:
     except (CaptureError, OSError):
         return None
     return heard
-
-
-def _refused(run_dir: Path) -> str | None:
-    try:
-        with KeyStore(run_dir / PLANT_KEYS, "plant") as store:
-            return store.refused
-    except StoreError:
-        return None
-
-
-def _same(run_dir: Path) -> bool | None:
-    """Whether what both stores hold is the same: ids, order, and the bytes that are still there."""
-    try:
-        with (
-            KeyStore(run_dir / CONTROLLER_KEYS, "controller") as controller,
-            KeyStore(run_dir / PLANT_KEYS, "plant") as plant,
-        ):
-            return controller.same_as(plant)
-    except StoreError:
-        return None

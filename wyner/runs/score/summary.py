@@ -7,6 +7,7 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
 
+from protocol.link.session import rules_of
 from protocol.relabelling import in_words
 from protocol.statistics import COUNTED
 from protocol.text import readable
@@ -67,7 +68,8 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     nothing is known. ``no_interval`` says why
     figures have none. ``failed`` names the
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
-    where the scenario makes none. ``attack`` is what one came to
+    where the scenario makes none; ``under_keys`` says whether the message travels under them.
+    ``attack`` is what one came to
     (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
     """
     scenario = run.scenario
@@ -114,6 +116,7 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
+        "under_keys": rules_of(scenario).scheme.from_stream,
         "attack": attacked(run).as_json(),
         "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
@@ -263,10 +266,15 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
         lines.append("Eve        has not got it whole.")
     else:
         lines.append("Eve        was not there.")
-    lines.append(
-        f"Secret     {summary['claimed_bits']:.0f} bits by the paper's rule. True: "
-        f"{true_in_words(summary)}."
-    )
+    if summary["under_keys"]:
+        lines.append(
+            "Secret     The message travels under distilled keys: it is as secret as they are."
+        )
+    else:
+        lines.append(
+            f"Secret     {summary['claimed_bits']:.0f} bits by the paper's rule. True: "
+            f"{true_in_words(summary)}."
+        )
     lines += [f"           {text}" for text in true_rests_on(summary)]
     lines += [f"FAILED     {name}: {summary['taps'][name]['failed']}" for name in summary["failed"]]
     if summary["keys"] is not None:

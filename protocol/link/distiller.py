@@ -1,0 +1,370 @@
+"""What both ends do alike for keys, sans I/O: nonces, rows, blocks, announcements, the key stream.
+
+A block is open until its last transition closes it. Its keys are then extracted, which takes a
+process of its own. It is *announced* with its tag, and *confirmed* once the partner has shown the
+same tag: then its digits join the stream. A side announces a block only when it has confirmed the
+one before. So the partner is at the same block or at the next, and an equal tag of the next one
+confirms both. A block too poor for a key is not announced.
+
+All of it belongs to one session, and is void with it. A scenario without keys has a
+:class:`Distiller` too. It gives the constants that the wire then carries, and wants nothing done.
+"""
+
+from collections.abc import Iterable
+from hmac import compare_digest
+from typing import Any, Final, Literal, NamedTuple
+
+from protocol.messages import Measurement, Offer
+from protocol.secret.blocks import NO_TAG, ClosedBlock, ExtractedBlock, OpenBlock, Schedule
+from protocol.secret.nonces import (
+    FIRST,
+    Contribution,
+    Copy,
+    NonceSource,
+    contribution_of,
+)
+from protocol.secret.stream import NOWHERE, Part, Position, Stream
+
+UNCONFIRMED: Final = 2
+"""Most blocks that are extracted and not confirmed: the one announced, and the next, whose tag is
+compared with that of a partner that is further on."""
+
+
+class BlockEnded(NamedTuple):
+    """What became of a key block, as it is traced.
+
+    ``confirmed``: both ends hold its keys. ``unequal``: they differ, and the session ends.
+    ``poor``: too many copies were lost to make a key of it.
+    """
+
+    session: str
+    number: int
+    what: Literal["confirmed", "unequal", "poor"]
+    keys: int = 0
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "block", **self._asdict()}
+
+
+class KeyRows(NamedTuple):
+    """Rows of the journal that change with the next save.
+
+    Parameters
+    ----------
+    contributions : tuple of Contribution
+        Of transitions that were counted since the last save.
+    obsolete_rows : tuple of range
+        Transitions whose rows no block needs any more.
+    parts : tuple of Part
+        Digits of the stream; a part without any is to be erased.
+    """
+
+    contributions: tuple[Contribution, ...] = ()
+    obsolete_rows: tuple[range, ...] = ()
+    parts: tuple[Part, ...] = ()
+
+    def and_then(self, later: "KeyRows") -> "KeyRows":
+        """These rows and then ``later`` ones, in one save."""
+        return KeyRows(
+            self.contributions + later.contributions,
+            self.obsolete_rows + later.obsolete_rows,
+            self.parts + later.parts,
+        )
+
+
+NO_ROWS: Final = KeyRows()
+
+
+class Distiller:
+    """One end's part in making keys of its session.
+
+    Parameters
+    ----------
+    schedule : Schedule, optional
+        None: no keys.
+    size : int
+        M, for the digits of the stream.
+    fresh : NonceSource
+
+    Attributes
+    ----------
+    session : str
+        Empty while there is none.
+    block, tag : int, str
+        What was announced last.
+    confirmed : int
+        The newest block whose digits have joined the stream.
+    stream : Stream
+    made, lost : int
+        Keys made, and blocks that made none, since this process began.
+    last : tuple of int
+        Keys and transitions of the block confirmed last.
+    stopped : str
+        Why the newest block made no key; empty where it made some.
+    broken : str
+        Why no key is made any more; empty where some are.
+    appearances : int
+        Times that a message leaves this end, as its host has counted last.
+    """
+
+    def __init__(self, schedule: Schedule | None, size: int, fresh: NonceSource) -> None:
+        self.schedule = schedule
+        self.made = self.lost = 0
+        self.last = (0, 0)
+        self.stopped = self.broken = ""
+        self.appearances = 1
+        self._size = size
+        self._fresh = fresh
+        self.begin("")
+
+    def begin(
+        self,
+        session: str,
+        block: int = -1,
+        tag: str = "",
+        confirmed: int = -1,
+        rows: Iterable[Contribution] = (),
+        parts: Iterable[Part] = (),
+        after: Position = NOWHERE,
+    ) -> None:
+        """Begin a session, or go on with it from what was read back.
+
+        Parameters
+        ----------
+        session : str
+        block, tag, confirmed
+            As the attributes.
+        rows : iterable of Contribution
+            Of transitions whose block is open, not confirmed or not announced.
+        parts : iterable of Part
+            Digits of the stream that are left.
+        after : Position
+            Digits before it may have served.
+        """
+        self.session = session
+        self.block, self.tag, self.confirmed = block, tag or self.no_tag, confirmed
+        self.stream = Stream(self._size, parts, after)
+        self.began = False
+        """Whether the transition counted last was the first one of a block."""
+        self._newest = -1
+        self._closed: list[ClosedBlock] = []
+        self._wanted: set[int] = set()
+        self._extracted: dict[int, ExtractedBlock] = {}
+        self._unequal = False
+        self._over: set[int] = set()
+        self._ended: list[BlockEnded] = []
+        self._parts: list[Part] = []
+        self._rows: list[Contribution] = []
+        self.stopped = ""
+        if self.schedule is not None:
+            self._open = OpenBlock(self.schedule.assumption)
+            for row in rows:
+                self._count(self.schedule, row)
+
+    # --- nonces and copies ------------------------------------------------------------------------
+
+    @property
+    def on(self) -> bool:
+        """Whether keys are made."""
+        return self.schedule is not None
+
+    @property
+    def no_tag(self) -> str:
+        """The tag while no block is announced."""
+        return NO_TAG if self.on else ""
+
+    def nonce(self) -> str:
+        """A fresh nonce."""
+        return self._fresh() if self.on else ""
+
+    @property
+    def crowded(self) -> str:
+        """Why copies that leave this end now do not count for keys; empty where they do.
+
+        The claim holds for ``keys.appearances`` appearances of a message. By the links that are
+        open now a message would appear more often.
+        """
+        if self.schedule is None:
+            return ""
+        stated = self.schedule.assumption.appearances
+        if self.appearances <= stated:
+            return ""
+        return (
+            f"a message leaves {self.appearances} times, and keys.appearances = {stated} was stated"
+        )
+
+    def copy(self) -> Copy:
+        """Number of a step's first copy: 0, or 1 where it leaves too often to count (rule 8)."""
+        return 1 if self.crowded else FIRST
+
+    def appear(self, count: int) -> bool:
+        """Note how often a message leaves from here on. True where that starts or stops keys."""
+        before = self.crowded
+        self.appearances = count
+        return bool(self.crowded) != bool(before)
+
+    def again(self, offer: Offer) -> Offer:
+        """Another copy of an offer that may have left, with a dummy for its nonce (rule 8)."""
+        if not self.on:
+            return offer
+        return offer.model_copy(update={"copy_number": 1, "nonce": self.nonce()})
+
+    # --- rows and blocks --------------------------------------------------------------------------
+
+    def count(
+        self, j: int, steps: int, offer: Offer, applied_copy: int, measurement: str
+    ) -> Contribution | None:
+        """What transition ``j`` contributes (rule 9).
+
+        Parameters
+        ----------
+        j, steps : int
+        offer : Offer
+            That was applied, in its copy ``applied_copy``.
+        measurement : str
+            Nonce of copy 0 of the measurement that it answers.
+        """
+        if self.schedule is None or not self.session or j == 0:
+            return None  # a session's first transition only fixes where block 0 begins
+        row = contribution_of(
+            j=j,
+            steps=steps,
+            offer=offer.nonce,
+            applied_copy=applied_copy,
+            measurement=measurement,
+            heard=offer.heard,
+        )
+        self._count(self.schedule, row)
+        self._rows.append(row)
+        return row
+
+    def _count(self, schedule: Schedule, row: Contribution) -> None:
+        self.began = self._open.empty
+        self._open.add(row)
+        self._newest = row.j
+        number = schedule.block_of(row.j)
+        if row.j + 1 != schedule.begins(number + 1):
+            return
+        closed = self._open.close(self.session, number, row.j)
+        self._open = OpenBlock(schedule.assumption)
+        assert closed.transitions == schedule.length(number), "a row is missing"
+        if number <= min(self.confirmed, self.block):
+            self._over.add(number)
+        elif closed.makes_keys:
+            self._closed.append(closed)
+        else:
+            self._over.add(number)
+            self._end(BlockEnded(self.session, number, "poor"), "lost too many copies to make one")
+
+    def extracted(self, block: ExtractedBlock) -> None:
+        """Note the tag and keys of a block; those of former sessions are ignored."""
+        if block.session == self.session and block.number in self._wanted:
+            self._extracted[block.number] = block
+            if block.number <= self.confirmed:
+                self._over.add(block.number)
+
+    def fail(self, why: str) -> None:
+        """Make no key from here on: blocks cannot be extracted, or the claim is refuted."""
+        self.broken = self.broken or why
+
+    def announcement(self) -> tuple[int, str]:
+        """The block to announce in the next new message, with its tag.
+
+        A block is announced once a later transition was counted. The partner has then counted the
+        block's last transition. Otherwise an end put back from a copy could count that one
+        differently, in the same session.
+        """
+        if self.schedule is not None and not self.broken and self.confirmed >= self.block:
+            following = min((n for n in self._extracted if n > self.block), default=None)
+            if following is not None and self._newest >= self.schedule.begins(following + 1):
+                self.block, self.tag = following, self._extracted[following].tag
+        return self.block, self.tag
+
+    def heard(self, message: Measurement | Offer) -> None:
+        """Compare the partner's announcement: it confirms blocks, or shows that one differs."""
+        mine = self._extracted.get(message.block)
+        if mine is None or message.block <= self.confirmed or self._unequal or self.broken:
+            return
+        if not compare_digest(message.tag, mine.tag):
+            self._unequal = True
+            ended = BlockEnded(self.session, message.block, "unequal")
+            self._end(ended, "differs from the partner's")
+            return
+        for number in sorted(self._extracted):
+            if self.confirmed < number <= message.block:
+                self._confirm(self._extracted[number])
+
+    def awaits(self, block: int) -> bool:
+        """Whether this end has announced a block, and is yet to confirm it.
+
+        So it is after a death, until the block is extracted again; or while the next block, which
+        the partner has announced by now, is not extracted here.
+        """
+        return self.confirmed < block <= self.block and not self.broken
+
+    def _confirm(self, block: ExtractedBlock) -> None:
+        assert self.schedule is not None
+        self.confirmed = block.number
+        self._over.add(block.number)
+        self._parts += self.stream.add(block.number, block.keys)
+        self.made += len(block.keys)
+        self.last = (len(block.keys), self.schedule.length(block.number))
+        self._end(BlockEnded(self.session, block.number, "confirmed", len(block.keys)))
+
+    def _end(self, block: BlockEnded, why_not: str = "") -> None:
+        self._ended.append(block)
+        self.lost += bool(why_not)
+        self.stopped = f"block {block.number} {why_not}" if why_not else ""
+
+    # --- the stream -------------------------------------------------------------------------------
+
+    def used(self, position: Position, count: int) -> None:
+        """``count`` digits at a position have served: they and all before them are erased."""
+        if position != NOWHERE:
+            self._parts += self.stream.drop_before(Position(position.block, position.at + count))
+
+    # --- what is to be done -----------------------------------------------------------------------
+
+    def ended(self) -> tuple[BlockEnded, ...]:
+        """What became of blocks since the last time."""
+        ended, self._ended = tuple(self._ended), []
+        return ended
+
+    def tasks(self) -> tuple[ClosedBlock, ...]:
+        """Blocks to be extracted now; each once."""
+        tasks: list[ClosedBlock] = []
+        while self._closed and not self.broken:
+            if sum(number > self.confirmed for number in self._wanted) >= UNCONFIRMED:
+                break
+            tasks.append(self._closed.pop(0))
+            self._wanted.add(tasks[-1].number)
+        return tuple(tasks)
+
+    def rows(self) -> KeyRows:
+        """What the journal must save with the record, once."""
+        if self.schedule is None:
+            return NO_ROWS
+        over = {n for n in self._over if n <= self.block or n not in self._wanted}
+        self._over -= over
+        for number in over:
+            self._extracted.pop(number, None)
+            self._wanted.discard(number)
+        begins = self.schedule.begins
+        obsolete = tuple(range(begins(n), begins(n + 1)) for n in sorted(over))
+        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._parts))
+        self._rows, self._parts = [], []
+        return rows
+
+    def status_fields(self) -> dict[str, Any]:
+        """Fields of a status on keys."""
+        return {
+            "keys_made": self.made,
+            "keys_of_block": self.last[0],
+            "key_block_steps": self.last[1],
+            "keys_refused": self.broken,
+            "keys_stopped": self.crowded or self.stopped,
+            "key_blocks_lost": self.lost,
+            "appearances": self.appearances,
+            "digits_left": self.stream.left,
+        }

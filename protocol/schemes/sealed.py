@@ -1,0 +1,53 @@
+"""`sealed`: every transition carries a message symbol under the next digit of the key stream.
+
+The digit comes from keys that both ends distilled from what an eavesdropper misses
+(:mod:`protocol.secret`). The offer names its position, and c = (m + digit) mod M. Where an offer
+has no digit its symbol is random and carries nothing. What the test of a transition returns is of
+no account, so nothing is agreed by the paper's rule.
+"""
+
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
+
+from protocol.agreement import NO_SYMBOL
+from protocol.schemes.base import COVER, Carries, Carry, Scheme, check_verdict
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+
+class State(NamedTuple):
+    """The automaton has one state."""
+
+    s: int
+
+
+class Sealed(Scheme[State]):
+    """Carry under the key stream; both ends substitute the digit for the pad."""
+
+    name: ClassVar[str] = "sealed"
+    version: ClassVar[int] = 1
+    from_stream: ClassVar[bool] = True
+    initial = State(1)
+
+    def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
+        """The same state, whatever the verdict; the automaton itself has no pad."""
+        check_verdict(verdict, self.alphabet)
+        if state != self.initial:
+            raise ValueError(f"state: got {state.s}, expected 1")
+        return state, COVER
+
+    def pad(self, state: State) -> int:  # noqa: ARG002
+        """None of the automaton's own."""
+        return NO_SYMBOL
+
+    def tests(self, state: State) -> bool:  # noqa: ARG002
+        """Never."""
+        return False
+
+    def advance_many(self, verdicts: "NDArray[np.integer[Any]]") -> Carries:
+        """Nothing agreed, and nothing carried under a key of the automaton's."""
+        import numpy as np
+
+        none = np.full_like(verdicts, NO_SYMBOL)
+        return Carries(none, none, np.zeros(verdicts.shape, dtype=bool))

@@ -1,1 +1,0 @@
-"""Where keys live: stores on disk, and the process that makes keys."""

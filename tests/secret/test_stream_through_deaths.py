@@ -1,0 +1,157 @@
+"""The key stream through both real ends as a state machine, and wrong ones that it catches.
+
+Keys are short here, five digits each, so that the stream runs dry and is filled all the time.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+from controller_service import core as controller_core
+from protocol.link.events import Event
+from protocol.link.peer import Actions
+from protocol.link.session import CountedTransition
+from protocol.schemes.sealed import Sealed
+from protocol.secret import key_digits, stream
+from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from tests.secret.test_keyed_link import KeyedLink, shaken
+from tests.support.broken import broken
+from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.size import size
+from tests.support.two_ends import SIDES, Name
+
+COINS = keyed_rules(keyed=True)
+SEALED = keyed_rules(keyed=True, scheme=Sealed(2))
+DIGITS = 5
+PAYLOADS = tuple(bytes([at]) for at in range(200))
+
+
+@pytest.fixture(autouse=True)
+def short_keys() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stream, "digits", lambda k, size: key_digits.digits(k, size)[:DIGITS])
+        yield
+
+
+class SealedEnds(KeyedEnds):
+    """Ends that send messages under the key stream: each arrives once, in order."""
+
+    def __init__(self) -> None:
+        self.received: list[bytes] = []
+        super().__init__(SEALED, payloads=PAYLOADS)
+
+    def saved(self, side: Name, actions: Actions) -> None:
+        super().saved(side, actions)
+        if actions.received is not None:
+            self.received.append(actions.received)
+            assert self.received == list(PAYLOADS[: len(self.received)])
+
+    def traced(self, side: Name, event: Event) -> None:
+        super().traced(side, event)
+        refused = isinstance(event, CountedTransition) and event.refused
+        assert not refused, "a frame arrived broken"
+
+
+class KeyedCoinLink(KeyedLink):
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return KeyedEnds(COINS)
+
+
+class SealedLink(KeyedLink):
+    @staticmethod
+    def begun() -> KeyedEnds:
+        return SealedEnds()
+
+
+LIMITS = settings(
+    max_examples=size(8, 20),
+    stateful_step_count=40,
+    deadline=None,
+    suppress_health_check=list(HealthCheck),
+)
+TestKeyedCoinLink = KeyedCoinLink.TestCase
+TestKeyedCoinLink.settings = LIMITS
+TestSealedLink = SealedLink.TestCase
+TestSealedLink.settings = LIMITS
+
+
+@pytest.mark.parametrize("begun", [KeyedCoinLink.begun, SealedEnds])
+def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedEnds]) -> None:
+    world = shaken(begun(), 3)
+    served = world.digits.served
+    assert len(served) > 50
+    assert len(world.digits.watched) > 50
+    record = world.journals["plant"].load().record
+    assert record is not None
+    of_session = sorted(at for session, at in served if session == record.session)
+    newest = of_session[-3]  # a digit goes with the save of the next step, at the controller later
+    for side in SIDES:
+        for (block, _), part in world.parts(side).items():
+            first = Position(block, part.first)
+            assert first >= newest, "a digit that has served is still in a journal"
+    world.close()
+
+
+def test_sealed_messages_arrive_through_deaths() -> None:
+    world = SealedEnds()
+    shaken(world, 5, rounds=150)
+    assert len(world.received) > 2
+    world.close()
+
+
+# --- the wrong ones -------------------------------------------------------------------------------
+
+
+def the_position_does_not_move_on(patch: pytest.MonkeyPatch) -> None:
+    name = Stream.name
+
+    def same(self: Stream, *of: int) -> Position:
+        after = self._after
+        named = name(self, *of)
+        self._after = after
+        return named
+
+    patch.setattr(Stream, "name", same)
+
+
+def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
+    init = Stream.__init__
+
+    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:
+        init(self, size, parts)
+
+    patch.setattr(Stream, "__init__", begins)
+    nothing_is_erased(patch)
+
+
+def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
+    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:
+        return ()
+
+    patch.setattr(Stream, "drop_before", keeps)
+
+
+def a_controller_takes_no_notice_of_what_was_used(patch: pytest.MonkeyPatch) -> None:
+    broken(patch, controller_core, "if self.rules.scheme.from_stream and not served:", "if False:")
+
+
+WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [
+    the_position_does_not_move_on,
+    a_new_process_forgets_what_it_named,
+    nothing_is_erased,
+    a_controller_takes_no_notice_of_what_was_used,
+]
+
+
+@pytest.mark.wrong_on_purpose
+@pytest.mark.parametrize("wrong", WRONG)
+def test_a_wrong_one_is_caught(wrong: Callable[[pytest.MonkeyPatch], None]) -> None:
+    with pytest.MonkeyPatch.context() as patch, pytest.raises(AssertionError):
+        wrong(patch)
+        for seed in range(8):
+            test_digits_serve_once_and_are_gone_through_deaths(SealedEnds)
+            test_sealed_messages_arrive_through_deaths()
+            shaken(SealedEnds(), seed).close()
