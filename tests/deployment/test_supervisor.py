@@ -7,7 +7,6 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from runtime.keys.worker import FINISH_S
 
 from runtime.host import LAST_S
 from runtime.services import SERVICES
@@ -56,6 +55,6 @@ def test_what_a_killed_service_has_left_ends_with_it(killed: tuple[Child, Path],
 
 @pytest.mark.parametrize("end", ["plant", "controller"])
 def test_an_end_is_given_the_time_that_it_takes_to_stop(end: str) -> None:
-    """It was killed after five seconds, in the midst of the twenty that its keys may take."""
-    longest_s = FINISH_S + 2 * LAST_S + 2 * CLOSE_S
+    """It was killed after five seconds, while it still said farewell."""
+    longest_s = 2 * LAST_S + 2 * CLOSE_S
     assert SERVICES[end].stop_s >= longest_s
