@@ -22,8 +22,8 @@ COLUMNS: Final = "100"
 HEAD: Final = """\
 # Commands
 
-What `wyner COMMAND --help` prints; `wyner bench --help` tells its own. This page is made from the
-commands themselves (`python -m tools.command_reference --write`).
+What `wyner COMMAND --help` prints. This page is made from the commands themselves
+(`python -m tools.command_reference --write`).
 """
 
 
@@ -49,8 +49,7 @@ def page() -> str:
     for group, commands in groups().items():
         parts.append(f"## {group.capitalize()}\n")
         for name in commands:
-            if name != "bench":  # it hands its arguments on
-                parts.append(f"### wyner {name}\n\n```text\n{help_of(name)}```\n")
+            parts.append(f"### wyner {name}\n\n```text\n{help_of(name)}```\n")
     return "\n".join(parts)
 
 
