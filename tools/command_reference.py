@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import wyner  # noqa: F401 - brings the services that are shipped
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.cli.main import build_parser, groups

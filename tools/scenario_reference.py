@@ -21,8 +21,6 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-import controller_service.laws.registry  # noqa: F401  (the laws)
-import plant_service.adapters.registry  # noqa: F401  (the kinds of plants)
 from protocol.scenario import LAWS, PLANTS, Control, PlantTable, Scenario, ScenarioTable
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-reference.md"

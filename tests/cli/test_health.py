@@ -15,7 +15,7 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution
 from runtime.chance import fresh_nonce
-from runtime.services import Look
+from runtime.health import Look
 from wyner.cli.healthy import MAX_AGE_S, advances
 from wyner.cli.main import main
 

@@ -42,7 +42,7 @@ bring theirs. Neighbours of one line share it."""
 
 
 def groups() -> dict[str, dict[str, str]]:
-    """Every subcommand and its line in the help, by group; a registered service's are run."""
+    """Every subcommand and its line in the help, by group; a service's own are run."""
     ours = {name for group in COMMANDS.values() for name in group}
     added = {n: SERVICES[n].summary for n in SERVICES if SERVICES[n].command and n not in ours}
     return {name: group | added if name == "run" else group for name, group in COMMANDS.items()}
