@@ -1,5 +1,7 @@
 """The scheme `sealed` and the keyed coin between the real ends, in virtual time."""
 
+from functools import partial
+
 import pytest
 
 from controller_service.laws.registry import cached_design, make_law
@@ -40,6 +42,11 @@ class Looked(Simulation):
             self.alarms.append(event)
 
 
+def arrived(loop: Looked) -> bool:
+    """Whether the plant has the message."""
+    return bool(loop.history.inbox)
+
+
 @pytest.mark.parametrize("name", ["sealed", "watched"])
 def test_the_first_digit_serves_when_the_schedule_says_and_then_each_step_has_one(
     name: str,
@@ -59,7 +66,7 @@ def test_a_sealed_message_comes_through_a_network_that_loses_and_ends_that_die()
     faults = Faults(loss=0.1, repeat=0.1, delay_s=0.02, crash=0.01, until_s=120.0)
     for seed in range(3):
         loop = Looked("sealed", seed, faults)
-        history = loop.run(until=lambda loop=loop: bool(loop.history.inbox), steps=3000)
+        history = loop.run(until=partial(arrived, loop), steps=3000)
         assert history.inbox == [TEXT], seed
         assert history.crashes > 0
         assert not loop.alarms

@@ -89,11 +89,13 @@ def distilled(state: State, width: int) -> list[Row]:
     n = plant.key_blocks_lost
     lost = f"{count(n)} {'block' if n == 1 else 'blocks'} lost; " if n else ""
     of = "key" if plant.keys_made == 1 else "keys"
-    left = f"{count(plant.digits_left)} digits left; " if plant.digits_left else ""
-    made = f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {left}{lost}"
+    made = f"{count(plant.keys_made)} {of}, {rate:.0f} bit/s; {lost}"
     made_and_held = line(made)
     hers, style = held(state, room - cell_len(made))
     made_and_held.append(hers, style=STYLES[style])
+    digits = f"; {count(plant.digits_left)} digits left"
+    if plant.digits_left and made_and_held.cell_len + cell_len(digits) <= room:
+        made_and_held.append(digits)
     keys: Row = "distilled keys", made_and_held
     against = [*contradictions(state)]
     if plant.keys_stopped:
