@@ -86,6 +86,7 @@ def add_arguments(parser: argparse.ArgumentParser, kind: type, **words: str) -> 
             action="append" if told.many else "store",
             type=_number(hints[one.name]),
             required=one.default is MISSING,
+            default=None if told.many or one.default is MISSING else one.default,
             choices=told.choices,
             metavar=told.metavar,
             help=told.help,
