@@ -89,6 +89,7 @@ def run_session(
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
+    _check_steps(options.steps, scenario)
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
@@ -165,6 +166,19 @@ def _take_signals() -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+
+
+def _check_steps(steps: int | None, scenario: "Scenario") -> None:
+    """A run that ends before its first key would end before anything that it is about."""
+    if steps is None or scenario.keys is None or not scenario.digits:
+        return
+    schedule = scenario.keys.schedule()
+    assert schedule is not None, "a scenario that takes digits makes keys"
+    if steps <= schedule.first_use:
+        raise UsageError(
+            f"--steps: got {steps}, expected more than {schedule.first_use}: under this claim no "
+            "step before has a key"
+        )
 
 
 def _design(scenario: "Scenario") -> None:
