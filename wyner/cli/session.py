@@ -15,7 +15,6 @@ from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.errors import Failure, UsageError
 from runtime.network import check_delays
 from runtime.options import (
-    at_least,
     message_of,
     pace_of,
     run_dir_of,
@@ -87,8 +86,6 @@ def run_session(
     from wyner.runs.score.summary import summarise, verdict_lines
     from wyner.runs.seal import seal
 
-    at_least("--steps", options.steps, 1)
-    at_least("--seed", options.seed, 0)
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
