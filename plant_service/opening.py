@@ -24,8 +24,10 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
+from protocol.secret.nonces import NonceSource
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.network import round_trip_s
@@ -61,6 +63,7 @@ def open_core(
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
     attack: Attack | None = None,
+    nonces: NonceSource = fresh_nonce,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
 
@@ -85,6 +88,7 @@ def open_core(
         In place of the scenario's plant.
     attack : Attack, optional
         On this plant, or on its bus.
+    nonces : NonceSource
 
     Raises
     ------
@@ -169,6 +173,7 @@ def open_core(
             watchdog_s=scenario.link.watchdog_s,
             round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
             attack=None if attacker is None else attacker.began,
+            nonces=nonces,
         )
     except BaseException:  # it was started: whoever cannot go on leaves it safe
         plant.safe("its service could not start")

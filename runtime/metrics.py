@@ -55,9 +55,13 @@ COUNTERS = {
 }
 
 GAUGES = {
-    PlantStatus.topic: {"keys_stopped": ("keys_stopped", "whether the newest block made no key")},
+    PlantStatus.topic: {
+        "keys_stopped": ("keys_stopped", "whether the newest block made no key"),
+        "digits_left": ("keys_digits_left", "unused digits of the key stream"),
+    },
     ControllerStatus.topic: {
-        "keys_stopped": ("keys_stopped", "whether the newest block made no key")
+        "keys_stopped": ("keys_stopped", "whether the newest block made no key"),
+        "digits_left": ("keys_digits_left", "unused digits of the key stream"),
     },
     TapStatus.topic: {
         "claim_refuted": (
@@ -67,7 +71,7 @@ GAUGES = {
         "misses_in_bursts": ("keys_misses_in_bursts", "whether her misses come in bursts"),
     },
 }
-"""What is so now, or is not."""
+"""What is so now: a number, or whether it is so (1) or not (0)."""
 
 
 class _Noted:
@@ -162,7 +166,7 @@ class StatusCollector:
                         labels = ["loop", "service", "eavesdropper"]
                         found[metric] = kind(f"wyner_{metric}", text, labels=labels)
                     value = status[field]
-                    value = bool(value) if kind is GaugeMetricFamily else max(0, value)
+                    value = bool(value) if isinstance(value, str) else max(0, value)
                     found[metric].add_metric([loop, service, name], value)
             if topic == PlantStatus.topic:
                 self._histogram(latency, loop, status["latency_counts"])
