@@ -1,10 +1,11 @@
 """What `text` makes of every plant that is shipped, and of each way of hearing it.
 
 Keys that she knows, up to one relabelling for all steps, and whole messages. The same captures
-before each tap. ``python -m studies eavesdroppers`` measures them, and
-``python -m studies.eavesdroppers`` puts the table of the data on the page.
+before each tap. ``python -m studies.eavesdroppers`` measures and prints them, after the hash of
+the code that did.
 """
 
+import argparse
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -19,7 +20,6 @@ from protocol.statistics import share_over_runs
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from studies.outputs import heard_by
-from studies.pages import between_marks, markdown_table
 from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import offline
 from tap_service.capture.channel import View
@@ -28,10 +28,10 @@ from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
 from wyner.simulate.single import simulate_plant
-from wyner.sweeps.code import ROOT
+from wyner.sweeps.code import code_version
 
-RUNS, SEED = 20, 43
-TAPS: Final = ("text", "smoother")
+RUNS, SEED = 10, 43
+TAPS: Final = ("text",)
 SHORT: Final = b"Sail at dawn"
 """Where a run is too short for a sentence."""
 
@@ -62,6 +62,7 @@ class Condition(NamedTuple):
 
 MEASUREMENTS: Final = {"view": "measurements"}
 OFFERS: Final = {"view": "offers"}
+LOSS: Final = {"loss": 0.3}
 CONDITIONS: Final = (
     Condition("packed-quadruple-tank", MEASUREMENTS, 320),
     Condition("packed-batch-reactor", MEASUREMENTS, 320),
@@ -79,30 +80,23 @@ CONDITIONS: Final = (
     Condition("packed-quadruple-tank", OFFERS, 320),
     Condition("packed", OFFERS, 320),
     Condition("sustained", OFFERS, 1000, False),
-    Condition("packed", {"loss": 0.3}, 320),
+    Condition("packed", LOSS, 320),
     Condition("packed", {"loss": 0.5}, 320),
-    Condition("packed-double-integrator", {"loss": 0.3}, 320),
-    Condition("packed-batch-reactor", {"loss": 0.3}, 320),
-    Condition("packed-quadruple-tank", {"loss": 0.3}, 320),
-    Condition("nonlinear-quadruple-tank", {"loss": 0.3}, 640),
-    Condition("unicycle", {"loss": 0.3}, 640),
-    Condition("noisy", {"loss": 0.3}, 640),
-    Condition("sustained", {"loss": 0.3}, 1000, False),
-    Condition("quadruple-tank", {"loss": 0.3}, 1000, False),
-    Condition("batch-reactor", {"loss": 0.3}, 1000, False),
+    Condition("packed-double-integrator", LOSS, 320),
+    Condition("packed-batch-reactor", LOSS, 320),
+    Condition("packed-quadruple-tank", LOSS, 320),
+    Condition("nonlinear-quadruple-tank", LOSS, 640),
+    Condition("unicycle", LOSS, 640),
+    Condition("noisy", LOSS, 640),
+    Condition("sustained", LOSS, 1000, False),
+    Condition("quadruple-tank", LOSS, 1000, False),
+    Condition("batch-reactor", LOSS, 1000, False),
     Condition("packed", {"noise": 0.05}, 320),
     Condition("packed-double-integrator", {"noise": 0.05}, 320),
     Condition("sustained", {"noise": 0.05}, 1000, False),
     Condition("packed", {"quantise": 0.1}, 320),
 )
 """What is heard of what: each plant's readings alone first."""
-
-PAGE: Final = ROOT / "docs" / "findings.md"
-
-COLUMNS: Final = (
-    "condition", "tap", "runs", "steps", "seed", "keys_of", "keys", "keys_low", "keys_high",
-    "delivered", "read", "read_low", "read_high", "seconds",
-)  # fmt: skip
 
 
 class Counted(NamedTuple):
@@ -152,10 +146,10 @@ def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[
     return out
 
 
-def rows(
+def tap_rows(
     count: int = RUNS, only: str = "", jobs: int | None = None, taps: Sequence[str] = TAPS
 ) -> Iterator[tuple[Any, ...]]:
-    """One row a condition and tap."""
+    """One row a condition and tap, of the conditions whose names contain ``only``."""
     wanted = [one for one in CONDITIONS if only in one.name]
     with ProcessPoolExecutor(jobs) as pool:
         found = [[pool.submit(made_of, one, run, taps) for run in range(count)] for one in wanted]
@@ -172,26 +166,21 @@ def rows(
                 )  # fmt: skip
 
 
-def written(text: str, found: Sequence[dict[str, str]]) -> str:
-    """The page with the table between its marks."""
-    return between_marks(text, "eavesdroppers", table(found))
+def _line(row: tuple[Any, ...]) -> str:
+    """A row in words."""
+    name, tap, runs, _, _, keys_of, keys, low, high, delivered, read, _, _, seconds = row
+    share = f"{100 * keys:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {keys_of} keys"
+    messages = f"{round(read * delivered)} of {delivered} messages" if delivered else "no message"
+    return f"{name}: {tap}, {runs} runs: {share}, {messages}, {seconds} s of a core"
 
 
-def table(found: Sequence[dict[str, str]]) -> str:
-    """A line a condition, taps across: keys in %, messages read, seconds of a core."""
-    taps = list(dict.fromkeys(row["tap"] for row in found))
-    cells = {(row["condition"], row["tap"]): row for row in found}
-    lines = [("heard", *(f"`{tap}`" for tap in taps), "code")]
-    for name in dict.fromkeys(row["condition"] for row in found):
-        mine = [cells[name, tap] for tap in taps if (name, tap) in cells]
-        code = mine[0]["version"].partition("+")[2]
-        lines.append((name, *(_told(row) for row in mine), code))
-    return markdown_table(lines)
-
-
-def _told(row: dict[str, str]) -> str:
-    keys, low, high = (100 * float(row[name]) for name in ("keys", "keys_low", "keys_high"))
-    said = f"{keys:.1f} [{low:.1f}, {high:.1f}]"
-    if "measurements" in row["condition"] or not int(row["delivered"]):
-        return said
-    return f"{said}; {round(float(row['read']) * int(row['delivered']))} of {row['delivered']}"
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Measure what the taps make of every plant.")
+    parser.add_argument("--runs", type=int, default=RUNS, help=f"of a condition (default: {RUNS})")
+    parser.add_argument("--only", default="", help="part of a condition's name (default: all)")
+    parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
+    parser.add_argument("--taps", nargs="+", default=TAPS, help="names (default: text)")
+    args = parser.parse_args()
+    print(code_version("studies.eavesdroppers"))
+    for row in tap_rows(args.runs, args.only, args.jobs, args.taps):
+        print(_line(row), flush=True)
