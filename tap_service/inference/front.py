@@ -94,7 +94,9 @@ class Inference:
             self._shape = likelier_shape(self._told, self._A, self._B, kept, ties=ties)
         if self._law is not None and all(t.candidates is None for t in kept):
             A, B, noise = self._A, self._B, self._noise
-            return infer_from_readings(A, B, self._told, self._law, self._size, noise, kept)
+            return infer_from_readings(
+                A, B, self._told, self._law, self._size, noise, kept, self._planar
+            )
         beam = self._beam(kept, runs)
         law = None if self._planar is None or beam.exact else self._fitted(self._planar, kept)
         if law is not None:
