@@ -4,13 +4,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from wyner.runs.check.records import MissedLine, OtherLine, Walked
+from wyner.runs.check.sides import SideReader
 
 from protocol.link.session import rules_of
 from runtime.recording import TraceError, TraceWriter
 from runtime.run_folder import PLANT_TRACE
 from tests.support.small_run import Fault, SmallRun
-from wyner.runs.check.records import MissedLine, OtherLine, Walked
-from wyner.runs.check.sides import SideReader
 from wyner.runs.resolve import Event, Resolved
 from wyner.runs.run import Run, RunError
 

@@ -109,10 +109,10 @@ def claim_more_keys(lines: list[Line]) -> None:
 
 
 WRONG: dict[str, tuple[Path, Callable[[list[Line]], object], set[str]]] = {
-    "a nonce twice": (CAPTURE, repeat_a_nonce, {"nonce-once"}),
-    "copy 0 twice": (CAPTURE, send_copy_0_again, {"copy-0-once"}),
-    "another tag": (CAPTURE, change_a_tag, {"tags"}),
-    "counted otherwise": (CONTROLLER_TRACE, count_otherwise, {"counted"}),
+    "a nonce twice": (CAPTURE, repeat_a_nonce, {"once"}),
+    "copy 0 twice": (CAPTURE, send_copy_0_again, {"once"}),
+    "another tag": (CAPTURE, change_a_tag, {"same-keys"}),
+    "counted otherwise": (CONTROLLER_TRACE, count_otherwise, {"in-step"}),
     "more keys": (CONTROLLER_TRACE, claim_more_keys, {"blocks"}),
 }
 

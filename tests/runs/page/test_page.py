@@ -109,10 +109,10 @@ def test_it_says_what_the_check_says(
 ) -> None:
     main(["check", "--json", str(run_dir)])
     found = json.loads(capsys.readouterr().out)
-    passed = sum(c["result"] == "PASS" for c in found["checks"])
+    passed = sum(c["result"] == "PASS" for c in found["rules"])
     assert f"{passed} PASS, 0 FAIL" in text
-    for check in found["checks"]:
-        assert f"<td>{check['name']}</td>" in text
+    for rule in found["rules"]:
+        assert f"<td>{rule['name']}</td>" in text
 
 
 def test_states_are_drawn_where_they_were(run_dir: Path, text: str) -> None:
