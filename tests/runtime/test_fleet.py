@@ -307,6 +307,7 @@ class Overloaded:
 
     hears: tuple[type[Message], ...] = (SendCommand,)
     says: tuple[type[Message], ...] = ()
+    makes_keys = False
     code = None
 
     def __init__(self) -> None:
@@ -336,7 +337,7 @@ def test_an_end_that_is_always_due_is_told_of_commands_and_stops() -> None:
     stopping = threading.Event()
     end = Overloaded()
     running = host.Host(MemoryBus(MemoryHub()), MemoryBus(hub), stopping)
-    files = SimpleNamespace(key_maker=None, health=Path("status.json"), close=lambda: None)
+    files = SimpleNamespace(health=Path("status.json"), close=lambda: None)
     running.add("loop", cast("Peer", end), cast("Files", files), logging.getLogger("overload"))
     thread = threading.Thread(target=running.run)
     thread.start()

@@ -13,7 +13,7 @@ from typing import Any
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import CountedTransition, Rules, position_of
+from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer, frame_length
@@ -165,7 +165,7 @@ def _digits(
     """The digits of the key stream that have served, as far as they are held."""
     if not said.keyed:
         return ()
-    return Stream(rules.size, parts).at(position_of(offer), rules.digits) or ()
+    return Stream(rules.size, parts).at(offer.position, rules.digits) or ()
 
 
 def _counted(

@@ -155,7 +155,6 @@ def test_a_disturbance_that_may_leave_is_counted_and_no_failure(tmp_path: Path) 
     run.close()
     # An alarm was due where no candidate explained the state, and this small run tells none.
     assert failed(run.folder) == {"alarms"}
-    assert first_of(run.folder, "alarms").text == "its test failed, and no alarm is told"
     made = [t for t in read_lines(run.folder / PLANT_TRACE) if t["event"] == "transition"]
     assert sum(t["gauges"][t["coin"]] > 1 + EDGE for t in made) > 5
 

@@ -17,7 +17,6 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from protocol.brief import Brief
 from wyner.runs.check import agreements, alarms, bus, files, messages, opinion, plant, replay
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 
@@ -141,8 +140,8 @@ def check(e: Evidence) -> list[Finding]:
     return found
 
 
-@dataclass(frozen=True, slots=True, repr=False)
-class Result(Brief):
+@dataclass(frozen=True, slots=True)
+class Result:
     """A rule, where it is broken, and why there was nothing to look at.
 
     Parameters
@@ -171,11 +170,6 @@ class Result(Brief):
     def note(self) -> str:
         """What must be known of the result."""
         return self.skipped or (self.cut if self.rule.name == "traces" else "")
-
-    def brief(self) -> dict[str, object]:
-        """How it came out, and the first place where the rule is broken."""
-        told: dict[str, object] = {"rule": self.rule.name, "result": self.result}
-        return told | ({"first": str(self.findings[0])} if self.findings else {})
 
     def as_json(self) -> dict[str, Any]:
         """The result for machines; ``failures`` counts to :data:`MOST`."""

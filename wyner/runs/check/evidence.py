@@ -1,13 +1,14 @@
 """What a run left behind, opened for checking; nothing here judges."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from math import inf
 from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
 
+from protocol.brief import Brief
 from protocol.link.records import Side
 from protocol.link.session import Rules, rules_of
 from protocol.scenario import Scenario
@@ -25,8 +26,8 @@ EDGE: Final = 1e-9
 Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
-@dataclass(frozen=True, slots=True)
-class Finding:
+@dataclass(frozen=True, slots=True, repr=False)
+class Finding(Brief):
     """A place at which a run does not obey a rule.
 
     Parameters
@@ -43,6 +44,10 @@ class Finding:
     session: str
     k: int
     text: str
+
+    def brief(self) -> dict[str, object]:
+        """Its fields."""
+        return asdict(self)
 
     def __str__(self) -> str:
         where = f"session {self.session}, " if self.session else ""
