@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE
+from tap_service.inference.miss_rate import ALL
 from tests.support.checked_runs import failed
 from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
@@ -154,6 +155,6 @@ def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(cop
     assert {name: rate.refuted for name, rate in audit.rates.items()} == {
         "measurements": True,
         "offers": True,
-        "all messages": True,
+        ALL: True,
     }
     assert len(audit.warnings) == 4

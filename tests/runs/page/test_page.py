@@ -145,8 +145,7 @@ def test_a_failed_check_is_shown_as_failed(tmp_path: Path, run_dir: Path) -> Non
     lines[30] = json.dumps(event)
     trace.write_text("\n".join(lines) + "\n")
     page = write_report(broken, tmp_path / "page.html").read_text()
-    assert "<tr><td>FAIL</td><td>reachable</td>" in page
-    assert "is outside Reach^c of the applied input" in page
+    assert "<tr><td>FAIL</td><td>plant</td>" in page
 
 
 def test_the_command_prints_the_path_and_refuses_what_is_no_run(

@@ -86,7 +86,7 @@ def once(e: Evidence) -> Findings:
     if trace is None or not digits:
         return
     known = not trace.gone and not trace.behind
-    made = {(b.session, b.number): b.keys for b in confirmed(trace)}
+    made = {(b.session, b.number): b.keys for b in ended(trace) if b.what == "confirmed"}
     after, session = (-1, 0), -1
     for rows in trace.chunks(TRANSITION):
         names = ("session", "k", "message", "keyed", "block", "at")
@@ -113,12 +113,11 @@ def once(e: Evidence) -> Findings:
                 yield Finding("once", name, k, text)
 
 
-def confirmed(trace: Trace) -> Iterator[BlockLine]:
-    """The blocks that an end has confirmed."""
+def ended(trace: Trace) -> Iterator[BlockLine]:
+    """The blocks of which an end has keys, or had too few copies for any."""
     for told in trace.told("block"):
-        line = told.line
-        if isinstance(line, BlockLine) and line.what == "confirmed":
-            yield line
+        if isinstance(told.line, BlockLine) and told.line.what != "unequal":
+            yield told.line
 
 
 # --- blocks ---------------------------------------------------------------------------------------
@@ -134,7 +133,7 @@ def blocks(e: Evidence) -> Findings:
                 text = f"the {trace.side} counts copies, and no key is claimed"
                 yield Finding("blocks", *trace.where(trace.rows[i]), text)
             continue
-        mine = {(line.session, line.number): line.keys for line in confirmed(trace)}
+        mine = {(line.session, line.number): line.keys for line in ended(trace)}
         made[trace.side] = mine
         for (session, number), keys in mine.items():
             cut = trace.cut
