@@ -10,7 +10,6 @@ run of any plant, through the very objects that the services step.
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass, fields, replace
-from operator import add
 from pathlib import Path
 from typing import Any, Final, Protocol
 
@@ -20,7 +19,13 @@ from numpy.typing import NDArray
 from controller_service.laws.online import OutsideError, ProgramError
 from plant_service.adapters import Operated, PlantError
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
-from plant_service.plant import Disturbances, LinearModel, NoisyPlant, OperatedPlant
+from plant_service.plant import (
+    Disturbances,
+    FilteredPlant,
+    LinearModel,
+    OperatedPlant,
+    sensed,
+)
 from plant_service.plant import Plant as SteppedPlant
 from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict, spread
 from protocol.arrays import Array, Flags, Indices, Symbols
@@ -465,11 +470,9 @@ class _One(_Loop):
             self.plant.close()
             told = f"run {run}, step 0: {error}" if isinstance(error, PlantError) else str(error)
             raise SimulationError(told) from None
-        self.sensors, self.state, self.now = sensors, x, x
-        if outputs is None and self.noise is not None:
-            noisy = NoisyPlant(self.plant, self.noise, sensors)
-            self.plant, self.now = noisy, noisy.read(0, x)
-        self._read(0)
+        self.plant, first = sensed(self.plant, scenario, None, sensors, x, None, None)
+        self.now = x if first is None else first
+        self._look()
         self.box: Box | None = None
         self.estimate: Estimate | None = None
         self.gone = 0  # missed steps since the last transition
@@ -511,13 +514,12 @@ class _One(_Loop):
         else:
             u = outputs.instead(self.estimate, self.gone, u)
         try:
-            self.plant.begin(k, y if outputs is None else self.state, u)
+            self.plant.begin(k, y, u)
             self.now = self.plant.end(k)
         except (PlantError, Failure) as error:
             raise self._stopped(k, error) from None
-        self.u[:, 0], truth = u, self.plant.truth
-        self.state = self.now if truth is None else truth.x_next
-        self._read(k + 1)
+        self.u[:, 0] = u
+        self._look()
         if len(missed):
             self.gone += 1
             return
@@ -535,13 +537,11 @@ class _One(_Loop):
         at = self.centres or [predict(s.A, s.B, y, option) for option in self.offer]
         self.possible[:] = self.rule.widest(at, self.now)
 
-    def _read(self, k: int) -> None:
-        """Of the state, where some outputs alone are read: y(k) = C x(k) + n(k)."""
-        if self.rules.outputs is not None:
-            self.now = self.rules.outputs.observer.read(self.state)
-            if self.noise is not None:
-                self.now = tuple(map(add, self.now, self.noise.drawn(self.sensors.at(k))))
-        self.x, self.y = _column(self.state), _column(self.now)
+    def _look(self) -> None:
+        """Where the plant is, and what is read of it."""
+        behind = self.plant
+        self.x = _column(behind.x if isinstance(behind, FilteredPlant) else self.now)
+        self.y = _column(self.now)
 
     def _stopped(self, k: int, error: Exception) -> SimulationError:
         return SimulationError(f"run {self.runs.start}, step {k}: {error}")
