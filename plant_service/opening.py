@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
-from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import (
     Coin,
     Disturbances,
     LinearModel,
-    NoisyPlant,
     OperatedPlant,
-    OutputPlant,
     Plant,
+    sensed,
 )
 from plant_service.status import PlantTelemetry
 from protocol.link.fallback import Fallback
@@ -126,24 +124,9 @@ def open_core(
         plant = OperatedPlant(operated, disturbances, enters)
     try:
         draws = sensors or Stream(sensor_seed, SENSOR, width=scenario.readings)
-        if observer is not None and not plant.device:
-            state = scenario.initial_state if x is None else x
-            if record is not None and not plant.acts:
-                state = record.true_x or state
-            read = OutputPlant(plant, observer, spec, draws, state)
-            if report is not None and not plant.acts:
-                read.begin(report.applied_k, (), u)
-                read.end(report.applied_k)
-            plant, x = read, read.read(0 if record is None else record.k + 1)
-        elif spec is not None and not plant.device:
-            noisy = NoisyPlant(plant, spec, draws)
-            k = 0 if record is None else record.k + 1  # of a step that was cut short
-            if report is not None:
-                noisy.recall(report.k, report.x, u)
-            plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and attacker.at != "bus":
-            x = scenario.initial_state if x is None else x
-            plant = AttackedPlant(plant, attacker, x)
+        at_plant = None if attacker is None or attacker.at == "bus" else attacker
+        last = None if report is None else (report, u)
+        plant, x = sensed(plant, scenario, at_plant, draws, x, record, last)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
         first = record or first_record(scenario, new_id(), x)._replace(
