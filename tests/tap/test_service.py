@@ -306,7 +306,7 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     child = wire.service.heavy.process
     assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
-    assert child.wait(PATIENCE_S) == 0
+    assert child.end(PATIENCE_S) == 0
 
 
 @pytest.mark.slow
