@@ -397,6 +397,7 @@ class ControllerStatus(_Status):
         Alarms since this process began, and the step of the last one (-1: none).
     alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
         What was read after that step, what was expected, and how far apart they are, in D_c.
+        Nothing is expected where too many steps had no digit of the key stream.
     """
 
     topic: ClassVar[str] = "management/controller/status"
@@ -445,10 +446,10 @@ class ControllerStatus(_Status):
         read, expected = (
             ", ".join(f"{v:.4g}" for v in x) for x in (self.alarm_reading, self.alarm_expected)
         )
-        return (
-            f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
-            f"({expected})"
-        )
+        told = f"ALARMS: {self.alarms}, the last at step {self.alarm_k}"
+        if not self.alarm_expected:
+            return f"{told}: too many steps had no digit of the key stream"
+        return f"{told}: read ({read}), expected ({expected})"
 
 
 Status = PlantStatus | ControllerStatus
