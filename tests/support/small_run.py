@@ -32,6 +32,8 @@ from tests.support.plant_in_hand import PlantInHand
 
 SCENARIOS: Final = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 
+ENDED: Final = "the controller does not know the session before"
+
 Lines = list[dict[str, Any]]
 
 Fault = Literal[
@@ -227,11 +229,12 @@ class SmallRun:
                 return
             if outcome == "ended":
                 self._symbols = ""
-                self._plant_trace.write({"event": "session", "session": new, "reason": "ended"})
+                self._plant_trace.write({"event": "session", "session": new, "reason": ENDED})
             effects = self.sender.heard_plant(self.receiver.hello())
             if effects.save:
                 session = self.sender.record.session
-                self._trace.write({"event": "session", "session": session, "reason": "met"})
+                began = {"event": "session", "session": session, "reason": "the plant began it"}
+                self._trace.write(began)
             said = effects.reply
         raise AssertionError("the two ends did not meet")
 

@@ -6,6 +6,7 @@ resolved here (:mod:`wyner.runs.resolve`); the few other lines are kept as they 
 number of rows that came before it.
 """
 
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -28,6 +29,7 @@ from runtime.recording import (
 )
 from wyner.runs.lines import (
     KINDS,
+    REASONS,
     Again,
     AttackLine,
     Break,
@@ -51,6 +53,10 @@ TRANSITION, MISSED, INTERRUPTED = range(3)
 
 AT_ONCE: Final = 4096
 """Rows that are looked at, or filed, at a time."""
+
+HEADER_FIELDS: Final = frozenset(
+    ("event", "part", "oldest", "format", "version", "vantage", "scenario", "fingerprint", "loop")
+)
 
 _BEGINS: Final = b'{"event":"transition",'
 
@@ -318,6 +324,8 @@ class Trace:
                 short = isinstance(got, int | str) and isinstance(due, int | str)
                 said = f"got {got!r}, expected {due!r}" if short else "not as the first part's"
                 self._problem(number, f"{name}: {said}")
+        if strange := sorted(header.keys() - HEADER_FIELDS):
+            self._problem(number, f"{strange[0]}: not in a trace's header")
         if not isinstance(oldest, int) or not 0 <= oldest <= part:
             self._problem(number, f"oldest: got {oldest!r}, expected 0 to {part}")
             oldest = 0
@@ -326,6 +334,8 @@ class Trace:
     def _began(self, number: int, line: SessionLine) -> None:
         if not self._announce and line.session is not None and line.session == self._session:
             self._problem(number, "session: announced already")
+        if not re.fullmatch(REASONS[self.side], line.reason):
+            self._problem(number, f"session: no session begins or ends for {line.reason!r}")
         self._announce = False
         self._session = line.session
         self._resolver.session(line.session)
