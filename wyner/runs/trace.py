@@ -68,25 +68,28 @@ class Note(NamedTuple):
     item: Item
 
 
-def columns(side: Side, shape: Shape, *, predicted: bool, truth: bool) -> np.dtype[np.void]:
+def columns(side: Side, rules: Rules, *, truth: bool) -> np.dtype[np.void]:
     """The columns of one end's trace.
 
-    ``session`` is a number in :attr:`Trace.sessions`; ``block`` and ``at`` are the position in the
-    key stream, -1 and 0 where there is none. Of a missed step ``j`` is -1. Truth that nobody told
-    is not a number.
+    ``session`` is a number in :attr:`Trace.sessions`. Of a missed step ``j`` is -1. Where the key
+    stream is used ``block`` and ``at`` are a position in it, -1 and 0 where there is none. Truth
+    that nobody told is not a number.
     """
-    n, m, size, hidden = shape
-    small = ("cipher", "symbol", "key", "message_symbol", "expected", "coin")
+    n, m, size, hidden = Shape.of(rules)
+    symbol = np.min_scalar_type(-size)
+    chosen = "coin" if side == "plant" else "expected"
     fields: list[Any] = [("kind", "i1"), ("session", "i4"), ("j", "i4"), ("k", "i4")]
     fields += [("x", "f8", (n,)), ("candidates", "f8", (size, m)), ("x_next", "f8", (n,))]
-    fields += [("gauges", "f8", (size,)), *((name, "i2") for name in small)]
-    fields += [("p", "i4"), ("s", "i4"), ("counts", "i1"), ("message", "?"), ("keyed", "?")]
-    fields += [("block", "i4"), ("at", "i4")]
+    fields += [("gauges", "f8", (size,)), ("p", "i4"), ("s", "i4"), ("counts", "i1")]
+    fields += [(name, symbol) for name in ("cipher", "symbol", "key", "message_symbol", chosen)]
+    fields += [("message", "?"), ("keyed", "?")]
+    if rules.digits:
+        fields += [("block", "i4"), ("at", "i4")]
     if side == "plant":
         fields.append(("u", "f8", (m,)))
     if truth:
         fields += [("true_x", "f8", (hidden or n,)), ("true_u", "f8", (m,))]
-    if predicted:
+    if rules.predicted:
         fields.append(("predictions", "f8", (size, n)))
     if hidden:
         fields.append(("box", "f8", (2, hidden)))
@@ -232,6 +235,10 @@ class Trace:
             if isinstance(item, OtherLine) and not item.again and item.line.event in events:
                 yield item
 
+    def let_go(self) -> None:
+        """Give the room of all rows back; only the rest is asked for from now on."""
+        self.rows, self._filed = self.rows[:0].copy(), bytearray()
+
     # --- reading ----------------------------------------------------------------------------------
 
     def _read(self, path: Path) -> None:
@@ -373,6 +380,8 @@ class Trace:
             self._problem(number, f"transition: {wrong(error)}")
             return
         unlike = self._shape.unlike(t, plant=self.side == "plant") or self._unlabelled(t)
+        if not unlike and bool(t.digits) > bool(self._rules.digits):
+            unlike = "digits: expected none, as the key stream is not used"
         if not unlike and (t.predictions or self._rules.predicted):
             unlike = self._rules.malformed_predictions(t.predictions).removeprefix("offer.")
         if unlike:
@@ -445,8 +454,7 @@ class Trace:
     def _file(self) -> np.dtype[np.void]:
         """Put the steps that wait into rows; returns their columns."""
         if self._dtype is None:
-            predicted, truth = self._rules.predicted, self._truth
-            self._dtype = columns(self.side, self._shape, predicted=predicted, truth=truth)
+            self._dtype = columns(self.side, self._rules, truth=self._truth)
         rows = np.array([self._row(step) for step in self._batch], self._dtype)
         self._filed += rows.tobytes()
         self._batch.clear()
@@ -462,16 +470,19 @@ class Trace:
             kind = INTERRUPTED if step.interrupted else MISSED
             row: tuple[Any, ...] = (
                 kind, session, -1, step.k, step.x, step.candidates or nowhere, step.x_next,
-                (_NAN,) * size, -1, -1, -1, -1, -1, step.coin, 0, 0, 0, False, False, -1, 0, step.u,
+                (_NAN,) * size, 0, 0, 0, -1, -1, -1, -1, step.coin, False, False,
             )  # fmt: skip
         else:
-            coin, at = -1 if step.coin is None else step.coin, step.digits or (-1, 0)
             row = (
                 TRANSITION, session, step.j, step.k, step.x, step.candidates, step.x_next,
-                step.gauges, step.cipher, step.symbol, step.key, step.message_symbol, step.expected,
-                coin, step.p, step.s, step.counts, step.role == "message", step.keyed, *at,
+                step.gauges, step.p, step.s, step.counts, step.cipher, step.symbol, step.key,
+                step.message_symbol, step.expected if step.coin is None else step.coin,
+                step.role == "message", step.keyed,
             )  # fmt: skip
-            row = row if step.u is None else (*row, step.u)
+        if self._rules.digits:
+            row = (*row, *((isinstance(step, TracedTransition) and step.digits) or (-1, 0)))
+        if step.u is not None:
+            row = (*row, step.u)
         if self._truth:
             row = (*row, step.true_x_next or (_NAN,) * (hidden or n), step.true_u or (_NAN,) * m)
         if self._rules.predicted:
