@@ -11,7 +11,7 @@ from typing import Any, Final, NamedTuple
 
 from protocol.link.session import Rules, rules_of
 from protocol.scenario import Scenario
-from runtime.options import refuse_running
+from runtime.locks import refuse_running
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from wyner.runs.check.capture import CapturedMessage, CaptureLines
