@@ -26,7 +26,6 @@ from protocol.messages import (
 )
 from protocol.topics import key_of
 from runtime.addresses import Addresses, free_endpoints
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import Run, simulate
@@ -39,6 +38,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import Replay
