@@ -21,8 +21,8 @@ PUBLIC_FILE: Final = 0o644
 AT_ONCE: Final = (
     getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
 )
-"""Flags of an open that waits for no pipe, and whose file no child inherits. Windows has neither; it
-has a flag that leaves the bytes as they are."""
+"""Flags of an open that waits for no pipe, and whose file no child inherits. Windows has neither,
+and has a flag that leaves the bytes as they are."""
 
 NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
 """Flag of an open that follows no link; Windows lacks it."""
