@@ -12,11 +12,12 @@ from runtime.bus_options import (
     fleet_of,
     loop_of,
 )
-from runtime.errors import DONE, UsageError
+from runtime.errors import UsageError
 from runtime.options import (
     add_message_arguments,
     at_least,
     checked,
+    fine,
     folder_of,
     message_of,
     pace_of,
@@ -99,7 +100,7 @@ def run_controller(options: ControllerOptions) -> int:
         pace = pace_of(options.pace)
         if options.check:
             check_loops(fleet)
-            return DONE
+            return fine(f"{len(fleet.loops)} loops")
         folder = run_dir_of(options.run_dir)
         with buses_of(options, "controller") as (stopping, field, management):
             return run_controllers(
@@ -111,7 +112,7 @@ def run_controller(options: ControllerOptions) -> int:
     )
     check_delays(scenario, folder)
     if options.check:
-        return DONE
+        return fine(f"scenario {scenario.name}")
     config = ControllerConfig(
         scenario=scenario,
         law=_law_of(scenario),

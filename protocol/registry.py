@@ -185,6 +185,16 @@ class Classes(Registry[type[T]]):
         known = ", ".join(self)
         raise UnknownError(f"got {name!r}, expected {known} or path/to/file.py:Name")
 
+    def checked(self, name: str, found: object) -> type[T]:
+        """A class that has all that one of this kind needs.
+
+        Raises
+        ------
+        UnknownError
+            When it is no class of this kind, or lacks its name or a method.
+        """
+        return self._checked(name, found, name)
+
     def _checked(self, name: str, found: object, class_name: str) -> type[T]:
         if not (isinstance(found, type) and issubclass(found, self.base)):
             base = f"{self.base.__module__}.{self.base.__name__}"

@@ -13,7 +13,6 @@ import ctypes
 import json
 import os
 import pickle
-import resource
 import select
 import signal
 import struct
@@ -316,6 +315,8 @@ def die_with(parent: int) -> None:
 
 def leave_no_image() -> None:
     """Leave no core file, and let no process of this user look into this one's memory."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
@@ -323,6 +324,8 @@ def leave_no_image() -> None:
 
 def limit_memory(size: int) -> None:
     """Allow so many bytes of address space, and no core file."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

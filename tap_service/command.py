@@ -24,6 +24,7 @@ from runtime.options import (
     alone_in,
     at_least,
     checked,
+    fine,
     picked,
     run_dir_of,
 )
@@ -256,7 +257,7 @@ def run_with_knowledge(
     from pathlib import Path
 
     from runtime.bus import TransportError
-    from runtime.errors import DONE, UsageError
+    from runtime.errors import UsageError
     from tap_service.capture.recording import Limits
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -316,14 +317,14 @@ def run_with_knowledge(
                 if not options.check:
                     break
             if options.check:
-                return DONE
+                return fine(f"{len(fleet.loops)} loops")
             with alone_in(run_dir_of(options.run_dir) / "tap"):
                 return run_taps(
                     fleet, config_in_fleet, field, adversary, partial(noted, options.metrics)
                 )
         config = config_of(told, loop_of(options), Path(options.run_dir))
         if options.check:
-            return DONE
+            return fine(f"eavesdroppers {', '.join(config.names)}")
         with alone_in(run_dir_of(options.run_dir) / "tap"):
             return run_tap(config, with_metrics)
     except TransportError as error:

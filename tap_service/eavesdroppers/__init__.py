@@ -78,3 +78,19 @@ def named(name: str) -> type[Eavesdropper]:
         return EAVESDROPPERS[name]
     except UnknownError as error:
         raise KnowledgeError(str(error)) from None
+
+
+def sound(one: str | type[Eavesdropper]) -> type[Eavesdropper]:
+    """A class of an eavesdropper, as it is or by its name, that has all that it needs.
+
+    Raises
+    ------
+    KnowledgeError
+        With one line, when there is no such eavesdropper, or the class lacks a name or a method.
+    """
+    if isinstance(one, str):
+        return named(one)
+    try:
+        return EAVESDROPPERS.checked(getattr(one, "__name__", str(one)), one)
+    except UnknownError as error:
+        raise KnowledgeError(str(error)) from None

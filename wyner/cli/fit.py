@@ -122,14 +122,20 @@ def run(args: argparse.Namespace) -> int:
 
 def _tables(path: Path) -> dict[str, Any]:
     from runtime.files import read_regular
+    from runtime.scenario_file import others_than
 
+    if not path.exists():
+        raise UsageError(f"{path}: no such file{others_than(str(path))}")
     try:
         return tomllib.loads(read_regular(path).decode())
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UsageError(f"{path}: cannot be read: {reason}") from None
     except (ValueError, RecursionError) as error:
-        raise UsageError(f"{path}: not TOML: {error}") from None
+        raise UsageError(
+            f"{path}: not TOML: {error}; expected a scenario: fit runs its plant, and reads no "
+            "recordings"
+        ) from None
 
 
 def _plan(args: argparse.Namespace) -> "Plan":

@@ -9,6 +9,7 @@ from importlib.metadata import version
 from typing import Final
 
 from runtime.command import Parser, carry_out
+from runtime.errors import USAGE
 from runtime.services import SERVICES
 
 COMMANDS: Final[dict[str, dict[str, str]]] = {
@@ -30,7 +31,7 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     "design": {
         "new": "a scenario file of one's own, with comments",
         "design": "sets, gains, and the rate in the long run",
-        "fit": "a plant and a certified D_c from recordings",
+        "fit": "A, B and a certified D_c, by running a plant",
         "scenarios": "what is shipped; --knowledge: what she is told",
         "sweep": "a grid of experiments; --plot its rows",
     },
@@ -115,6 +116,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code and never lets a traceback out."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((a for a in arguments if not a.startswith("-")), None)
+    if not arguments:
+        print(overview(), end="", file=sys.stderr)
+        return USAGE
 
     def command() -> int:
         args = build_parser(name).parse_args(arguments)
