@@ -237,7 +237,7 @@ def rooms() -> str:
 
 PARTS: Final[dict[str, Callable[[], str]]] = {
     "rooms": rooms,
-    **{name: _drawing(name) for name in SCHEMES.shipped},
+    **{name: _drawing(name) for name in SCHEMES},
     "field": lambda: wire_table(FIELD),
     "management": lambda: wire_table(MANAGEMENT),
     "adversary": lambda: wire_table(ADVERSARY),

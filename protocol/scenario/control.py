@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from protocol.knowledge import NotNegative, Policy, PolicyCost
-from protocol.registry import names_a_file
+from protocol.plugins import names_a_file
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet, Resisted, compact_problem

@@ -10,7 +10,7 @@ import pytest
 from runtime.errors import Failure, UsageError
 from runtime.scenario_file import scenario_of
 from runtime.shipped import SCENARIOS
-from wyner.cli import up
+from wyner.cli import session, up
 from wyner.cli.main import main
 from wyner.deployment.one_machine import RunOptions
 
@@ -18,11 +18,11 @@ from wyner.deployment.one_machine import RunOptions
 def progress(returned: int | None) -> tuple[Any, SimpleNamespace]:
     plant = SimpleNamespace(returned=returned)
     supervisor: Any = SimpleNamespace(poll=lambda: None, child=lambda _name: plant)
-    return up.Progress(until_delivered=True, supervisor=supervisor), plant
+    return session.Progress(until_delivered=True, supervisor=supervisor), plant
 
 
 def test_a_run_is_over_with_its_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(up, "GRACE_S", 0.0)
+    monkeypatch.setattr(session, "GRACE_S", 0.0)
     watching, plant = progress(None)
     assert not watching.over()
     plant.returned = 0
@@ -34,7 +34,7 @@ def test_a_service_that_never_says_anything_is_a_failure(monkeypatch: pytest.Mon
     watching, plant = progress(None)
     plant.log = Path("run/plant/log")
     assert not watching.over()
-    monkeypatch.setattr(up, "SAID_S", 0.0)
+    monkeypatch.setattr(session, "SAID_S", 0.0)
     watching.controller_said("", b"{}", 0)
     with pytest.raises(Failure, match=r"^plant: nothing heard of it in 0 s \(log: run/pl"):
         watching.over()
@@ -53,7 +53,7 @@ def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path
     mine = f"{tmp_path}/mine.py:Mine"
 
     def listening(asked: str | None) -> tuple[str, ...]:
-        return up.eavesdroppers_of(RunOptions(eavesdropper=asked), scenario)
+        return session.eavesdroppers_of(RunOptions(eavesdropper=asked), scenario)
 
     usual = listening(None)
     assert "list-decoder" in usual
@@ -73,8 +73,8 @@ def test_who_wants_whole_states_is_refused_before_anything_starts(tmp_path: Path
     encoder = scenario_of("encoder")
     for name in ("oracle", f"{tmp_path}/mine.py:Mine"):
         with pytest.raises(UsageError, match=r"--eavesdropper: .*plant\.C"):
-            up.eavesdroppers_of(RunOptions(eavesdropper=name), encoder)
-    assert up.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
+            session.eavesdroppers_of(RunOptions(eavesdropper=name), encoder)
+    assert session.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
 
 
 def test_wrong_delays_are_one_line_before_anything_starts(tmp_path: Path, capsys: Any) -> None:
@@ -101,7 +101,7 @@ def test_a_run_whose_eavesdropper_failed_ends_with_1(
     """What she would have had nobody knows: it is no success."""
     summary = {"failed": failed, "delivered": True}
     scenario = scenario_of("sustained")
-    outcome = up.Outcome(scenario, summary, None, interrupted=False, left=False)
+    outcome = session.Outcome(scenario, summary, None, interrupted=False, left=False)
     monkeypatch.setattr(up, "run_session", lambda _options: outcome)
     assert main(["up", "--json", "--until-delivered"]) == code
     assert json.loads(capsys.readouterr().out)["failed"] == failed

@@ -13,7 +13,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import INSIDE, Gauge, predict
 from protocol.arrays import Array
-from protocol.registry import UnknownError
+from protocol.plugins import UnknownError
 from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
 from studies.attacks.learner import rotation_learner

@@ -10,7 +10,7 @@ from uuid import uuid4
 import pytest
 
 from runtime.shipped import SCENARIOS
-from wyner.cli.up import run_session
+from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence

@@ -623,7 +623,7 @@ def test_what_she_states_comes_true() -> None:
 
 @pytest.mark.long
 def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant() -> None:
-    """What a step costs her is `wyner bench text`'s."""
+    """A step's cost stays bounded."""
     payload = b"Nobody may enter the room"
     run = simulate(190, 3, name="packed", payloads=[payload])
     (over, _), *_ = run.truth.whole

@@ -1,4 +1,4 @@
-"""``wyner design``: a scenario's sets, gains and settled rate."""
+"""``wyner design``: a scenario's sets, gains and settled rate; the list of shipped scenarios."""
 
 import argparse
 import json
@@ -25,9 +25,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.description = (
         "Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
-        "them, and estimate the rate at which the link settles by seeded simulations of the loop."
+        "them, and estimate the rate at which the link settles by seeded simulations of the loop. "
+        "With --list, list the shipped scenarios. With --knowledge, write as JSON what the paper's "
+        "eavesdropper knows of SCENARIO: f_c and D_e, and neither D_c nor alpha. A tap on a "
+        "machine of its own needs this file and no scenario (wyner tap --knowledge FILE)."
     )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
+    parser.add_argument(
+        "scenario", nargs="?", metavar="SCENARIO", help="a TOML file or a shipped name"
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--list", action="store_true", help="list the shipped scenarios")
+    what.add_argument(
+        "--knowledge",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="write what the eavesdropper of SCENARIO is told (default: standard output)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--no-cache", action="store_true", help="compute, and store nothing")
     parser.add_argument(
@@ -41,7 +55,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the design."""
+    """Show the design, or what else was asked for."""
+    from wyner.cli.scenarios import list_scenarios, write_knowledge
+
+    if args.list:
+        if args.scenario is not None:
+            raise UsageError(f"--list: got SCENARIO {args.scenario!r} as well, expected none")
+        return list_scenarios(as_json=args.json)
+    if args.scenario is None:
+        raise UsageError("SCENARIO: expected a TOML file or a shipped name (--list shows them)")
+    if args.knowledge is not None:
+        return write_knowledge(args.scenario, args.knowledge)
+    return _show_design(args)
+
+
+def _show_design(args: argparse.Namespace) -> int:
     import time
 
     from controller_service.laws.online import ProgramError

@@ -1,13 +1,17 @@
-"""What the laws read of ``[control]``, and what of it the tap is granted; loads no numerics."""
+"""What the shipped laws read of ``[control]``, and what of it the tap is granted."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import Field
 
-from controller_service.sets.spacing import CERTAIN
 from protocol.knowledge import Policy
-from protocol.scenario import Control, Cost, ScenarioTable, Secrecy
+from protocol.scenario.control import Control, Cost
+from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.secrecy import Secrecy
+
+CERTAIN: Final = 2.0
+"""Spacing, in half-lengths of D_c along the input, from which an agreement is certain."""
 
 
 class PaperControl(Control):
