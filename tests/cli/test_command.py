@@ -40,7 +40,7 @@ def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
     return lines
 
 
-def python(*args: str, **more: Any) -> subprocess.CompletedProcess[bytes]:
+def python(*args: str | Path, **more: Any) -> subprocess.CompletedProcess[bytes]:
     """Python in a process of its own, in the checkout, with both streams kept."""
     kept: dict[str, Any] = {
         "stdout": subprocess.PIPE,
@@ -504,14 +504,19 @@ def test_what_the_terminal_cannot_write_is_spelled_out() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
 def test_what_is_json_stays_json_on_every_standard_output(encoding: str, tmp_path: Path) -> None:
+    """Also where the run's folder has a name that is no text."""
     text = "Gr\u00fc\u00dfe \u2713"
     env = {**os.environ, "PYTHONIOENCODING": encoding}
-    run = tmp_path / "run \u2713"
+    run = tmp_path / os.fsdecode(b"run \xff")
     quick = ("--pace", "fast", "--steps", "20", "--message", text, "--run-dir", str(run))
-    done = python("-m", "wyner", "up", "--json", *quick, env=env)
-    assert json.loads(done.stdout)["run_dir"] == str(run), done.stderr
-    done = python("-m", "wyner", "check", "--json", str(run), env=env)
-    assert json.loads(done.stdout)["run_dir"] == str(run), done.stderr
+    for command in (("up", *quick), ("check", run)):
+        done = python("-m", "wyner", *command, "--json", env=env)
+        assert json.loads(done.stdout)["run_dir"] == str(run), done.stderr
+        assert done.returncode == 0
+        assert b"Traceback" not in done.stderr
+    if encoding == "ascii":
+        done = python("-m", "wyner", "report", run, env=env)
+        assert done.returncode == 0, done.stderr
 
 
 def test_a_folder_of_a_shipped_name_does_not_hide_it(
