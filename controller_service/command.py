@@ -28,7 +28,6 @@ from runtime.recording import Bounds
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
-    from controller_service.laws.online import OnlineLaw
     from protocol.scenario import Scenario
 
 
@@ -104,7 +103,7 @@ def run_controller(options: ControllerOptions) -> int:
         folder = run_dir_of(options.run_dir)
         with buses_of(options, "controller") as (stopping, field, management):
             return run_controllers(
-                fleet, folder, _law_of, bounds, pace, field, management, stopping
+                fleet, folder, designed, bounds, pace, field, management, stopping
             )
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     folder = folder_of(
@@ -115,7 +114,7 @@ def run_controller(options: ControllerOptions) -> int:
         return fine(f"scenario {scenario.name}")
     config = ControllerConfig(
         scenario=scenario,
-        law=_law_of(scenario),
+        law=designed(scenario),
         loop=loop_of(options),
         message=message,
         pace=pace,
@@ -128,18 +127,6 @@ def run_controller(options: ControllerOptions) -> int:
     with buses_of(options, "controller") as (stopping, field, management):
         keep_scenario(config.run_dir, options.scenario)
         return ControllerService(config, field, management, stopping).run()
-
-
-def _law_of(scenario: "Scenario") -> "OnlineLaw":
-    """The scenario's law: by its tables, where an earlier start has left them; else it is made."""
-    from controller_service.laws.online import store_law, stored_law
-
-    stored = stored_law(scenario)
-    if stored is not None:
-        return stored
-    law = designed(scenario)
-    store_law(law, scenario)
-    return law
 
 
 def designed(scenario: "Scenario") -> "CandidateLaw":

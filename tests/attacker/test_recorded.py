@@ -3,7 +3,7 @@
 import csv
 from typing import Any
 
-from tests.campaigns.attacked import DATA, merged
+from studies.attacks.live import DATA, merged
 
 
 def recorded() -> list[dict[str, str]]:
