@@ -25,7 +25,7 @@ from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.records import INITIAL_ID, SenderRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, position_of
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
     LARGEST_COUNT,
     ControllerHello,
@@ -138,13 +138,7 @@ class ControllerCore:
     """
 
     hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, StopKeys)
-    says: tuple[type[Message], ...] = (
-        Offer,
-        ControllerHello,
-        SendReply,
-        StopKeys,
-        ControllerStatus,
-    )
+    says: tuple[type[Message], ...] = (Offer, ControllerHello, SendReply, ControllerStatus)
 
     def __init__(
         self,
@@ -191,7 +185,7 @@ class ControllerCore:
         if self.record.session is not None:
             said = offer or self.record
             newest = offer or self.record.offer
-            named = NOWHERE if newest is None else position_of(newest)
+            named = NOWHERE if newest is None else newest.position
             self.keys.begin(
                 self.record.session,
                 said.block,
@@ -515,7 +509,7 @@ class ControllerCore:
         """The digits of an applied offer, where the plant says that they served."""
         if not measurement.keyed:
             return ()
-        return self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        return self.keys.stream.at(offer.position, self.rules.digits) or ()
 
     def _failure(self, verdict: AgreementResult, expected: int, offer: Offer) -> Reason:
         """What speaks against a transition; nothing where it passes its test.
@@ -525,7 +519,7 @@ class ControllerCore:
         """
         if self.rules.fails(verdict, expected):
             return "unexplained" if expected == NO_SYMBOL else "another candidate"
-        if self.rules.keyed and expected == NO_SYMBOL and position_of(offer) != NOWHERE:
+        if self.rules.keyed and expected == NO_SYMBOL and offer.position != NOWHERE:
             return "digits refused"
         return ""
 
@@ -671,7 +665,7 @@ class ControllerCore:
                 events = (transition, alarm)
                 notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
         if before.offer is not None:
-            self.keys.used(position_of(before.offer), self.rules.digits)
+            self.keys.used(before.offer.position, self.rules.digits)
         ended = self.keys.ended()
         self._blocks_differ = any(block.what == "unequal" for block in ended)
         actions = Actions(

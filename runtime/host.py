@@ -69,6 +69,7 @@ class _Loop:
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
+    failed: bool = False  # what it has done last may be carried out in part
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
 
 
@@ -342,6 +343,7 @@ class Host:
             perform(actions, loop.endpoint, loop.ports)
             loop.started = True
         except Exception as error:
+            loop.failed = True
             if not self._fleet:
                 raise
             loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
@@ -374,7 +376,10 @@ class Host:
             self._by_key.pop(key_of(kind, name), None)
         try:
             with self._lost(loop, OSError, Failure):
-                perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
+                last = loop.endpoint.stop(self._clock())
+                if loop.failed:  # what the journal has is done again by the next start
+                    last = last._replace(record=None)
+                perform(last, loop.endpoint, loop.ports)
         finally:
             with self._lost(loop):
                 loop.ports.close()

@@ -4,14 +4,14 @@ The official client does the talking; it comes with the extra ``metrics``. Nothi
 every sample is read off the newest status of each loop when somebody asks.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 from pydantic_core import from_json
 
 from protocol.messages import LATENCY_BOUNDS_S, ControllerStatus, PlantStatus, TapStatus
-from runtime.bus import Bus, Channel, Deliver, Publisher
+from runtime.bus import Bus, Overheard
 from runtime.errors import UsageError, needs
 
 if TYPE_CHECKING:
@@ -55,9 +55,13 @@ COUNTERS = {
 }
 
 GAUGES = {
-    PlantStatus.topic: {"keys_stopped": ("keys_stopped", "whether the newest block made no key")},
+    PlantStatus.topic: {
+        "keys_stopped": ("keys_stopped", "whether the newest block made no key"),
+        "digits_left": ("keys_digits_left", "unused digits of the key stream"),
+    },
     ControllerStatus.topic: {
-        "keys_stopped": ("keys_stopped", "whether the newest block made no key")
+        "keys_stopped": ("keys_stopped", "whether the newest block made no key"),
+        "digits_left": ("keys_digits_left", "unused digits of the key stream"),
     },
     TapStatus.topic: {
         "claim_refuted": (
@@ -67,23 +71,11 @@ GAUGES = {
         "misses_in_bursts": ("keys_misses_in_bursts", "whether her misses come in bursts"),
     },
 }
-"""What is so now, or is not."""
+"""What is so now: a number, or whether it is so (1) or not (0)."""
 
 
-class _Noted:
-    """A publisher whose newest payload stays among the statuses."""
-
-    def __init__(self, publisher: Publisher, note: Callable[[bytes], None]) -> None:
-        self._publisher = publisher
-        self._note = note
-
-    def put(self, payload: bytes) -> None:
-        self._note(payload)
-        self._publisher.put(payload)
-
-
-class NotedBus(Bus):
-    """A bus whose published statuses are kept.
+class NotedBus(Overheard):
+    """A bus of whose published statuses the newest of each kind and loop are kept.
 
     Parameters
     ----------
@@ -93,43 +85,20 @@ class NotedBus(Bus):
     """
 
     def __init__(self, bus: Bus, statuses: Statuses) -> None:
-        self._bus = bus
+        super().__init__(bus, self._note)
         self._statuses = statuses
 
-    def publisher(self, key: str, *, many: bool = False) -> Publisher:
-        """A publisher on one key."""
-        publisher = self._bus.publisher(key, many=many)
+    def _note(self, key: str, payload: bytes) -> None:
         _base, _version, loop, topic = key.split("/", 3)
-        if topic not in COUNTERS:
-            return publisher
-
-        def note(payload: bytes) -> None:
+        if topic in COUNTERS:
             name = from_json(payload)["name"] if topic == TapStatus.topic else ""
             self._statuses[topic, loop, name] = payload
 
-        return _Noted(publisher, note)
-
-    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
-        """As the bus does."""
-        self._bus.subscribe(key_expr, deliver, patient=patient)
-
-    def channel(self, key_expr: str, capacity: int) -> Channel:
-        """As the bus does."""
-        return self._bus.channel(key_expr, capacity)
-
-    def appearances(self) -> int:
-        """As the bus does."""
-        return self._bus.appearances()
-
     def left(self, loop: str) -> None:
         """Nothing is told any more of a loop that has left."""
-        self._bus.left(loop)
+        super().left(loop)
         for place in [place for place in list(self._statuses) if place[1] == loop]:
             del self._statuses[place]
-
-    def close(self) -> None:
-        """As the bus does."""
-        self._bus.close()
 
 
 class StatusCollector:
@@ -162,7 +131,7 @@ class StatusCollector:
                         labels = ["loop", "service", "eavesdropper"]
                         found[metric] = kind(f"wyner_{metric}", text, labels=labels)
                     value = status[field]
-                    value = bool(value) if kind is GaugeMetricFamily else max(0, value)
+                    value = bool(value) if isinstance(value, str) else max(0, value)
                     found[metric].add_metric([loop, service, name], value)
             if topic == PlantStatus.topic:
                 self._histogram(latency, loop, status["latency_counts"])

@@ -112,6 +112,11 @@ class Scenario(Brief, ScenarioTable):
         return self.n if self.plant.C is None else len(self.plant.C)
 
     @property
+    def digits(self) -> int:
+        """Digits of the key stream that an offer takes: for the coin, and for a sealed symbol."""
+        return self.defence.keyed + scheme_named(self.secrecy.scheme).from_stream
+
+    @property
     def observer(self) -> BoxObserver | None:
         """The box observer of both ends; None where the whole state is read."""
         D_c, N = self.defender.disturbance.half_widths, self.defender.noise
@@ -453,7 +458,7 @@ class Scenario(Brief, ScenarioTable):
             noisy=self.defender.noise is not None,
             C=self.plant.C,
             keys=None if self.keys is None else self.keys.assumption(),
-            digits=self.defence.keyed + scheme_named(self.secrecy.scheme).from_stream,
+            digits=self.digits,
         )
 
     def oracle_knowledge(self) -> Knowledge:

@@ -141,7 +141,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["design", "none"], "none: no such file, and no shipped scenario; shipped are"),
         (["design", "mine"], "mine: no such file; did you mean mine.toml?"),
         (["fit", "mine", "-o", "f.toml"], "mine: no such file; did you mean mine.toml?"),
-        (["fit", "recording.csv", "-o", "f.toml"], "fit runs its plant, and reads no recordings"),
+        (["fit", "recording.csv", "-o", "f.toml"], "expected a scenario, or a recording's --states"),
         (["sweep", "none"], "none: no such file, and no shipped sweep; shipped are disturbances,"),
         (["sweep", "mine.toml"], "mine.toml: this is a scenario, expected a sweep"),
         (["design", "none", "--knowledge"], "none: no such file"),

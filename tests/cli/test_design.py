@@ -246,3 +246,15 @@ def test_who_computes_a_design_shows_its_progress_on_a_terminal(
     assert main([name, "--scenario", "quadruple-tank"]) == 2
     assert callable(told[0])
     assert capsys.readouterr().err == "wyner: quadruple-tank: far enough\n"
+
+
+def test_a_message_under_distilled_keys_has_a_rate_and_no_settled_one(capsys: Any) -> None:
+    """Its rate was simulated as if its scheme tested for keys: 0 bit/s, "the law falls silent"."""
+    assert main(["design", "sealed", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["under_keys"] == {"bits_per_second_at_most": 20.0, "first_step": 48}
+    assert (result["rate"], result["why"]) == (None, None)
+    assert main(["design", "sealed"]) == 0
+    out = capsys.readouterr().out
+    assert "message rate: 20 bit/s at most, from step 48 on at the earliest" in out
+    assert "settled rate" not in out

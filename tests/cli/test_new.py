@@ -10,7 +10,7 @@ import pytest
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
-from wyner.cli.new import HORIZONS
+from wyner.fit.first_scenario import HORIZONS
 
 ROOT = Path(__file__).resolve().parents[2]
 

@@ -94,6 +94,47 @@ def test_wrong_delays_are_one_line_before_anything_starts(tmp_path: Path, capsys
         assert not run_dir.exists()
 
 
+@pytest.mark.parametrize("name", ["sealed", "watched"])
+def test_a_run_that_ends_before_its_first_key_is_one_line(
+    name: str, tmp_path: Path, capsys: Any
+) -> None:
+    run_dir = tmp_path / "run"
+    options = ["--scenario", name, "--run-dir", str(run_dir), "--headless"]
+    assert main(["up", *options, "--steps", "48"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "--steps: got 48, expected more than 48: under this claim no step before" in said.err
+    assert not run_dir.exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("[keys]\neps_E = 0.3", "[keys]\neps_E = 1.0", "keys.eps_E: got 1.0, expected less than 1"),
+        ("[keys]\neps_E = 0.3", "[keys]\neps_E = 0.0", "takes distilled keys, and eps_E = 0"),
+        ("[keys]\neps_E = 0.3", "[keys]\neps_E = 1e-4", "no block is long enough for a key"),
+        ("[keys]\neps_E = 0.3", "", "expected a table [keys] beside it"),
+    ],
+)
+@pytest.mark.parametrize("name", ["sealed", "watched"])
+def test_a_claim_that_makes_no_key_is_one_line_before_anything_starts(
+    name: str, old: str, new: str, line: str, tmp_path: Path, capsys: Any
+) -> None:
+    text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    rest = "" if new else "appearances = 1"
+    file, run_dir = tmp_path / "changed.toml", tmp_path / "run"
+    file.write_text(text.replace(old, new).replace(rest, ""), encoding="utf-8")
+    options = ["--scenario", str(file), "--message", "hi", "--run-dir", str(run_dir)]
+    assert main(["up", "--headless", *options]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert line in said.err
+    assert not run_dir.exists()
+
+
 @pytest.mark.parametrize(("failed", "code"), [([], 0), (["mine"], 1)])
 def test_a_run_whose_eavesdropper_failed_ends_with_1(
     failed: list[str], code: int, monkeypatch: pytest.MonkeyPatch, capsys: Any

@@ -28,9 +28,9 @@ import json, sys, threading, time
 from pathlib import Path
 
 def add_arguments(parser):
-    from runtime.bus_options import add_endpoint_arguments
+    from runtime.bus_options import add_service_arguments
     parser.add_argument("--run-dir", type=Path, required=True)
-    add_endpoint_arguments(parser, "counting")
+    add_service_arguments(parser, "counting")
 
 def run(args):
     from runtime.signals import stop_on_signals

@@ -246,6 +246,9 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
     path = system.run_dir / CONTROLLER_JOURNAL
     with system.controller(), system.plant(steps=60):
         system.wait(lambda: "plant" in system.codes)
+        died = {file: file.read_bytes() for file in path.parent.glob(f"{path.name}*")}
+    for file, content in died.items():  # as a death would have left it
+        file.write_bytes(content)
     with ControllerJournal(path, system.scenario.fingerprint()) as journal:
         before, offer, *_ = journal.load()
         assert before is not None

@@ -33,7 +33,7 @@ from tap_service.inference.english import (
     english,
 )
 from tap_service.inference.front import Inference
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_graph import DRAWN
 from tap_service.inference.message_halves import first_of_each

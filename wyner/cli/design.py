@@ -92,11 +92,14 @@ def _show_design(args: argparse.Namespace) -> int:
     result = describe(scenario, design, law)
     result["seconds"] = round(design.seconds, 4)
     result["ready_seconds"] = round(time.perf_counter() - begin, 4)
+    carries = under_keys(scenario)
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
+    linear = linear and carries is None
     folder = scenario_file_of(args.scenario).parent
     rate, reasons = (linear and _rate(scenario, law, folder)) or (None, None)
     result["rate"] = None if rate is None else rate.as_json()
     result["simulated"] = linear
+    result["under_keys"] = carries
     result["network"] = expected_misses(scenario, folder)
     result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
@@ -104,7 +107,8 @@ def _show_design(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(result))
     else:
-        shown = [render(result), *_rate_lines(rate, linear=linear)]
+        rates = _rate_lines(rate, linear=linear) if carries is None else [_sealed_line(carries)]
+        shown = [render(result), *rates]
         print("\n".join([*shown, *(() if reasons is None else reasons.lines()), *drawn]))
     return FAILED if linear and rate is None else DONE
 
@@ -116,6 +120,35 @@ def _rate_lines(rate: "SettledRate | None", *, linear: bool) -> list[str]:
     if linear:
         return ["settled rate: none, the loop cannot start or leaves the sets"]
     return ["settled rate: not simulated, as plant code runs in the plant alone"]
+
+
+def under_keys(scenario: "Scenario") -> dict[str, Any] | None:
+    """What a message under distilled keys can have; None under a scheme that agrees its own.
+
+    A step carries a symbol where it has its digits. Keys give so many at most, where nothing is
+    lost.
+    """
+    from math import log2
+
+    from protocol.schemes.registry import scheme_named
+    from protocol.secret.key_digits import KEY_BITS, WORD_BITS, digits_per_word
+
+    schedule = None if scenario.keys is None else scenario.keys.schedule()
+    if schedule is None or not scheme_named(scenario.secrecy.scheme).from_stream:
+        return None
+    a, N, M = schedule.assumption, schedule.largest, scenario.secrecy.candidates
+    keys = a.rows(N, N, a.copies * N) - 1
+    digits = keys * KEY_BITS // WORD_BITS * digits_per_word(M)[0]
+    steps = digits / (N * scenario.digits)
+    rate = min(1.0, steps) * log2(M) / scenario.plant.period_s
+    return {"bits_per_second_at_most": rate, "first_step": schedule.first_use}
+
+
+def _sealed_line(found: dict[str, Any]) -> str:
+    return (
+        f"message rate: {found['bits_per_second_at_most']:.3g} bit/s at most, from step "
+        f"{found['first_step']} on at the earliest: each symbol travels under distilled keys"
+    )
 
 
 def _output_line(scenario: "Scenario") -> str | None:

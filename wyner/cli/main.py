@@ -29,7 +29,7 @@ COMMANDS: Final[dict[str, dict[str, str]]] = {
     "design": {
         "new": "write a scenario file from A and B",
         "design": "compute a scenario's sets, gain and rate",
-        "fit": "estimate A, B and D_c by running a plant",
+        "fit": "estimate A, B and D_c from recordings",
         "sweep": "run a grid of simulations",
     },
     "operate": {

@@ -15,7 +15,6 @@ from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.errors import Failure, UsageError
 from runtime.network import check_delays
 from runtime.options import (
-    at_least,
     message_of,
     pace_of,
     run_dir_of,
@@ -87,11 +86,10 @@ def run_session(
     from wyner.runs.score.summary import summarise, verdict_lines
     from wyner.runs.seal import seal
 
-    at_least("--steps", options.steps, 1)
-    at_least("--seed", options.seed, 0)
     _take_signals()
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
+    _check_steps(options.steps, scenario)
     payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
@@ -168,6 +166,19 @@ def _take_signals() -> None:
     """
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.default_int_handler)
+
+
+def _check_steps(steps: int | None, scenario: "Scenario") -> None:
+    """A run that ends before its first key would end before anything that it is about."""
+    if steps is None or scenario.keys is None or not scenario.digits:
+        return
+    schedule = scenario.keys.schedule()
+    assert schedule is not None, "a scenario that takes digits makes keys"
+    if steps <= schedule.first_use:
+        raise UsageError(
+            f"--steps: got {steps}, expected more than {schedule.first_use}: under this claim no "
+            "step before has a key"
+        )
 
 
 def _design(scenario: "Scenario") -> None:

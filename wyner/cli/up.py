@@ -2,10 +2,11 @@
 
 import argparse
 import json
+from dataclasses import fields
 from typing import Final
 
+from runtime import options
 from runtime.errors import DONE, FAILED, INTERRUPTED, UsageError
-from runtime.options import add_message_arguments
 from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
 
@@ -21,34 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="five short runs, a minute in all, and four lines that say what came of them",
     )
-    parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
-    add_message_arguments(parser)
-    parser.add_argument(
-        "--pace", default="realtime", metavar="P", help="realtime, xN, or fast (lock-step)"
-    )
-    parser.add_argument("--steps", type=int, metavar="N", help="end at step N")
-    parser.add_argument(
-        "--until-delivered",
-        action="store_true",
-        help="end when the plant has the message, and each that was sent meanwhile",
-    )
-    parser.add_argument(
-        "--eavesdropper",
-        metavar="NAME[,NAME...]",
-        help="who listens besides those of the scenario, by name or as path/to/file.py:Name",
-    )
-    parser.add_argument(
-        "--story", action="store_true", help="pause at what matters, with a caption each time"
-    )
-    parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
-    parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
-    parser.add_argument(
-        "--attack",
-        metavar="KIND@STEP",
-        help="attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
-    )
-    parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
-    parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
+    options.add_arguments(parser, RunOptions)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -57,23 +31,7 @@ def run(args: argparse.Namespace) -> int:
         return _demo(args)
     from wyner.runs.score.summary import render
 
-    outcome = run_session(
-        RunOptions(
-            scenario=args.scenario,
-            message=args.message,
-            message_file=args.message_file,
-            eavesdropper=args.eavesdropper,
-            run_dir=args.run_dir,
-            pace=args.pace,
-            steps=args.steps,
-            seed=args.seed,
-            attack=args.attack,
-            until_delivered=args.until_delivered,
-            headless=args.headless,
-            json=args.json,
-            story=args.story,
-        )
-    )
+    outcome = run_session(options.picked(RunOptions, vars(args)))
     summary = outcome.summary
     print(json.dumps(summary) if args.json else render(summary))
     if outcome.failure is not None:
@@ -86,17 +44,16 @@ def run(args: argparse.Namespace) -> int:
     return FAILED if outcome.scenario.keys is not None and outcome.scenario.keys.refusal() else DONE
 
 
-TAKEN_BY_DEMO: Final = ("demo", "headless", "json", "run_dir", "command", "run")
+TAKEN_BY_DEMO: Final = ("headless", "json", "run_dir")
 """Options that the demonstration takes; its runs choose the others."""
 
 
 def _demo(args: argparse.Namespace) -> int:
     from wyner.cli.demo import run_demo
 
-    plain = argparse.ArgumentParser()
-    add_arguments(plain)
-    for name, default in vars(plain.parse_args([])).items():
-        if name not in TAKEN_BY_DEMO and getattr(args, name) != default:
-            option = name.replace("_", "-")
-            raise UsageError(f"--{option}: cannot be given with --demo, whose runs choose it")
+    given = options.picked(RunOptions, vars(args))
+    for one in fields(RunOptions):
+        if one.name not in TAKEN_BY_DEMO and getattr(given, one.name) != one.default:
+            name = one.name.replace("_", "-")
+            raise UsageError(f"--{name}: cannot be given with --demo, whose runs choose it")
     return run_demo(args)

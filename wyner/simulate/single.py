@@ -7,7 +7,6 @@ run here, there and on the network.
 
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
-from operator import add
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
@@ -20,6 +19,7 @@ from protocol.agreement import INSIDE, NO_SYMBOL, AgreementResult, spread
 from protocol.agreement import predict as predict_linear
 from protocol.box_observer import Box, Estimate
 from protocol.link.fallback import Fallback
+from protocol.link.filters import Filter, read_through, sensors_of
 from protocol.link.outputs import OutputRule
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -227,17 +227,17 @@ def simulate_plant(
         coins = SeededSymbols(seed, COIN, run=run)
         noise = Stream(seed, DISTURBANCE, width=width, run=run)
         plant, k = open_plant(), -1
-        sensors = Stream(seed, SENSOR, width=scenario.readings, run=run)
+        draws = Stream(seed, SENSOR, width=scenario.readings, run=run)
+        sensors = sensors_of(scenario, draws)
         boxed = None if outputs is None else Boxed(outputs, law.candidates)
 
-        def read(k: int, x: Vector, place: int = place, sensors: Stream = sensors) -> Vector:
+        def read(
+            k: int, x: Vector, place: int = place, sensors: Sequence[Filter] = sensors
+        ) -> Vector:
             if truth is None:
                 return x
             truth[k, :, place] = x
-            exact = x if outputs is None else outputs.observer.read(x)
-            if noise_of is None:
-                return exact
-            return tuple(map(add, exact, noise_of.drawn(sensors.at(k))))
+            return read_through(sensors, k, x)[0]
 
         def move(
             k: int,
