@@ -129,9 +129,15 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["fit", "sustained", "-o", "."], "--output: got '.', expected a file in a folder"),
         (["fit", "sustained", "-o", "none/f.toml"], "--output: got 'none/f.toml', expected"),
         (["controller", "--client", "adversary"], "--client: got 'adversary'"),
-        (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
-        (["dashboard", "--connect", "intel=tcp/127.0.0.1:1"], "intel is called adversary now"),
-        (["router", "--listen", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
+        (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "with BUS one of field, management"),
+        (
+            ["dashboard", "--connect", "intel=tcp/127.0.0.1:1"],
+            "with BUS one of field, management, adversary",
+        ),
+        (
+            ["router", "--listen", "ops=tcp/127.0.0.1:1"],
+            "with BUS one of field, management, adversary",
+        ),
         (["send"], "expected TEXT or --file F"),
         (["send", "text", "--file", "f"], "and one of them only"),
         (["send", "text", "--timeout", "0"], "--timeout: got 0.0"),
@@ -141,7 +147,6 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["design", "none"], "none: no such file, and no shipped scenario; shipped are"),
         (["design", "mine"], "mine: no such file; did you mean mine.toml?"),
         (["fit", "mine", "-o", "f.toml"], "mine: no such file; did you mean mine.toml?"),
-        (["fit", "recording.csv", "-o", "f.toml"], "expected a scenario, or a recording's --states"),
         (["sweep", "none"], "none: no such file, and no shipped sweep; shipped are disturbances,"),
         (["sweep", "mine.toml"], "mine.toml: this is a scenario, expected a sweep"),
         (["design", "none", "--knowledge"], "none: no such file"),
@@ -156,7 +161,6 @@ def test_wrong_use_is_one_line(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("mine.toml").write_text((SCENARIOS / "paper.toml").read_text())
-    Path("recording.csv").write_text("u,x\n1,2\n")
     (line,) = usage_error(capsys, *argv)
     assert expected in line
 

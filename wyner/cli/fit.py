@@ -265,10 +265,7 @@ def _tables(path: Path) -> dict[str, Any]:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise UsageError(f"{path}: cannot be read: {reason}") from None
     except (ValueError, RecursionError) as error:
-        raise UsageError(
-            f"{path}: not TOML: {error}; expected a scenario, or a recording's --states, "
-            "--inputs and --period"
-        ) from None
+        raise UsageError(f"{path}: not TOML: {error}") from None
 
 
 def _plan(args: argparse.Namespace) -> "Plan":
