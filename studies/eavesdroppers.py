@@ -8,11 +8,9 @@ before each tap. ``python -m studies eavesdroppers`` measures them, and
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 from controller_service.laws.registry import cached_design, make_law
-from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
 from protocol.relabelling import best_labels, pairs_of, right_under
 from protocol.statistics import share_over_runs
@@ -27,7 +25,6 @@ from tap_service.eavesdroppers import named
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
-from wyner.simulate.single import simulate_plant
 from wyner.sweeps.code import ROOT
 
 RUNS, SEED = 20, 43
@@ -120,10 +117,9 @@ def simulated(scenario_name: str, steps: int, run: int) -> Runs:
     scenario = load_scenario(SCENARIOS / f"{scenario_name}.toml")
     law = make_law(scenario, cached_design(scenario))
     runs = range(run, run + 1)
-    if scenario.plant.kind == "linear":
-        return simulate_runs(scenario, law, seed=SEED, runs=runs, steps=steps, record=True)
-    opened = partial(open_plant, scenario, SCENARIOS)
-    return simulate_plant(scenario, law, opened, seed=SEED, runs=runs, steps=steps)
+    return simulate_runs(
+        scenario, law, seed=SEED, runs=runs, steps=steps, record=True, folder=SCENARIOS
+    )
 
 
 def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[Counted]:

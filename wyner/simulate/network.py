@@ -41,8 +41,8 @@ from runtime.journal import ControllerJournal, PlantJournal
 from runtime.model import load_model
 from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
+from wyner.simulate.engine import Law
 from wyner.simulate.faults import Faults
-from wyner.simulate.single import Law
 
 
 @dataclass
