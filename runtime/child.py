@@ -21,7 +21,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, Final
 
-from runtime.errors import Failure
+from runtime.errors import GuestError
 
 END_S: Final = 5.0
 """Seconds that a child has to end by itself once its line is closed, if not told otherwise."""
@@ -96,20 +96,6 @@ def _end(process: "subprocess.Popen[bytes]", line: Any, within_s: float) -> int:
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
         return process.wait()
-
-
-class GuestError(Failure):
-    """A guest did not answer as it should; the text says how.
-
-    Attributes
-    ----------
-    kind : str
-        What the guest said it was; ``ended`` where it is at its end.
-    """
-
-    def __init__(self, text: str, kind: str = "ended") -> None:
-        super().__init__(text)
-        self.kind = kind
 
 
 class Guest:

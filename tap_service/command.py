@@ -18,7 +18,8 @@ from runtime.bus_options import (
     noted,
 )
 from runtime.errors import UsageError
-from runtime.options import alone_in, checked, fine, option, picked, run_dir_of
+from runtime.locks import alone_in
+from runtime.options import checked, fine, option, picked, run_dir_of
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge

@@ -16,7 +16,7 @@ from pathlib import Path
 import pytest
 
 from protocol.messages import FIELD
-from runtime.options import alone_in
+from runtime.locks import alone_in
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE
 from studies.secrecy.runs import Run, simulate
@@ -435,7 +435,7 @@ def test_a_second_tap_in_a_folder_is_refused(
 ) -> None:
     code = (
         "import sys, pathlib\n"
-        "from runtime.options import alone_in\n"
+        "from runtime.locks import alone_in\n"
         "with alone_in(pathlib.Path(sys.argv[1])): print('held', flush=True); sys.stdin.read()\n"
     )
     with subprocess.Popen(
