@@ -228,6 +228,22 @@ def test_export_to_mcap_is_read_by_the_public_reader(
         assert type(message).model_validate(data) == message
 
 
+def test_what_was_not_heard_has_no_channel(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Some viewers refuse a file with a channel that has no message."""
+    reader_module = pytest.importorskip("mcap.reader")
+    lines = (run_dir / CAPTURE).read_bytes().splitlines(keepends=True)
+    (tmp_path / "capture.jsonl").write_bytes(b"".join(ln for ln in lines if b'"offer"' not in ln))
+    path = tmp_path / "c.mcap"
+    asked = ("report", tmp_path / "capture.jsonl", "--to", "mcap", "--output", path)
+    assert call(capsys, *asked)[0] == 0
+    with path.open("rb") as file:
+        summary = reader_module.make_reader(file).get_summary()
+    assert [c.topic for c in summary.channels.values()] == ["wyner/v2/loop/measurement"]
+    assert [s.name for s in summary.schemas.values()] == ["Measurement"]
+
+
 def test_the_exported_schemas_hold_no_reference() -> None:
     for kind in FIELD:
         text = json.dumps(kind.model_json_schema())
