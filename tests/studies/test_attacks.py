@@ -164,9 +164,9 @@ def test_the_defence_of_the_page_runs(
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--jobs", "0"], "--jobs: got 0, expected at least 1"),
-        (["--defence", "no.py:None"], "--defence: no.py: no such file"),
-        (["--defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
+        (["measure", "attacks", "--jobs", "0"], "--jobs: got 0, expected at least 1"),
+        (["defence", "no.py:None"], "--defence: no.py: no such file"),
+        (["defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
     ],
 )
 def test_what_cannot_be_is_one_line(

@@ -128,7 +128,7 @@ def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert figures(["nothing"]) == 2
-    assert "got 'nothing', expected rate-paper" in capsys.readouterr().err
+    assert "got 'nothing', expected undetected" in capsys.readouterr().err
     assert figures(["distance", "--data", str(tmp_path)]) == 1
     assert figures(["price", "--data", str(tmp_path)]) == 1
     errors = capsys.readouterr().err.splitlines()
