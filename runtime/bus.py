@@ -1,4 +1,4 @@
-"""The interface of a bus. :mod:`runtime.zenoh_bus` and :mod:`runtime.memory_bus` implement it."""
+"""The interface of a bus; :mod:`runtime.zenoh_bus` implements it."""
 
 from collections.abc import Callable
 from types import TracebackType

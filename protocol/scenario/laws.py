@@ -55,14 +55,13 @@ class PackedControl(Control):
         if len(self.costs) != 1:
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
 
-    def coin_problems(self) -> Iterator[str]:
+    def why_unseen(self) -> Iterator[str]:
         """Whether candidates are so close that a spoofed sensor may stay unseen."""
         spacing = self.alphabet.spacing
         if spacing < CERTAIN:
             yield (
-                f"defence.coin: got 'keys' beside control.alphabet.spacing = {spacing:g}, "
-                f"expected a spacing of {CERTAIN:g} or more: closer candidates are not told apart "
-                "in every step"
+                f"control.alphabet.spacing = {spacing:g} does not tell candidates apart in every "
+                f"step, expected {CERTAIN:g} or more"
             )
 
     def policy(self, n: int, m: int) -> Policy:

@@ -255,7 +255,10 @@ class Scenario(Brief, ScenarioTable):
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
         if self.defence.keyed:
-            problems += self.control.coin_problems()
+            problems += [
+                f"defence.coin: got 'keys', and a spoofed sensor would stay unseen: {why}"
+                for why in self.control.why_unseen()
+            ]
         problems += self.defence.problems(self.keys, self.link)
         if scheme_named(self.secrecy.scheme).from_stream:
             problems += needs_keys(f"secrecy.scheme: {self.secrecy.scheme!r}", self.keys)

@@ -17,8 +17,8 @@ from protocol.scenario import Attack, Scenario, attack_of
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.chance import noise
 from runtime.errors import UsageError
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.scenario_file import attack_option, scenario_of
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 
 pytestmark = pytest.mark.slow

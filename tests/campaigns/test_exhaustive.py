@@ -97,8 +97,8 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    right = "self._fresh.symbol(transitions, size) if decided is None else decided"
-    broken(patch, controller_core, right, "self._fresh.symbol(transitions, size)")
+    wrong = "fresh = self._fresh.symbol(transitions, size)"
+    broken(patch, controller_core, "fresh = decided", wrong)
 
 
 def apply_stale(patch: Patch) -> None:

@@ -28,13 +28,13 @@ from runtime.errors import DONE, UsageError
 from runtime.files import StatusFile
 from runtime.fleet import Fleet, numbered, read_fleet
 from runtime.health import read_status
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.options import message_of, picked
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from runtime.shipped import SCENARIOS
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
 from wyner.cli.main import main

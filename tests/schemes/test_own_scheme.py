@@ -21,7 +21,6 @@ from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import StateTable, advance_many
 from runtime.addresses import Addresses
-from runtime.memory_bus import MemoryBus
 from runtime.run_folder import BELIEFS, SCENARIO
 from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
@@ -29,6 +28,7 @@ from tap_service.eavesdroppers import LADDER
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.service import TapService
+from tests.support.memory_bus import MemoryBus
 from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.small_run import SCENARIOS, SmallRun

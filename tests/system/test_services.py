@@ -39,7 +39,6 @@ from protocol.topics import key_of
 from runtime.errors import DONE, USAGE, Failure, UsageError
 from runtime.health import read_status
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.pace import Pace
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
@@ -51,6 +50,7 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
