@@ -198,7 +198,7 @@ def run_with_knowledge(
 
     from runtime.bus import TransportError
     from runtime.errors import DONE
-    from tap_service.capture.recording import Limits
+    from runtime.recording import Bounds
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import run_taps
@@ -206,7 +206,7 @@ def run_with_knowledge(
     from tap_service.service import run_tap
 
     limits = checked(
-        Limits,
+        Bounds,
         part_bytes=options.part_bytes,
         part_s=options.part_seconds,
         total_bytes=options.total_bytes,
