@@ -7,7 +7,6 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.topics import DEFAULT_LOOP
-from runtime.addresses import Addresses
 from runtime.recording import Bounds
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
@@ -38,7 +37,6 @@ class TapConfig:
     view : View
         What the tap sees, and how well.
     loop : str
-    field, adversary : Endpoints
     limits : Bounds
         Of the capture; the logs of guesses get an eighth of it each.
     finish_s : float
@@ -47,8 +45,6 @@ class TapConfig:
 
     run_dir: Path
     knowledge: Knowledge
-    field: Addresses
-    adversary: Addresses
     oracle_knowledge: Knowledge | None = None
     names: tuple[str, ...] = DEFAULT
     view: View = default(default_factory=View)

@@ -25,7 +25,7 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.topics import key_of
-from runtime.addresses import Addresses, free_endpoints
+from runtime.addresses import free_endpoints
 from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
@@ -55,8 +55,6 @@ def config(run: Run, run_dir: Path, **more: object) -> TapConfig:
     return TapConfig(
         run_dir,
         run.scenario.knowledge(),
-        Addresses(),
-        Addresses(),
         run.scenario.oracle_knowledge(),
         **settings,  # type: ignore[arg-type]
     )
@@ -245,9 +243,7 @@ def test_a_tap_that_is_started_again_says_so(run: Run, tmp_path: Path) -> None:
 def test_a_wrong_choice_is_told_before_anything_starts(
     run: Run, tmp_path: Path, names: tuple[str, ...]
 ) -> None:
-    settings = TapConfig(
-        tmp_path, run.scenario.knowledge(), Addresses(), Addresses(), None, names=names
-    )
+    settings = TapConfig(tmp_path, run.scenario.knowledge(), None, names=names)
     with pytest.raises(KnowledgeError):
         TapService(settings)
     assert not (tmp_path / "tap").exists()
