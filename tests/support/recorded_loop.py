@@ -240,5 +240,4 @@ class RecordedLoop(TwoEnds):
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""
-        results = check(read_evidence(self.folder))
-        return [f"{r.check.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
+        return [str(finding) for finding in check(read_evidence(self.folder))]
