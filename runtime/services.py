@@ -4,7 +4,7 @@ A row loads nothing: what runs a service is named by its module. A service of on
 row, ``SERVICES["logger"] = Service(...)``, when its package is imported.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
@@ -12,9 +12,6 @@ from typing import Final, NamedTuple, Protocol
 from runtime.health import Look, look_at_capture, look_at_status
 
 BUSES: Final = ("field", "management", "adversary")
-
-FORMER: Final = {"ops": "management", "intel": "adversary"}
-"""What buses were called up to key expressions of version 1."""
 
 PLANT_FIELD: Final = "tcp/127.0.0.1:7461"
 CONTROLLER_FIELD: Final = "tcp/127.0.0.1:7462"
@@ -145,18 +142,6 @@ _ROWS: Final = (
 
 SERVICES: Final = {row.name: row for row in _ROWS}
 """Every row, by name."""
-
-
-def bus_names(got: str, allowed: Iterable[str]) -> str:
-    """The names that are expected, and what a former name was changed to.
-
-    Examples
-    --------
-    >>> bus_names("ops", ["field", "management"])
-    'field, management; ops is called management now'
-    """
-    expected = ", ".join(allowed)
-    return f"{expected}; {got} is called {FORMER[got]} now" if got in FORMER else expected
 
 
 def on_bus(bus: str) -> list[Service]:

@@ -18,7 +18,8 @@ from runtime.bus_options import (
     noted,
 )
 from runtime.errors import UsageError
-from runtime.options import alone_in, checked, option, picked, run_dir_of
+from runtime.locks import alone_in
+from runtime.options import checked, fine, option, picked, run_dir_of
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
@@ -197,7 +198,6 @@ def run_with_knowledge(
     from pathlib import Path
 
     from runtime.bus import TransportError
-    from runtime.errors import DONE
     from tap_service.capture.recording import Limits
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -257,14 +257,14 @@ def run_with_knowledge(
                 if not options.check:
                     break
             if options.check:
-                return DONE
+                return fine(f"{len(fleet.loops)} loops")
             with alone_in(run_dir_of(options.run_dir) / "tap"):
                 return run_taps(
                     fleet, config_in_fleet, field, adversary, partial(noted, options.metrics)
                 )
         config = config_of(told, loop_of(options.loop), Path(options.run_dir))
         if options.check:
-            return DONE
+            return fine(f"eavesdroppers {', '.join(config.names)}")
         with alone_in(run_dir_of(options.run_dir) / "tap"):
             return run_tap(config, with_metrics)
     except TransportError as error:
