@@ -16,7 +16,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import inf
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from protocol.link.peer import Actions, Notice, Peer
 from protocol.messages import FIELD as FIELD_MESSAGES
@@ -25,12 +25,14 @@ from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
 from runtime.bus import Bus, Channel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
-from runtime.extraction import Extraction
 from runtime.health_files import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
 from runtime.turn_watch import Turns, TurnWatch
+
+if TYPE_CHECKING:
+    from runtime.extraction import Extraction
 
 POLL_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
@@ -178,6 +180,8 @@ class Host:
                 for kind in publishers.keys() & FIELD:
                     publishers[kind] = Sparing(publishers[kind], crowding)
                 if self._extraction is None:
+                    from runtime.extraction import Extraction  # what others need not load
+
                     self._extraction = Extraction()
                 extract = partial(
                     self._extraction.put,
