@@ -112,7 +112,7 @@ docs: $(STAMPS)/dev
 	@echo "build/docs/index.html"
 
 figures: $(STAMPS)/dev
-	$(BIN)/python -m studies.figures
+	$(BIN)/python -m studies figures
 
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper

@@ -104,24 +104,6 @@ def test_replay_in_words_with_the_ones_who_listened(
     assert "100.0 % of key symbols" in out
 
 
-def test_replay_of_a_stretch(run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    args = ("score", run_dir, "--eavesdropper", "nearest-centre", "--from", 100, "--to", 149)
-    assert json.loads(call(capsys, *args, "--json")[1])["transitions"] == 50
-
-
-def test_replay_watched_in_a_pipe_prints_lines(
-    run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from wyner.cli import decode
-
-    monkeypatch.setattr(decode, "WATCHED_AT_ONCE", 250)
-    code, out, _ = call(capsys, "score", run_dir, "--watch", "--eavesdropper", "list-decoder")
-    assert code == 0
-    assert "list-decoder" in out
-    assert run.payloads[0].decode() in out
-    assert "\x1b" not in out
-
-
 def test_the_oracle_in_a_replay_needs_the_scenario(
     run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -135,7 +117,7 @@ def test_the_oracle_in_a_replay_needs_the_scenario(
 
 def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     figure = tmp_path / "report.svg"
-    args = ("--eavesdropper", "set-membership,list-decoder", "--figure", figure)
+    args = ("--eavesdropper", "set-membership,list-decoder", "--plot", figure)
     code, out, _ = call(capsys, "score", run_dir, *args)
     assert code == 0
     assert "PAPER'S RULE EXCEEDS TRUE" in out
@@ -366,11 +348,6 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
 @pytest.mark.parametrize(
     ("args", "expected"),
     [
-        (("score", "nowhere", "--decode", "--from", "-1"), "--from: got -1, expected at least 0"),
-        (
-            ("score", "nowhere", "--decode", "--from", "5", "--to", "2"),
-            "--to: got 2, expected at least 5",
-        ),
         (("score", "nowhere", "--decode"), "nowhere: cannot be read: no such capture"),
         (("report", "nowhere", "--to", "csv"), "nowhere: cannot be read: no such capture"),
         (("report", "nowhere", "--to", "xml"), "invalid choice: 'xml'"),
