@@ -45,7 +45,7 @@ def lines(event: Event) -> tuple[dict[str, Any], ...]:
 
 
 class SessionBegan(NamedTuple):
-    """A session began, was resumed, or was given up; ``reason`` is one of :data:`REASONS`."""
+    """A session began, was resumed, or was given up; ``reason`` says why."""
 
     session: str | None
     reason: str
