@@ -6,7 +6,8 @@ seconds, while others are killed; :mod:`tests.campaigns.traffic` says what must 
 With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays. With ``--watched`` the
-coin is keyed and the loop is in lock-step: no honest step may alarm.
+coin is keyed and the loop is in lock-step: no honest step may alarm. With ``--sealed`` the messages
+travel under the key stream, in lock-step too.
 """
 
 import argparse
@@ -40,6 +41,7 @@ KINDS: Final = {
     "tls": "campaign-tls.json",
     "keys": "campaign-kills-keys.json",
     "watched": "campaign-kills-watched.json",
+    "sealed": "campaign-kills-sealed.json",
 }
 """Kinds of campaign, and where their results go."""
 
@@ -102,8 +104,8 @@ def one_run(
     keys = kind == "keys"
     bytes_a_kill = RELAYED_BYTES_A_KILL if keys else BYTES_A_KILL
     text = plain_text(draw, min(200, bytes_a_kill * kills))
-    watched = kind == "watched"
-    pace = "fast" if watched else RELAYED_PACE if keys else draw.choice(PACES)
+    streamed = kind in ("watched", "sealed")
+    pace = "fast" if streamed else RELAYED_PACE if keys else draw.choice(PACES)
     relay = RELAY if keys else None
     loop = LiveLoop(
         folder,
@@ -112,7 +114,7 @@ def one_run(
         router=kind == "tls" or (not keys and seed % 2 == 1),
         tls=kind == "tls",
         relay=relay,
-        scenario="watched" if watched else "keys",
+        scenario=kind if streamed else "keys",
     )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
@@ -141,6 +143,7 @@ def main(argv: list[str] | None = None) -> int:
         ("tls", "a router that asks for certificates"),
         ("keys", "a relay"),
         ("watched", "the coin is keyed"),
+        ("sealed", "messages travel under the key stream"),
     ):
         kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
     parser.set_defaults(kind="kills")

@@ -60,7 +60,8 @@ def test_an_exploration_says_how_far_it_came_and_goes_on_from_there(tmp_path: Pa
 
 @pytest.mark.long
 @pytest.mark.parametrize(
-    ("kind", "kills", "seed"), [("kills", 6, 5), ("tls", 6, 5), ("keys", 2, 3), ("watched", 8, 3)]
+    ("kind", "kills", "seed"),
+    [("kills", 6, 5), ("tls", 6, 5), ("keys", 2, 3), ("watched", 8, 3), ("sealed", 8, 3)],
 )
 def test_a_run_whose_services_are_killed_delivers_once_and_passes(
     tmp_path: Path, kind: str, kills: int, seed: int
