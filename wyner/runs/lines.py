@@ -7,7 +7,6 @@ from typing import Any, Final, Literal, NamedTuple
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from protocol.link.events import FELL_BACK, NEW_JOURNAL
 from protocol.link.session import Rules
 from protocol.vectors import Vector
 from protocol.wrong_fields import expected_of
@@ -213,21 +212,6 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
     },
 }
 """What each side may trace: the event, and the type of its line."""
-
-
-REASONS: Final[dict[str, str]] = {
-    "plant": (
-        f"{NEW_JOURNAL}|resumed from the journal|{FELL_BACK}"
-        "|the controller does not know the session before"
-        "|a key block differs from the controller's"
-    ),
-    "controller": (
-        f"the plant began it|{FELL_BACK}|a key block differs from the plant's; session ended"
-        "|measurement [0-9]+ does not follow from the journal; session ended"
-        "|plant [0-9a-f]+ is with controller [0-9a-f]*, and not with this one, [0-9a-f]+"
-    ),
-}
-"""Why a session may begin or end, written out here so that another word is noticed."""
 
 
 class OtherLine(NamedTuple):

@@ -6,7 +6,6 @@ resolved here (:mod:`wyner.runs.resolve`); the few other lines are kept as they 
 number of rows that came before it.
 """
 
-import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -15,6 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 from pydantic_core import to_json
 
+from protocol.link.events import MET, REASONS, RESUMED
 from protocol.link.records import Side
 from protocol.link.session import Rules
 from runtime.recording import (
@@ -29,7 +29,6 @@ from runtime.recording import (
 )
 from wyner.runs.lines import (
     KINDS,
-    REASONS,
     Again,
     AttackLine,
     Break,
@@ -174,7 +173,7 @@ class Trace:
         self._part, self._kept = path, 0
         self._session: str | None = None
         self._resolver = Resolver()
-        self._announce = side == "plant" and not self._seeking
+        self._announce, self._killed = side == "plant" and not self._seeking, False
         self._held: MissedLine | None = None
         self._dtype: np.dtype[np.void] | None = None
         self._filed, self._numbers = bytearray(), dict[str, int]()
@@ -292,7 +291,7 @@ class Trace:
         elif value["event"] == CONTINUED:
             self._note(Break(ended))
             self._resolver.restart()
-            self._announce, self.of_last = self.side == "plant", 0
+            self._announce, self.of_last, self._killed = self.side == "plant", 0, not ended
 
     def _other(self, number: int, line: EventLine | MissedLine) -> None:
         if isinstance(line, MissedLine):
@@ -341,13 +340,25 @@ class Trace:
     def _began(self, number: int, line: SessionLine) -> None:
         if not self._announce and line.session is not None and line.session == self._session:
             self._problem(number, "session: announced already")
-        if not re.fullmatch(REASONS[self.side], line.reason):
-            self._problem(number, f"session: no session begins or ends for {line.reason!r}")
+        if line.reason not in REASONS[self.side]:
+            self._problem(number, f"reason: got {line.reason!r}, expected one that there is")
+        elif unlike := self._unlike(line):
+            self._problem(number, f"reason: got {line.reason!r}, {unlike}")
         self._announce = False
         self._session = line.session
         self._resolver.session(line.session)
         if line.session is not None:
             self.announced.add(line.session)
+
+    def _unlike(self, line: SessionLine) -> str:
+        """What of a session's line cannot be for its reason."""
+        if self.side == "controller":
+            return "" if (line.reason == MET) == (line.session is not None) else "of no session"
+        known = line.session in self.announced or line.session in self.transitions
+        if line.reason == RESUMED:
+            untold = self._killed and self._announce  # saved, and killed before it was traced
+            return "" if known or untold or self._seeking else "and the session is a new one"
+        return "and the session was there before" if known else ""
 
     def _unannounced(self, number: int) -> None:
         self._problem(number, "a plant that begins must name its session first")

@@ -60,6 +60,7 @@ NAMED: dict[tuple[str, str], set[str]] = {
     ("delivered", "id"): {"messages", "traces"},
     ("delivered", "payload"): {"messages", "traces"},
     ("recovered", "payload"): {"messages", "traces"},
+    ("session", "reason"): {"traces"},
     ("header", "vantage"): {"whole"},
     ("header", "scenario"): {"whole"},
     ("header", "fingerprint"): {"whole"},
