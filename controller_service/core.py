@@ -25,7 +25,7 @@ from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.records import INITIAL_ID, SenderRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, position_of
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import (
     LARGEST_COUNT,
     ControllerHello,
@@ -80,14 +80,24 @@ class _Judged(NamedTuple):
     """What the test made of the transition that a measurement reports.
 
     ``served`` are the digits of the key stream that it used. ``expected`` is the candidate that one
-    of them chose, -1 where the transition is unwatched. ``alarm`` is why it makes an alarm; empty:
-    it makes none.
+    of them chose, -1 where the transition is unwatched.
     """
 
     verdict: AgreementResult
     carry: Carry
     served: tuple[int, ...]
     expected: int
+
+
+class _Reported(NamedTuple):
+    """What a measurement leads to.
+
+    ``following`` is the record that follows, but for what the answer adds. ``judged`` is None where
+    no new transition is reported. ``alarm`` is why there is an alarm; empty: there is none.
+    """
+
+    following: SenderRecord
+    judged: _Judged | None
     alarm: Reason
 
 
@@ -138,13 +148,7 @@ class ControllerCore:
     """
 
     hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, StopKeys)
-    says: tuple[type[Message], ...] = (
-        Offer,
-        ControllerHello,
-        SendReply,
-        StopKeys,
-        ControllerStatus,
-    )
+    says: tuple[type[Message], ...] = (Offer, ControllerHello, SendReply, ControllerStatus)
 
     def __init__(
         self,
@@ -179,8 +183,8 @@ class ControllerCore:
         # the step
         self._propose = propose
         self._predict = predict
-        self._under_way: tuple[Measurement, Offer, SenderRecord, _Judged | None] | None = None
-        """The step that waits to be counted, with what :meth:`_report` made of its measurement."""
+        self._under_way: tuple[Measurement, Offer, _Reported] | None = None
+        """The step that waits to be counted, with what its measurement leads to."""
         self._stale = 0
         self.stale_at = -inf
         # the frame under way
@@ -191,7 +195,7 @@ class ControllerCore:
         if self.record.session is not None:
             said = offer or self.record
             newest = offer or self.record.offer
-            named = NOWHERE if newest is None else position_of(newest)
+            named = NOWHERE if newest is None else newest.position
             self.keys.begin(
                 self.record.session,
                 said.block,
@@ -221,7 +225,7 @@ class ControllerCore:
         self._health_at = self.now = -inf
         if offer is not None:
             assert measurement is not None
-            self._under_way = (measurement, offer, *self._report(measurement, offer.cipher))
+            self._under_way = measurement, offer, self._report(measurement, offer.cipher)
 
     @property
     def plant(self) -> str | None:
@@ -251,7 +255,7 @@ class ControllerCore:
     @property
     def reported(self) -> int:
         """Transitions that the plant has reported, the one that waits to be counted included."""
-        counts = self._under_way is not None and self._under_way[3] is not None
+        counts = self._under_way is not None and self._under_way[2].judged is not None
         return self.record.transitions + counts
 
     # --- what the shell calls ---------------------------------------------------------------------
@@ -378,11 +382,12 @@ class ControllerCore:
             before is None or measurement.applied_k != before.k or not measurement.x_after
         ):
             return self._diverged(measurement)
-        following, judged = self._report(measurement)
+        reported = self._report(measurement)
+        following = reported.following
         if following.halted:
             if record.halted:
                 return NOTHING_TO_DO
-            return self._without_offer(measurement, following, judged, HALTED, "alarmed")
+            return self._without_offer(measurement, reported, HALTED, "alarmed")
         try:
             missed = measurement.k - measurement.applied_k - 1
             box = self.rules.box(following.estimate, missed, measurement.x)
@@ -390,7 +395,7 @@ class ControllerCore:
             candidates = self._propose(x)
             predictions = self._predictions(x, candidates)
         except LookupError as error:
-            return self._without_offer(measurement, following, judged, str(error), "outside")
+            return self._without_offer(measurement, reported, str(error), "outside")
         block, tag = self.keys.announcement()
         position = self._next_position(block)
         offer = Offer(
@@ -407,7 +412,7 @@ class ControllerCore:
             stream_block=position.block if self.rules.digits else None,
             stream_at=position.at if self.rules.digits else None,
         )
-        self._under_way = measurement, offer, following, judged
+        self._under_way = measurement, offer, reported
         return self._offers(offer, measurement)
 
     def _old(self, measurement: Measurement) -> Actions:
@@ -441,15 +446,14 @@ class ControllerCore:
     def _without_offer(
         self,
         measurement: Measurement,
-        following: SenderRecord,
-        judged: _Judged | None,
+        reported: _Reported,
         why: str,
         phase: Phase,
     ) -> Actions:
         """There is no answer to give: what the measurement reports counts all the same."""
         if self._telemetry is not None:
             self._telemetry.phase = phase
-        actions = self._saved(self._count(measurement, None, following, judged))
+        actions = self._saved(self._count(measurement, None, reported))
         return actions._replace(
             notices=(self._refusal(why), *actions.notices),
             finish_step=self._blocks_differ,
@@ -462,19 +466,18 @@ class ControllerCore:
         assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
         return tuple([self._predict(x, u) for u in candidates])
 
-    def _report(
-        self, measurement: Measurement, decided: int | None = None
-    ) -> tuple[SenderRecord, _Judged | None]:
+    def _report(self, measurement: Measurement, decided: int | None = None) -> _Reported:
         """Judge the offer that ``measurement`` reports as applied; decide the next symbol.
 
-        Returns the record that follows, but for what the answer adds, and what the test made of the
-        transition. Where the measurement reports none that is new, the symbol decided before stays.
-        ``decided`` is the cipher symbol of an answer that was given before.
+        Where it reports no new transition, the symbol decided before stays. ``decided`` is the
+        cipher symbol of an answer that was given before.
         """
         record = self.record
         offer = record.offer
+        if record.k < 0:
+            return self._first()
         if offer is None or measurement.applied_k == record.applied_k:
-            return record, None
+            return _Reported(record, None, "")
         verdict = self.rules.judge(
             record.x,
             offer.candidates,
@@ -499,23 +502,37 @@ class ControllerCore:
         expected = served[0] if served and self.rules.keyed else NO_SYMBOL
         failure = self._failure(verdict, expected, offer)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failure != "")
-        unwatched, too_many = record.unwatched, False
-        if self.rules.keyed:
-            watched = expected != NO_SYMBOL
-            unwatched, too_many = self.rules.watch.after(unwatched, watched=watched)
+        unwatched, too_many = self._watched(expected != NO_SYMBOL)
         reason: Reason = failure if alarm else "unwatched" if too_many else ""
         following = following._replace(
             failed=tests,
             unwatched=unwatched,
             halted=record.halted or (reason != "" and self.rules.halts),
         )
-        return following, _Judged(verdict, carry, served, expected, reason)
+        return _Reported(following, _Judged(verdict, carry, served, expected), reason)
+
+    def _first(self) -> _Reported:
+        """A session's first measurement: of the last step of the session before nobody has heard.
+
+        It counts as unwatched. Otherwise whoever ends each session at its first step would have
+        all of them unwatched, and none counted.
+        """
+        unwatched, too_many = self._watched(watched=False)
+        reason: Reason = "unwatched" if too_many else ""
+        halted = self.record.halted or (too_many and self.rules.halts)
+        return _Reported(self.record._replace(unwatched=unwatched, halted=halted), None, reason)
+
+    def _watched(self, watched: bool) -> tuple[float, bool]:
+        """The sum of unwatched steps after one more, and whether it makes an alarm."""
+        if not self.rules.keyed:
+            return self.record.unwatched, False
+        return self.rules.watch.after(self.record.unwatched, watched=watched)
 
     def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
         """The digits of an applied offer, where the plant says that they served."""
         if not measurement.keyed:
             return ()
-        return self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        return self.keys.stream.at(offer.position, self.rules.digits) or ()
 
     def _failure(self, verdict: AgreementResult, expected: int, offer: Offer) -> Reason:
         """What speaks against a transition; nothing where it passes its test.
@@ -525,7 +542,7 @@ class ControllerCore:
         """
         if self.rules.fails(verdict, expected):
             return "unexplained" if expected == NO_SYMBOL else "another candidate"
-        if self.rules.keyed and expected == NO_SYMBOL and position_of(offer) != NOWHERE:
+        if self.rules.keyed and expected == NO_SYMBOL and offer.position != NOWHERE:
             return "digits refused"
         return ""
 
@@ -611,11 +628,10 @@ class ControllerCore:
         self,
         measurement: Measurement,
         offer: Offer | None,
-        following: SenderRecord,
-        judged: _Judged | None,
+        reported: _Reported,
     ) -> Actions:
         """Bring the record up to the answer given: the transition that it reports, if any."""
-        before = self.record
+        before, (following, judged, reason) = self.record, reported
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
             following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
@@ -623,8 +639,12 @@ class ControllerCore:
         events: tuple[Event, ...] = ()
         notices: tuple[Notice, ...] = ()
         contribution, delivered = None, None
+        alarm: Alarm | None = None
         if judged is None:  # no transition: the state, and the arrows from it, stay
             self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
+            if reason:
+                k = measurement.k - 1
+                alarm = Alarm(measurement.session, -1, k, measurement.x, reason, -1, (), 0.0)
         else:
             applied = before.offer
             assert applied is not None
@@ -660,18 +680,20 @@ class ControllerCore:
                 x=measurement.x,
                 offer=offer,
             )
-            alarm = self._alarm(transition, applied, judged.alarm) if judged.alarm else None
+            alarm = self._alarm(transition, applied, reason) if reason else None
             if self._telemetry is not None:
-                self._telemetry.counted(transition, alarm)
+                self._telemetry.counted(transition)
             events = (transition,)
             if delivered is not None:
                 self._status_soon()
                 notices = (Notice(f"message {delivered.id} delivered"),)
-            if alarm is not None:
-                events = (transition, alarm)
-                notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
+        if alarm is not None:
+            if self._telemetry is not None:
+                self._telemetry.alarmed(alarm)
+            events = (*events, alarm)
+            notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
         if before.offer is not None:
-            self.keys.used(position_of(before.offer), self.rules.digits)
+            self.keys.used(before.offer.position, self.rules.digits)
         ended = self.keys.ended()
         self._blocks_differ = any(block.what == "unequal" for block in ended)
         actions = Actions(

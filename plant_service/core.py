@@ -35,7 +35,7 @@ from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
 from protocol.link.plant_session import TABLE, TO_ANYONE, WORKING, Heard, State, first_state, heard
 from protocol.link.records import ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth, position_of
+from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.messages import (
     ControllerHello,
     Measurement,
@@ -203,7 +203,7 @@ class PlantCore:
             record.session, said.block, said.tag, record.confirmed, contributions, parts
         )
         if offer is not None and report is not None and report.keyed:
-            self._taken = self.keys.stream.at(position_of(offer), rules.digits) or ()
+            self._taken = self.keys.stream.at(offer.position, rules.digits) or ()
         # the session
         self.record = record._replace(
             state=rules.scheme.restore(record.state),
@@ -412,8 +412,8 @@ class PlantCore:
         if self.measured_k == record.k and self._telemetry is not None:
             self._telemetry.answered(now - self.measured_at)
         self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
-        self._taken = self.keys.stream.at(position_of(offer), self.rules.digits) or ()
-        if not self._taken and self.keys.awaits(position_of(offer).block):
+        self._taken = self.keys.stream.at(offer.position, self.rules.digits) or ()
+        if not self._taken and self.keys.awaits(offer.position.block):
             return NOTHING_TO_DO  # the offer comes again, when its digits are there
         if self.rules.keyed and self._taken:
             return self._begin(offer, self._taken[0])
@@ -638,7 +638,7 @@ class PlantCore:
         self._last_symbol = self.deframer.lacks_one
         self.state = TABLE[self.state, "offer applied"].next
         if self._taken:
-            self.keys.used(position_of(offer), self.rules.digits)
+            self.keys.used(offer.position, self.rules.digits)
             self._taken = ()
         self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
-from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import (
     Coin,
     Disturbances,
     LinearModel,
-    NoisyPlant,
     OperatedPlant,
-    OutputPlant,
     Plant,
+    sensed,
 )
 from plant_service.status import PlantTelemetry
 from protocol.link.fallback import Fallback
@@ -24,8 +22,10 @@ from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.scenario import Attack, Scenario
+from protocol.secret.nonces import NonceSource
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.network import round_trip_s
@@ -61,6 +61,7 @@ def open_core(
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
     attack: Attack | None = None,
+    nonces: NonceSource = fresh_nonce,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
 
@@ -85,6 +86,7 @@ def open_core(
         In place of the scenario's plant.
     attack : Attack, optional
         On this plant, or on its bus.
+    nonces : NonceSource
 
     Raises
     ------
@@ -122,24 +124,9 @@ def open_core(
         plant = OperatedPlant(operated, disturbances, enters)
     try:
         draws = sensors or Stream(sensor_seed, SENSOR, width=scenario.readings)
-        if observer is not None and not plant.device:
-            state = scenario.initial_state if x is None else x
-            if record is not None and not plant.acts:
-                state = record.true_x or state
-            read = OutputPlant(plant, observer, spec, draws, state)
-            if report is not None and not plant.acts:
-                read.begin(report.applied_k, (), u)
-                read.end(report.applied_k)
-            plant, x = read, read.read(0 if record is None else record.k + 1)
-        elif spec is not None and not plant.device:
-            noisy = NoisyPlant(plant, spec, draws)
-            k = 0 if record is None else record.k + 1  # of a step that was cut short
-            if report is not None:
-                noisy.recall(report.k, report.x, u)
-            plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and attacker.at != "bus":
-            x = scenario.initial_state if x is None else x
-            plant = AttackedPlant(plant, attacker, x)
+        at_plant = None if attacker is None or attacker.at == "bus" else attacker
+        last = None if report is None else (report, u)
+        plant, x = sensed(plant, scenario, at_plant, draws, x, record, last)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
         first = record or first_record(scenario, new_id(), x)._replace(
@@ -169,6 +156,7 @@ def open_core(
             watchdog_s=scenario.link.watchdog_s,
             round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
             attack=None if attacker is None else attacker.began,
+            nonces=nonces,
         )
     except BaseException:  # it was started: whoever cannot go on leaves it safe
         plant.safe("its service could not start")

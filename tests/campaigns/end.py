@@ -20,7 +20,7 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import BlockEnded
 from protocol.link.events import Alarm, Event, SessionBegan
 from protocol.link.peer import Actions, Notice
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, position_of
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
@@ -232,7 +232,7 @@ class End:
         offer, received = actions.offer, actions.received
         report = actions.measurement
         if offer is not None and report is not None and report.keyed and self.line is not None:
-            self._take(offer.session, offer.k, position_of(offer))
+            self._take(offer.session, offer.k, offer.position)
         self.journal.save(actions)
         if received is not None:
             place = self.view.received
@@ -281,7 +281,7 @@ class End:
         self._said[topic] = plain
         if isinstance(message, Offer):
             self._offered(message)
-            if (position := position_of(message)) != NOWHERE:
+            if (position := message.position) != NOWHERE:
                 self._take(message.session, message.k, position)
         return message.model_copy(update={"nonce": dummy}) if dummy else message
 

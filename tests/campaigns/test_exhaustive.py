@@ -12,6 +12,7 @@ from protocol.link import distiller
 from protocol.link.controller_session import TABLE, Row
 from protocol.link.distiller import Distiller
 from protocol.link.peer import Actions, Peer
+from protocol.messages import Offer
 from protocol.secret.blocks import ExtractedBlock
 from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
@@ -96,8 +97,8 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    right = "self._fresh.symbol(transitions, size) if decided is None else decided"
-    broken(patch, controller_core, right, "self._fresh.symbol(transitions, size)")
+    wrong = "fresh = self._fresh.symbol(transitions, size)"
+    broken(patch, controller_core, "fresh = decided", wrong)
 
 
 def apply_stale(patch: Patch) -> None:
@@ -182,7 +183,8 @@ def announce_at_once(patch: Patch) -> None:
 
     def wrong(self: Distiller, block: ExtractedBlock) -> None:
         extracted(self, block)
-        self._confirm(block)
+        said = {"block": block.number, "tag": block.tag}
+        self.heard(Offer(session=block.session, k=0, candidates=(), cipher=0, **said))
 
     patch.setattr(Distiller, "extracted", wrong)
 
