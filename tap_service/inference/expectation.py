@@ -45,7 +45,7 @@ LEAVES: Final = 0.004
 RETURNS: Final = 0.1
 """Probability that these are followed by a kind of text again, each by its share."""
 
-LEAST: Final = 2e-3
+LEAST: Final = 2e-4
 """Share of a kind from which its model is asked."""
 
 STRANGE: Final = 1e-4
