@@ -12,7 +12,6 @@ the service: these bounds are for mistakes, and no wall against malice.
 import ctypes
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -176,6 +175,8 @@ def die_with(parent: int) -> None:
 
 def leave_no_image() -> None:
     """Leave no core file, and let no process of this user look into this one's memory."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
@@ -183,6 +184,8 @@ def leave_no_image() -> None:
 
 def limit_memory(size: int) -> None:
     """Allow so many bytes of address space, and no core file."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

@@ -300,6 +300,7 @@ def kill(writer: TraceWriter) -> None:
     def gone(_file: int, _data: bytes) -> int:
         raise OSError
 
+    assert writer.lines is not None
     writer.lines.disk = gone
     writer.close()
 
