@@ -104,6 +104,7 @@ def by_kind(rows: Sequence[Row]) -> Lines:
         mine = [row for row in rows if row["kind"] == kind]
         stated, right = [float(row["probability"]) for row in mine], _right(mine)
         by_loss = [[row for row in mine if float(row["loss"]) == loss] for loss in LOSSES]
+        read = [wilson(_right(part), len(part)).scaled(100) for part in by_loss]
         left = [median([float(row["bits_left"]) for row in part]) for part in by_loss]
         taken, often = Counter(row["given"] for row in mine).most_common(1)[0]
         lines.append(
