@@ -110,10 +110,7 @@ def by_kind(rows: Sequence[Row]) -> Lines:
         lines.append(
             (
                 f"{kind} (kept back)" if kind in KEPT_BACK else kind,
-                *(
-                    wilson(_right(part), len(part)).scaled(100).text(".0f", " %")
-                    for part in by_loss
-                ),
+                *(share.text(".0f", " %") for share in read),
                 f"{sum(stated):.2f}",
                 f"{right} of {len(mine)}",
                 *(f"{tail:.3f}" for tail in tails(stated, right)),
