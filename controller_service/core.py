@@ -20,7 +20,17 @@ from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phas
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.controller_session import TABLE, State, heard
 from protocol.link.distiller import Distiller
-from protocol.link.events import FELL_BACK, Alarm, Event, Reason, SessionBegan
+from protocol.link.events import (
+    BLOCKS_DIFFER,
+    DOES_NOT_FOLLOW,
+    ELSEWHERE,
+    FELL_BACK,
+    MET,
+    Alarm,
+    Event,
+    Reason,
+    SessionBegan,
+)
 from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
@@ -313,9 +323,7 @@ class ControllerCore:
             actions = self._count(*step)
         elif self._blocks_differ:
             self._blocks_differ = False
-            actions = self._end_session(
-                "blocks differ", "a key block differs from the plant's; session ended"
-            )
+            actions = self._end_session("blocks differ", BLOCKS_DIFFER)
         elif self._fell_back:
             self._fell_back = False
             self._drop_session()
@@ -784,7 +792,7 @@ class ControllerCore:
         known = (self._plant, self.record.session)
         if hello.session != self.record.session:
             self._adopt(hello.session)
-            began = SessionBegan(hello.session, "the plant began it")
+            began = SessionBegan(hello.session, MET)
             actions = self._saved(Actions((began,)))
         self._plant = hello.instance
         if (hello.instance, hello.session) != known:
@@ -828,17 +836,21 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ"], why: str, said: str = ""
+    ) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()
-        events = (SessionBegan(None, why),)
-        return self._saved(self._remind())._replace(events=events, notices=(self._refusal(why),))
+        refusal = self._refusal(said or f"{why}; session ended")
+        return self._saved(self._remind())._replace(
+            events=(SessionBegan(None, why),), notices=(refusal,)
+        )
 
     def _diverged(self, measurement: Measurement) -> Actions:
         """The plant reports what this journal rules out."""
         text = f"measurement {measurement.k} does not follow from the journal; session ended"
-        return self._end_session("does not follow", text)
+        return self._end_session("does not follow", DOES_NOT_FOLLOW, text)
 
     def _step_back(self, hello: PlantHello, *, ends: bool) -> Actions:
         """The plant asks another controller, or is with one: offer nothing in that session."""
@@ -848,7 +860,7 @@ class ControllerCore:
         actions = Actions(notices=(self._refusal(why),))
         if ends:
             self._drop_session()
-            actions = self._saved(actions)._replace(events=(SessionBegan(None, why),))
+            actions = self._saved(actions)._replace(events=(SessionBegan(None, ELSEWHERE),))
         self._plant = None
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"

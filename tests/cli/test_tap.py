@@ -17,12 +17,12 @@ import pytest
 
 from protocol.messages import FIELD
 from runtime.locks import alone_in
-from runtime.recording import TraceWriter
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE
 from studies.secrecy.runs import Run, simulate
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
-from tap_service.capture.recording import Limits, RotatingLog, mirror_line
+from tap_service.capture.recording import RotatingLog, mirror_line
 from wyner.cli.main import main
 
 
@@ -41,7 +41,7 @@ def run_dir(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
         "view": View().model_dump(mode="json"),
         "eavesdroppers": ["set-membership", "nearest-centre"],
     }
-    limits = Limits(part_bytes=60_000, free_bytes=0)
+    limits = Bounds(part_bytes=60_000, free_bytes=0)
     log = RotatingLog(folder / CAPTURE, header, limits, logging.getLogger("test"))
     for i, message in enumerate(run.messages):
         log.write(mirror_line(1000 + i, message.topic, message.wire()))

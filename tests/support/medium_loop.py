@@ -19,10 +19,11 @@ from typing import Any, Final, NamedTuple
 from pydantic_core import to_json
 
 from runtime.logs import logger
+from runtime.recording import Bounds
 from runtime.run_folder import CAPTURE, PLANT_STATUS
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from tap_service.capture.recording import CAPTURE_VERSION, Limits, RotatingLog, mirror_line
+from tap_service.capture.recording import CAPTURE_VERSION, RotatingLog, mirror_line
 from tests.support.medium import Medium, Radio, Station, medium
 from wyner.runs.run import Run
 from wyner.runs.score.keys import KeyAudit, audit_keys
@@ -187,7 +188,7 @@ def _audit(radio: Radio, case: Case, folder: Path) -> KeyAudit:
         "capture_version": CAPTURE_VERSION,
         "appearances": case.receivers if case.transport == "udp" else 1,
     }
-    capture = RotatingLog(hers / CAPTURE, header, Limits(free_bytes=0), logger("radio"))
+    capture = RotatingLog(hers / CAPTURE, header, Bounds(free_bytes=0), logger("radio"))
     for t_ns, topic, fields in radio.heard:
         capture.write(mirror_line(t_ns, topic, to_json(fields)))
     capture.close()

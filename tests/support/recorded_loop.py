@@ -190,7 +190,7 @@ class RecordedLoop(TwoEnds):
             self._one_cipher(Offer.model_validate_json(message.payload))
         if message.kind in FIELD:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
-            self._capture.lines.append(line)
+            self._capture.put(line)
             message = self._attacked(message)
         super().said(side, message)
 
