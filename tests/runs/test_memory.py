@@ -60,16 +60,15 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def guessed(folder: Path, steps: int, scenario: str = "sustained") -> Path:
     """A run with an eavesdropper who guesses each step."""
     make_run(folder, steps, scenario)
-    events: list[dict[str, object]] = []
-    Run.load(folder).feed("plant", events.append)
-    made = [e for e in events if e["event"] == "transition"]
+    trace = Run.load(folder).columns("plant")
+    made = [trace.where(row) for row in trace.rows if row["j"] >= 0]
     writer = LineWriter(folder / GUESSES, {"format": TRACE_FORMAT, "version": TRACE_VERSION})
-    for e in made:
-        at = {"name": "t", "session": e["session"], "k": e["k"]}
+    for session, k in made:
+        at = {"name": "t", "session": session, "k": k}
         writer.append(dumps({"event": "guess", **at, "symbol": 0, "p": 1, "agreed": 1}))
     writer.close()
     record = {
-        "name": "t", "session": made[-1]["session"], "failed": "", "message": "", "whole": [],
+        "name": "t", "session": made[-1][0], "failed": "", "message": "", "whole": [],
         "whole_count": 0, "candidates_left": 0, "solved_k": -1, "confidence": 0.0, "symbols": [],
     }  # fmt: skip
     (folder / BELIEFS).write_text(json.dumps({"t": record}))
