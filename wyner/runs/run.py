@@ -121,6 +121,10 @@ class Run:
         self._traces[side] = found
         return found
 
+    def forget(self, side: Side) -> None:
+        """Let go of an end's trace; it is read again if it is asked for."""
+        self._traces.pop(side, None)
+
     def columns(self, side: Side) -> "Trace":
         """An end's trace in columns, read once whoever asks.
 
