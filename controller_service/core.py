@@ -20,7 +20,17 @@ from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phas
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.controller_session import TABLE, State, heard
 from protocol.link.distiller import Distiller
-from protocol.link.events import FELL_BACK, Alarm, Event, Reason, SessionBegan
+from protocol.link.events import (
+    BLOCKS_DIFFER,
+    DOES_NOT_FOLLOW,
+    ELSEWHERE,
+    FELL_BACK,
+    MET,
+    Alarm,
+    Event,
+    Reason,
+    SessionBegan,
+)
 from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
@@ -313,9 +323,7 @@ class ControllerCore:
             actions = self._count(*step)
         elif self._blocks_differ:
             self._blocks_differ = False
-            actions = self._end_session(
-                "blocks differ", "a key block differs from the plant's; session ended"
-            )
+            actions = self._end_session("blocks differ", BLOCKS_DIFFER)
         elif self._fell_back:
             self._fell_back = False
             self._drop_session()
@@ -502,7 +510,10 @@ class ControllerCore:
         expected = served[0] if served and self.rules.keyed else NO_SYMBOL
         failure = self._failure(verdict, expected, offer)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failure != "")
-        unwatched, too_many = self._watched(expected != NO_SYMBOL)
+        unwatched, too_many = record.unwatched, False
+        if self.rules.keyed:
+            watched = expected != NO_SYMBOL
+            unwatched, too_many = self.rules.watch.after(unwatched, watched=watched)
         reason: Reason = failure if alarm else "unwatched" if too_many else ""
         following = following._replace(
             failed=tests,
@@ -512,21 +523,16 @@ class ControllerCore:
         return _Reported(following, _Judged(verdict, carry, served, expected), reason)
 
     def _first(self) -> _Reported:
-        """A session's first measurement: of the last step of the session before nobody has heard.
+        """A session's first measurement: no transition, and an alarm if too many had no digit.
 
-        It counts as unwatched. Otherwise whoever ends each session at its first step would have
-        all of them unwatched, and none counted.
+        Whoever ends each session at its first step would otherwise have all of them unwatched, and
+        none counted.
         """
-        unwatched, too_many = self._watched(watched=False)
-        reason: Reason = "unwatched" if too_many else ""
-        halted = self.record.halted or (too_many and self.rules.halts)
-        return _Reported(self.record._replace(unwatched=unwatched, halted=halted), None, reason)
-
-    def _watched(self, watched: bool) -> tuple[float, bool]:
-        """The sum of unwatched steps after one more, and whether it makes an alarm."""
-        if not self.rules.keyed:
-            return self.record.unwatched, False
-        return self.rules.watch.after(self.record.unwatched, watched=watched)
+        too_many = self.rules.keyed and self.record.unwatched > self.rules.watch.burst
+        if not too_many:
+            return _Reported(self.record, None, "")
+        halted = self.record.halted or self.rules.halts
+        return _Reported(self.record._replace(unwatched=0.0, halted=halted), None, "unwatched")
 
     def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
         """The digits of an applied offer, where the plant says that they served."""
@@ -786,7 +792,7 @@ class ControllerCore:
         known = (self._plant, self.record.session)
         if hello.session != self.record.session:
             self._adopt(hello.session)
-            began = SessionBegan(hello.session, "the plant began it")
+            began = SessionBegan(hello.session, MET)
             actions = self._saved(Actions((began,)))
         self._plant = hello.instance
         if (hello.instance, hello.session) != known:
@@ -798,7 +804,10 @@ class ControllerCore:
 
     def _adopt(self, session: str) -> None:
         """Begin a session; the frame under way starts again."""
-        self.record = self._no_session()._replace(session=session)
+        unwatched = self.record.unwatched
+        if self.rules.keyed:  # of the last step of the session before nobody has heard
+            unwatched = self.rules.watch.unheard(unwatched)
+        self.record = self._no_session()._replace(session=session, unwatched=unwatched)
         self.record = self._decide(self.record.state, 0, self.record.message, 0)
         self._stale = 0
         self.keys.begin(session)
@@ -827,17 +836,21 @@ class ControllerCore:
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ"], why: str, said: str = ""
+    ) -> Actions:
         """One of the two ends went back in time: end the session, and greet."""
         _, self._state = TABLE[self._state, what]
         self._drop_session()
-        events = (SessionBegan(None, why),)
-        return self._saved(self._remind())._replace(events=events, notices=(self._refusal(why),))
+        refusal = self._refusal(said or f"{why}; session ended")
+        return self._saved(self._remind())._replace(
+            events=(SessionBegan(None, why),), notices=(refusal,)
+        )
 
     def _diverged(self, measurement: Measurement) -> Actions:
         """The plant reports what this journal rules out."""
         text = f"measurement {measurement.k} does not follow from the journal; session ended"
-        return self._end_session("does not follow", text)
+        return self._end_session("does not follow", DOES_NOT_FOLLOW, text)
 
     def _step_back(self, hello: PlantHello, *, ends: bool) -> Actions:
         """The plant asks another controller, or is with one: offer nothing in that session."""
@@ -847,7 +860,7 @@ class ControllerCore:
         actions = Actions(notices=(self._refusal(why),))
         if ends:
             self._drop_session()
-            actions = self._saved(actions)._replace(events=(SessionBegan(None, why),))
+            actions = self._saved(actions)._replace(events=(SessionBegan(None, ELSEWHERE),))
         self._plant = None
         if self._telemetry is not None:
             self._telemetry.phase = "greeting"

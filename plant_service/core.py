@@ -23,8 +23,11 @@ from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import NO_ROWS, Distiller
 from protocol.link.events import (
+    BLOCKS_DIFFER,
     FELL_BACK,
     NEW_JOURNAL,
+    RESUMED,
+    UNKNOWN_THERE,
     AttackBegan,
     Interrupted,
     Missed,
@@ -265,7 +268,7 @@ class PlantCore:
         self.now = now
         self._watchdog_at = now + self._patience_s
         record = self.record
-        reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
+        reason = NEW_JOURNAL if self._fresh else RESUMED
         actions = Actions(
             events=(SessionBegan(record.session, reason), *self._attack),
             tasks=self.keys.tasks(),
@@ -675,9 +678,8 @@ class PlantCore:
         if any(block.what == "unequal" for block in ended):
             self.state = TABLE[self.state, "blocks differ"].next
             self._begin_session()
-            text = "a key block differs from the controller's"
-            notice = Notice(f"{text}; new session {self.record.session}", "error")
-            return self._anew(text, notice, actions)
+            notice = Notice(f"{BLOCKS_DIFFER}; new session {self.record.session}", "error")
+            return self._anew(BLOCKS_DIFFER, notice, actions)
         return actions
 
     # --- steps without an offer -------------------------------------------------------------------
@@ -804,7 +806,7 @@ class PlantCore:
         if answer in ("begin anew", "begin and ask"):
             self._begin_session()
             notice = Notice(f"session ended; new session {self.record.session}", "warning")
-            return self._anew("the controller does not know the session before", notice)
+            return self._anew(UNKNOWN_THERE, notice)
         if answer == "work":
             return self._accepted_by(hello)
         if answer in ("say whose", "say model"):

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
-        "of them failed: nobody knows what she would have had. Of a capture alone, or with "
+        "of them failed: nobody knows what it would have had. Of a capture alone, or with "
         "--decode, show what each makes of it."
     )
     parser.add_argument(
@@ -158,7 +158,7 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
 
     print(f"\nkey blocks of {name}")
     if audit.blocks:
-        print("block  transitions  lost  rows  keys  she missed  she holds, bit")
+        print("block  transitions  lost  rows  keys  Eve missed  Eve holds, bit")
     for block in audit.blocks:
         print(
             f"{block.number:5}  {block.transitions:11}  {block.lost:4}  {block.rows:4}  "
