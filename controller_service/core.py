@@ -510,7 +510,10 @@ class ControllerCore:
         expected = served[0] if served and self.rules.keyed else NO_SYMBOL
         failure = self._failure(verdict, expected, offer)
         alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failure != "")
-        unwatched, too_many = self._watched(expected != NO_SYMBOL)
+        unwatched, too_many = record.unwatched, False
+        if self.rules.keyed:
+            watched = expected != NO_SYMBOL
+            unwatched, too_many = self.rules.watch.after(unwatched, watched=watched)
         reason: Reason = failure if alarm else "unwatched" if too_many else ""
         following = following._replace(
             failed=tests,
@@ -520,21 +523,16 @@ class ControllerCore:
         return _Reported(following, _Judged(verdict, carry, served, expected), reason)
 
     def _first(self) -> _Reported:
-        """A session's first measurement: of the last step of the session before nobody has heard.
+        """A session's first measurement: no transition, and an alarm if too many had no digit.
 
-        It counts as unwatched. Otherwise whoever ends each session at its first step would have
-        all of them unwatched, and none counted.
+        Whoever ends each session at its first step would otherwise have all of them unwatched, and
+        none counted.
         """
-        unwatched, too_many = self._watched(watched=False)
-        reason: Reason = "unwatched" if too_many else ""
-        halted = self.record.halted or (too_many and self.rules.halts)
-        return _Reported(self.record._replace(unwatched=unwatched, halted=halted), None, reason)
-
-    def _watched(self, watched: bool) -> tuple[float, bool]:
-        """The sum of unwatched steps after one more, and whether it makes an alarm."""
-        if not self.rules.keyed:
-            return self.record.unwatched, False
-        return self.rules.watch.after(self.record.unwatched, watched=watched)
+        too_many = self.rules.keyed and self.record.unwatched > self.rules.watch.burst
+        if not too_many:
+            return _Reported(self.record, None, "")
+        halted = self.record.halted or self.rules.halts
+        return _Reported(self.record._replace(unwatched=0.0, halted=halted), None, "unwatched")
 
     def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
         """The digits of an applied offer, where the plant says that they served."""
@@ -806,7 +804,10 @@ class ControllerCore:
 
     def _adopt(self, session: str) -> None:
         """Begin a session; the frame under way starts again."""
-        self.record = self._no_session()._replace(session=session)
+        unwatched = self.record.unwatched
+        if self.rules.keyed:  # of the last step of the session before nobody has heard
+            unwatched = self.rules.watch.unheard(unwatched)
+        self.record = self._no_session()._replace(session=session, unwatched=unwatched)
         self.record = self._decide(self.record.state, 0, self.record.message, 0)
         self._stale = 0
         self.keys.begin(session)
