@@ -25,10 +25,10 @@ class Tested(NamedTuple):
     gauges: Numbers
     expected: int
     keyed: bool
-    block: int
     x: Numbers
     candidates: list[Numbers]
     x_next: Numbers
+    block: int = -1
     box: list[Numbers] | None = None
     predictions: list[Numbers] | None = None
 
