@@ -23,6 +23,7 @@ from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
+from protocol.link.step import Read
 from protocol.scenario import Attack, Scenario
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
@@ -94,8 +95,7 @@ def open_core(
         When a device is to run at another pace than its own, or the attack cannot be made.
     """
     loaded = journal.load()
-    record, offer, report = loaded.record, loaded.offer, loaded.measurement
-    u = () if offer is None else offer.candidates[loaded.coin]
+    record, step = loaded.record, loaded.step
     attacker = None if attack is None else _attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
@@ -127,24 +127,28 @@ def open_core(
             if record is not None and not plant.acts:
                 state = record.true_x or state
             read = OutputPlant(plant, observer, spec, draws, state)
-            if report is not None and not plant.acts:
-                read.begin(report.applied_k, (), u)
-                read.end(report.applied_k)
+            if isinstance(step, Read) and not plant.acts:
+                read.begin(step.report.applied_k, (), step.offer.candidates[step.coin])
+                read.end(step.report.applied_k)
             plant, x = read, read.read(0 if record is None else record.k + 1)
         elif spec is not None and not plant.device:
             noisy = NoisyPlant(plant, spec, draws)
             k = 0 if record is None else record.k + 1  # of a step that was cut short
-            if report is not None:
-                noisy.recall(report.k, report.x, u)
+            if isinstance(step, Read):
+                u = step.offer.candidates[step.coin]
+                noisy.recall(step.report.k, step.report.x, u)
             plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
         if attacker is not None and attacker.at != "bus":
             x = scenario.initial_state if x is None else x
             plant = AttackedPlant(plant, attacker, x)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
-        first = record or first_record(scenario, new_id(), x)._replace(
-            sensor_seed=sensor_seed if spec is not None or observer is not None else 0
-        )
+        first = None
+        if record is None:
+            seeded = spec is not None or observer is not None
+            first = first_record(scenario, new_id(), x)._replace(
+                sensor_seed=sensor_seed if seeded else 0
+            )
         return PlantCore(
             rules_of(scenario),
             plant,
@@ -154,16 +158,9 @@ def open_core(
             new_id,
             now,
             instance=new_id(),
-            record=first,
-            symbols=loaded.symbols,
-            contributions=loaded.rows,
-            parts=loaded.parts,
-            offer=offer,
-            tossed=loaded.coin,
-            report=report,
+            loaded=loaded,
+            first=first,
             back=x if plant.acts and record is not None else None,
-            fresh=record is None,
-            fell_back=loaded.fell_back,
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,

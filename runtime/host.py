@@ -18,7 +18,8 @@ from functools import partial
 from math import inf
 from typing import Final, NamedTuple
 
-from protocol.link.peer import Actions, Notice, Peer
+from protocol.link.effects import Effects, Notice
+from protocol.link.peer import Peer
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
@@ -318,7 +319,7 @@ class Host:
         count = self._field.appearances()
         if count != loop.appearances:
             loop.appearances = count
-            perform(loop.endpoint.appear(count), loop.endpoint, loop.ports)
+            perform(loop.endpoint.appear(count), loop.ports)
 
     def _crowding(self, name: str) -> bool:
         """Whether messages leave more often than the loop knew when it made its last one."""
@@ -331,15 +332,14 @@ class Host:
         if loop is not None:
             self._do(name, partial(loop.endpoint.receive, kind, payload))
 
-    def _do(self, name: str, act: Callable[[float], Actions]) -> None:
+    def _do(self, name: str, act: Callable[[float], Effects]) -> None:
         loop = self._loops[name]
         try:
             if loop.started and loop.endpoint.makes_keys:
                 self._look_at_links(loop)
             if loop.started:  # a device may take its time to be found
                 self._turn.begin()
-            actions = act(self._clock())
-            perform(actions, loop.endpoint, loop.ports)
+            perform(act(self._clock()), loop.ports)
             loop.started = True
         except Exception as error:
             if not self._fleet:
@@ -374,7 +374,7 @@ class Host:
             self._by_key.pop(key_of(kind, name), None)
         try:
             with self._lost(loop, OSError, Failure):
-                perform(loop.endpoint.stop(self._clock()), loop.endpoint, loop.ports)
+                perform(loop.endpoint.stop(self._clock()), loop.ports)
         finally:
             with self._lost(loop):
                 loop.ports.close()
@@ -412,6 +412,6 @@ class Host:
                 ends.callback(self._end, name)
 
 
-def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Actions:
+def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
     """Tell an end of its block."""
     return endpoint.extracted(block)

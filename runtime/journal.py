@@ -22,14 +22,15 @@ import weakref
 from abc import ABC, abstractmethod
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar, Final, Generic, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Final, Generic, Self
 from zlib import crc32
 
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.peer import Actions
-from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
+from protocol.link.effects import Save
+from protocol.link.records import INITIAL_ID, Loaded, R, ReceiverRecord, SenderRecord
+from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import Part
@@ -59,33 +60,9 @@ _STEP: Final = (
 )
 """Writes over the row, which takes a third of the time of a new one in its place."""
 
-R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
-
 
 class JournalError(Failure):
     """A journal that cannot be used; the text names the file and what is wrong with it."""
-
-
-class Loaded(NamedTuple, Generic[R]):
-    """What a journal holds; a new one holds nothing.
-
-    ``offer``, ``coin`` and ``measurement`` are the step that follows the record, to be counted
-    again. At the controller the offer answers the measurement. At the plant the measurement reports
-    the step that the offer led to; with no measurement the step was begun and not read. ``rows``
-    are those of key blocks that are still needed, ``parts`` the digits of the key stream that
-    are left, ``symbols`` those of the frame under way that
-    have left the plant's record. ``fell_back``: the machine was started again since the last save,
-    and the newest saves may be missing.
-    """
-
-    record: R | None = None
-    offer: Offer | None = None
-    coin: int = NO_SYMBOL
-    measurement: Measurement | None = None
-    rows: tuple[Contribution, ...] = ()
-    parts: tuple[Part, ...] = ()
-    symbols: str = ""
-    fell_back: bool = False
 
 
 class Journal(ABC, Generic[R]):
@@ -207,9 +184,7 @@ class Journal(ABC, Generic[R]):
             try:
                 loaded: Loaded[R] = Loaded(
                     self.adapter.validate_json(record),
-                    Offer.from_wire(offer) if offer else None,
-                    coin,
-                    Measurement.from_wire(measurement) if measurement else None,
+                    _step_of(offer, coin, measurement),
                     rows,
                     parts,
                     self._symbols(),
@@ -226,53 +201,44 @@ class Journal(ABC, Generic[R]):
         """The symbols of the frame under way that are in a table of their own."""
         return ""
 
-    def save(self, actions: Actions) -> None:
+    def save(self, save: Save) -> None:
         """Save the record, the step that follows it, and what comes along, in one transaction."""
-        assert actions.record is not None
         execute = self.db.execute
         try:
-            if actions.durable:
+            if save.durable:
                 execute("PRAGMA synchronous=FULL")
             execute("BEGIN IMMEDIATE")
-            self._write(actions)
+            self._write(save)
             execute("COMMIT")
-            if actions.durable:
+            if save.durable:
                 execute("PRAGMA synchronous=NORMAL")
         except sqlite3.Error as error:
             with suppress(sqlite3.Error):
                 execute("ROLLBACK")
             raise JournalError(f"{self.path}: {error}") from None
-        self._saved = actions.record  # type: ignore[assignment]
+        self._saved = save.record  # type: ignore[assignment]
 
-    def _write(self, actions: Actions) -> None:
+    def _write(self, save: Save) -> None:
         """Within a transaction."""
-        record, offer, measurement = actions.record, actions.offer, actions.measurement
-        assert record is not None
-        step = (
-            0,
-            self.adapter.dump_json(record),
-            b"" if offer is None else offer.wire(),
-            actions.coin,
-            b"" if measurement is None else measurement.wire(),
-        )
+        step = (0, self.adapter.dump_json(save.record), *_columns(save.step))
         self.db.execute(_STEP, (*step, check_of(*step)))
-        if self._saved is None or record.session != self._saved.session:
+        if self._saved is None or save.record.session != self._saved.session:
             for table in self.of_session:
                 self.db.execute(f"DELETE FROM {table}")
-        for row in actions.rows.contributions:
+        for row in save.rows.contributions:
             self._put("row", *row)
-        for over in actions.rows.obsolete_rows:
+        for over in save.rows.obsolete_rows:
             self.db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
-        for part in actions.rows.parts:
+        for part in save.rows.parts:
+            place = part.block * KEYS_AT_MOST + part.number
             if part.digits:
-                self._put("stream", part.block * KEYS_AT_MOST + part.number, *part)
+                self._put("stream", place, *part)
             else:
-                place = part.block * KEYS_AT_MOST + part.number
                 self.db.execute("DELETE FROM stream WHERE place = ?", (place,))
-        self._write_more(actions)
+        self._write_more(save)
 
     @abstractmethod
-    def _write_more(self, actions: Actions) -> None:
+    def _write_more(self, save: Save) -> None:
         """Write what comes along in this side's own tables, within a transaction."""
 
     def forget(self) -> None:
@@ -322,11 +288,11 @@ class ControllerJournal(Journal[SenderRecord]):
         self.queued = last[0][0] + 1 if last else 0
         return super().load()
 
-    def _write_more(self, actions: Actions) -> None:
-        record = actions.record
+    def _write_more(self, save: Save) -> None:
+        record = save.record
         assert isinstance(record, SenderRecord)
-        if actions.queued is not None:
-            self.enqueue(actions.queued)
+        if save.queued is not None:
+            self.enqueue(save.queued)
         delivered = 0 if self._saved is None else self._saved.message
         for number in range(delivered, record.message):
             for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
@@ -382,19 +348,43 @@ class PlantJournal(Journal[ReceiverRecord]):
     def _symbols(self) -> str:
         return "".join(symbols for _, symbols in self._get("frame"))
 
-    def _write_more(self, actions: Actions) -> None:
-        record = actions.record
+    def _write_more(self, save: Save) -> None:
+        record = save.record
         assert isinstance(record, ReceiverRecord)
         if self._saved is not None and record.stored < self._saved.stored:
             self.db.execute("DELETE FROM frame")
-        if actions.symbols:
-            self._put("frame", record.stored, actions.symbols)
-        if actions.received is not None:
-            self._put("inbox", 0, actions.received)
+        if save.symbols:
+            self._put("frame", record.stored, save.symbols)
+        if save.received is not None:
+            self._put("inbox", 0, save.received)
 
     def last_message(self) -> bytes | None:
         """The message that was received last, or None."""
         return next((payload for _, payload in self._get("inbox")), None)
+
+
+def _columns(step: Step) -> tuple[bytes, int, bytes]:
+    """Offer, coin and measurement of the step's row."""
+    match step:
+        case Begun(offer, coin):
+            return offer.wire(), coin, b""
+        case Read(offer, coin, report):
+            return offer.wire(), coin, report.wire()
+        case Answered(measurement, offer):
+            return offer.wire(), NO_SYMBOL, measurement.wire()
+    return b"", NO_SYMBOL, b""
+
+
+def _step_of(offer: bytes, coin: int, measurement: bytes) -> Step:
+    """The step of these columns."""
+    if not offer:
+        return IDLE
+    if not measurement:
+        return Begun(Offer.from_wire(offer), coin)
+    said = Measurement.from_wire(measurement)
+    if coin == NO_SYMBOL:
+        return Answered(said, Offer.from_wire(offer))
+    return Read(Offer.from_wire(offer), coin, said)
 
 
 def check_of(*values: str | bytes | float | None) -> int:

@@ -14,6 +14,7 @@ from typing import Any, Final
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from plant_service.plant import Coin
+from protocol.link.effects import Effects, Save, Tell
 from protocol.link.pacing import Pacing
 from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.vectors import Vector
@@ -71,7 +72,6 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
 
     def read(path: Path) -> JournalState:
         with ControllerJournal(path, rules.fingerprint) as journal:
-            loaded = journal.load()
             core = ControllerCore(
                 rules,
                 _propose_nothing,
@@ -79,17 +79,9 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 SystemSymbols(),
                 instance=INSTANCE,
                 period_s=1.0,
-                record=loaded.record,
-                measurement=loaded.measurement,
-                offer=loaded.offer,
-                contributions=loaded.rows,
-                parts=loaded.parts,
+                loaded=journal.load()._replace(fell_back=False),
             )
-            pending = None
-            if core.unfinished:
-                for event in core.finish_step().events:
-                    if isinstance(event, CountedTransition):
-                        pending = event.as_event()
+            pending, _ = _counted(core.start(0.0))
             record = core.record
             for number in range(record.message, journal.queued):
                 journal.identifier(number)  # one that is missing is named
@@ -132,20 +124,9 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
                 lambda: INSTANCE,
                 0.0,
                 instance=INSTANCE,
-                record=loaded.record,
-                symbols=loaded.symbols,
-                contributions=loaded.rows,
-                parts=loaded.parts,
-                offer=loaded.offer,
-                tossed=loaded.coin,
-                report=loaded.measurement,
+                loaded=loaded._replace(fell_back=False),
             )
-        pending = None
-        if core.start(0.0).finish_step:
-            actions = core.finish_step()
-            counted = [e for e in actions.events if isinstance(e, CountedTransition)]
-            pending = counted[0].as_event()
-            last = last if actions.received is None else actions.received
+        pending, received = _counted(core.start(0.0))
         record = core.record
         return JournalState(
             session=record.session,
@@ -153,12 +134,23 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
             pending=pending,
             s=record.s,
             messages=record.messages,
-            last=last,
+            last=last if received is None else received,
             k=record.k,
             x=record.x,
         )
 
     return _from_copy(run_dir / PLANT_JOURNAL, read)
+
+
+def _counted(effects: Effects) -> tuple[dict[str, Any] | None, bytes | None]:
+    """The transition that a journal left to be counted, and the message that it brought."""
+    pending, received = None, None
+    for effect in effects:
+        if isinstance(effect, Tell) and isinstance(effect.event, CountedTransition):
+            pending = effect.event.as_event()
+        elif isinstance(effect, Save) and effect.received is not None:
+            received = effect.received
+    return pending, received
 
 
 class _Unmoved:
