@@ -47,7 +47,7 @@ $(STAMPS)/dev: requirements/dev.txt pyproject.toml | $(VENV)/bin/python
 	@mkdir -p $(STAMPS) && touch $@ $(STAMPS)/runtime
 
 demo: $(STAMPS)/runtime
-	$(BIN)/wyner demo
+	$(BIN)/wyner up --demo
 
 dev: $(STAMPS)/dev
 
@@ -131,7 +131,7 @@ campaign: $(STAMPS)/dev
 	WYNER_TESTS=whole $(MAKE) tests ALL=1
 
 bench: $(STAMPS)/dev
-	$(BIN)/wyner bench all
+	$(BIN)/python -m benchmarks all
 
 lock:
 	$(PYTHON) -m venv $(VENV)

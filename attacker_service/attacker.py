@@ -4,7 +4,8 @@ It runs in the process that hosts it, with that process's rights: a user's attac
 One that raises, or answers nonsense, is over, and from then on the truth passes.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any, Final
 
@@ -24,20 +25,21 @@ from attacker_service.holdings import Coins, Offers
 from attacker_service.sieve import Sieve
 from protocol.arrays import Array
 from protocol.link.events import AttackBegan
+from protocol.link.filters import Filter
 from protocol.messages import FIELD
 from protocol.scenario import Attack, Scenario
 from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.logs import logger
 
-BusMessage = tuple[str, bytes]
-"""A message's topic and payload."""
+HEARD: Final = 4096
+"""Messages that may wait for her; the oldest go first."""
 
 TYPES: Final = {kind.topic: kind for kind in FIELD}
 
 
-class Attacker:
-    """An attack, with the messages and keys that it holds.
+class Attacker(Filter):
+    """An attack, with the messages and keys that it holds; a filter where it is at the plant.
 
     Parameters
     ----------
@@ -63,10 +65,13 @@ class Attacker:
         With one line, when there is no such attack, or it cannot do with what it is given.
     """
 
+    acts = hears = True
+
     def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
         if scenario.plant.C is not None:
             raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
-        self.failed = ""
+        self.failed = self._untold = ""
+        self._heard: deque[tuple[str, bytes]] = deque(maxlen=HEARD)
         self.sieve = Sieve(scenario)
         self._onset = attack.onset
         try:
@@ -109,13 +114,13 @@ class Attacker:
 
     # --- the sensor and the actuator --------------------------------------------------------------
 
-    def reading(self, k: int, x: Vector, heard: Iterable[BusMessage]) -> Vector:
-        """What is reported in place of the true x(k), shape (n,)."""
-        for topic, payload in heard:
-            self._hear(k, topic, payload)
-        attack, true = self._attack, np.asarray(x)
+    def sensor(self, k: int, x: Vector, y: Vector) -> Vector:  # noqa: ARG002
+        """What is reported as x(k) in place of the reading ``y``, shape (n,)."""
+        for _ in range(len(self._heard)):
+            self._hear(k, *self._heard.popleft())
+        attack, true = self._attack, np.asarray(y)
         if not isinstance(attack, SensorAttack):
-            return x
+            return y
 
         def report() -> Array:
             if k < self._onset:
@@ -124,11 +129,11 @@ class Attacker:
             shown = self._shown if self._shown is not None else true
             return np.asarray(attack.sensor(self._observation(attack, k, true, shown)), float)
 
-        (reported,) = self._checked(k, [x], lambda: [report()])
+        (reported,) = self._checked(k, [y], lambda: [report()])
         self._shown = np.asarray(reported)
         return reported
 
-    def input(self, k: int, u: Vector) -> Vector:
+    def actuator(self, k: int, u: Vector) -> Vector:
         """What is applied in place of the input that was chosen in step k, shape (m,)."""
         attack, chosen = self._attack, np.asarray(u)
         if not isinstance(attack, ActuatorAttack):
@@ -141,6 +146,21 @@ class Attacker:
             return np.asarray(attack.actuator(chosen), float)
 
         return self._checked(k, [u], lambda: [apply()])[0]
+
+    def incoming(self, topic: str, payload: bytes) -> None:
+        """A message on the bus: it is heard before the next reading is reported."""
+        self._heard.append((topic, payload))
+
+    outgoing = incoming
+
+    def fault(self) -> str:
+        """Why it is over, once."""
+        told, self._untold = self._untold, ""
+        return told
+
+    def close(self) -> None:
+        """Say how many messages were none of the loop's."""
+        self.sieve.tell()
 
     def _hear(self, k: int, topic: str, payload: bytes) -> None:
         if self._offers is None or self.failed:
@@ -213,7 +233,7 @@ class Attacker:
         return found
 
     def _over(self, k: int, why: str) -> None:
-        self.failed = " ".join(why.split())
+        self.failed = self._untold = " ".join(why.split())
         log = logger("attacker")
         log.error("attack: %s; from step %d on the truth passes", self.failed, k)
 

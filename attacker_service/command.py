@@ -3,45 +3,40 @@
 import argparse
 from dataclasses import dataclass
 
-from runtime.bus_options import BusOptions, loop_of
+from protocol.topics import DEFAULT_LOOP
+from runtime import options
+from runtime.bus_options import loop_of
 from runtime.errors import DONE, UsageError
-from runtime.options import picked
+from runtime.options import option
+
+
+@dataclass(frozen=True, kw_only=True)
+class AttackerOptions:
+    """The service's options."""
+
+    scenario: str = option("file or shipped name", "S", ...)
+    attack: str | None = option("in place of the scenario's [attack]", "KIND@STEP")
+    loop: str = option("id of the control loop", "ID", DEFAULT_LOOP)
+    seed: int | None = option("for experiments: predictable draws", "N", least=0)
+    plant_side: str = option(
+        "listen there for the plant, such as tcp/127.0.0.1:7461", "ENDPOINT", ...
+    )
+    controller_side: str = option(
+        "listen there for the controller, such as tcp/127.0.0.1:7461", "ENDPOINT", ...
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the service's options."""
-    from protocol.topics import DEFAULT_LOOP
-
-    parser.add_argument("--scenario", required=True, metavar="S", help="file or shipped name")
-    parser.add_argument("--attack", metavar="KIND@STEP", help="in place of the scenario's [attack]")
-    parser.add_argument("--loop", default=DEFAULT_LOOP, metavar="ID", help="id of the control loop")
-    parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
-    for side in ("plant", "controller"):
-        parser.add_argument(
-            f"--{side}-side",
-            required=True,
-            metavar="ENDPOINT",
-            help=f"listen there for the {side}, such as tcp/127.0.0.1:7461",
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class AttackerOptions(BusOptions):
-    """The service's options."""
-
-    scenario: str
-    attack: str | None = None
-    seed: int | None = None
-    plant_side: str
-    controller_side: str
+    options.add_arguments(parser, AttackerOptions)
 
 
 def run(args: argparse.Namespace) -> int:
     """Pass messages on until a signal comes."""
-    return run_attacker(picked(AttackerOptions, vars(args)))
+    return run_attacker(options.picked(AttackerOptions, vars(args)))
 
 
-def run_attacker(options: AttackerOptions) -> int:
+def run_attacker(told: AttackerOptions) -> int:
     """Pass messages on until a signal comes.
 
     Raises
@@ -58,22 +53,22 @@ def run_attacker(options: AttackerOptions) -> int:
     from runtime.signals import stop_on_signals
     from runtime.zenoh_bus import ZenohBus
 
-    scenario, loop = scenario_of(options.scenario), loop_of(options)
-    attack = attack_option(options.attack, scenario.attack, None)
+    scenario, loop = scenario_of(told.scenario), loop_of(told.loop)
+    attack = attack_option(told.attack, scenario.attack, None)
     if attack is None:
         raise UsageError("--attack: expected KIND@STEP, as the scenario has no [attack]")
-    attacker = Attacker(scenario, attack, options.seed)
+    attacker = Attacker(scenario, attack, told.seed)
     if attacker.at != "bus":
         raise UsageError(f"attack.at: {attack.kind} is at the {attacker.at}: the plant hosts it")
     try:
         with (
             stop_on_signals() as stopping,
-            ZenohBus(listen=[options.plant_side]) as plant,
-            ZenohBus(listen=[options.controller_side]) as controller,
+            ZenohBus(listen=[told.plant_side]) as plant,
+            ZenohBus(listen=[told.controller_side]) as controller,
             watched(stopping, logger("attacker"), plant, controller),
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
-            attacker.sieve.tell()
+            attacker.close()
     except TransportError as error:
         raise UsageError(str(error)) from None
     return DONE

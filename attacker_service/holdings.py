@@ -5,7 +5,6 @@ from typing import Any, Final
 
 from attacker_service.base import UNKNOWN
 from protocol.knowledge import Knowledge
-from protocol.link.session import position_of
 from protocol.messages import FieldMessage, Offer
 from protocol.secret.stream import NOWHERE
 from tap_service.capture.channel import View, WiretapChannel
@@ -73,7 +72,7 @@ class Coins:
 
         Which digit of the key stream chooses it stands in the offer.
         """
-        position = position_of(offer)
+        position = offer.position
         if self._solver is None or position == NOWHERE:
             return UNKNOWN
         found = self._solver.digits(offer.session, position, 1)

@@ -1,4 +1,4 @@
-"""``python -m benchmarks``, and from a checkout ``wyner bench``: how fast this machine is."""
+"""``python -m benchmarks``: how fast wyner is on this machine."""
 
 import argparse
 import importlib
@@ -22,7 +22,7 @@ BENCHMARKS: Final = {
     "loop": Benchmark("benchmarks.loop", "the live loop in lock-step"),
     "pace": Benchmark("benchmarks.pace", "the highest rate that misses nothing"),
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
-    "engine": Benchmark("benchmarks.engine", "the engine beside the services' functions"),
+    "engine": Benchmark("benchmarks.engine", "the engine beside the services' cores"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
 }
 
@@ -30,7 +30,7 @@ BENCHMARKS: Final = {
 def build_parser() -> Parser:
     """The command line."""
     parser = Parser(
-        prog="wyner bench",
+        prog="python -m benchmarks",
         description="How fast wyner is on this machine, for developers.",
     )
     lines = "; ".join(f"{name}: {bench.text}" for name, bench in BENCHMARKS.items())
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     names = list(BENCHMARKS) if args.name == "all" else [args.name]
     results: dict[str, Any] = {}
     for name in names:
-        print(f"bench {name}: {BENCHMARKS[name].text} ...", file=sys.stderr)
+        print(f"{name}: {BENCHMARKS[name].text} ...", file=sys.stderr)
         module = importlib.import_module(BENCHMARKS[name].module)
         measure: Callable[..., dict[str, Any]] = module.measure
         render: Callable[[dict[str, Any]], str] = module.render
@@ -69,7 +69,7 @@ def _fleet_options(args: argparse.Namespace) -> dict[str, Any]:
     given = {"loops": args.loops, "seconds": args.seconds, "router": args.router or None}
     given = {name: value for name, value in given.items() if value is not None}
     if given and args.name != "fleet":
-        raise UsageError(f"--{next(iter(given))}: is for bench fleet")
+        raise UsageError(f"--{next(iter(given))}: is for the benchmark fleet")
     if given.get("loops", 1) < 1:
         raise UsageError(f"--loops: got {args.loops}, expected at least 1")
     if not 0 < given.get("seconds", 1.0) <= 86400:

@@ -1,12 +1,12 @@
 """When a transition makes an alarm at the controller."""
 
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm, Reason
 from protocol.link.records import SenderRecord
-from protocol.link.session import Counted, CountedTransition, Rules, position_of
-from protocol.messages import Offer
+from protocol.link.session import Counted, CountedTransition, Rules
+from protocol.messages import Measurement, Offer
 from protocol.secret.stream import NOWHERE
 
 
@@ -25,17 +25,38 @@ class Tested(NamedTuple):
     halted: bool
 
 
+NO_TEST: Final = Tested(NO_SYMBOL, "", 0, 0.0, halted=False)
+"""Where a measurement reports nothing new."""
+
+
 def tested(rules: Rules, record: SenderRecord, offer: Offer, counted: Counted) -> Tested:
     """Test the transition that ``offer`` made of ``record``."""
     expected = counted.digits[0] if counted.digits and rules.keyed else NO_SYMBOL
     failure = _failure(rules, offer, counted, expected)
     alarm, failed = rules.alarm_rule.test(record.failed, failed=failure != "")
-    unwatched, too_many = record.unwatched, False
-    if rules.keyed:
-        unwatched, too_many = rules.watch.after(unwatched, watched=expected != NO_SYMBOL)
+    unwatched, too_many = _watched(rules, record, watched=expected != NO_SYMBOL)
     reason: Reason = failure if alarm else "unwatched" if too_many else ""
     halted = record.halted or (reason != "" and rules.halts)
     return Tested(expected, reason, failed, unwatched, halted)
+
+
+def first(rules: Rules, record: SenderRecord) -> Tested:
+    """A session's first measurement: of the last step of the session before nobody has heard.
+
+    It counts as unwatched. Otherwise whoever ends each session at its first step would have all of
+    them unwatched, and none counted.
+    """
+    unwatched, too_many = _watched(rules, record, watched=False)
+    reason: Reason = "unwatched" if too_many else ""
+    halted = record.halted or (too_many and rules.halts)
+    return Tested(NO_SYMBOL, reason, record.failed, unwatched, halted)
+
+
+def _watched(rules: Rules, record: SenderRecord, *, watched: bool) -> tuple[float, bool]:
+    """The sum of unwatched steps after one more, and whether it makes an alarm."""
+    if not rules.keyed:
+        return record.unwatched, False
+    return rules.watch.after(record.unwatched, watched=watched)
 
 
 def _failure(rules: Rules, offer: Offer, counted: Counted, expected: int) -> Reason:
@@ -46,13 +67,22 @@ def _failure(rules: Rules, offer: Offer, counted: Counted, expected: int) -> Rea
     """
     if rules.fails(counted.verdict, expected):
         return "unexplained" if expected == NO_SYMBOL else "another candidate"
-    if rules.keyed and expected == NO_SYMBOL and position_of(offer) != NOWHERE:
+    if rules.keyed and expected == NO_SYMBOL and offer.position != NOWHERE:
         return "digits refused"
     return ""
 
 
-def alarm_of(rules: Rules, transition: CountedTransition, applied: Offer, reason: Reason) -> Alarm:
-    """What was read and what was expected, of a transition that makes an alarm."""
+def alarm_of(
+    rules: Rules,
+    measurement: Measurement,
+    transition: CountedTransition | None,
+    applied: Offer | None,
+    reason: Reason,
+) -> Alarm:
+    """What was read and what was expected where a measurement makes an alarm."""
+    if transition is None or applied is None:
+        k = measurement.k - 1
+        return Alarm(measurement.session, -1, k, measurement.x, reason, -1, (), 0.0)
     gauges, candidate = transition.verdict.gauges, transition.expected
     if candidate == NO_SYMBOL:
         candidate = gauges.index(min(gauges))

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from runtime.bus_options import (
     ServiceOptions,
-    add_end_arguments,
+    add_service_arguments,
     buses_of,
     check_addresses,
     fleet_of,
@@ -14,11 +14,11 @@ from runtime.bus_options import (
 )
 from runtime.errors import DONE, UsageError
 from runtime.options import (
-    add_message_arguments,
-    at_least,
+    MessageOptions,
     checked,
     folder_of,
     message_of,
+    option,
     pace_of,
     picked,
     run_dir_of,
@@ -31,44 +31,29 @@ if TYPE_CHECKING:
     from protocol.scenario import Scenario
 
 
+@dataclass(frozen=True, kw_only=True)
+class ControllerOptions(MessageOptions, ServiceOptions):
+    """The service's options."""
+
+    scenario: str = option("file or shipped name", "S", "sustained")
+    pace: str = option(
+        "the plant's: a network's delays are of its clock (default: realtime)", "P", "realtime"
+    )
+    clear_alarm: bool = option(
+        "let a controller offer again whose offers an alarm has ended", default=False
+    )
+    model_folder: str | None = option(
+        "where the files of defender.model and [network] are (default: beside the scenario)", "D"
+    )
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the service's options."""
     parser.description = (
         "Run the controller: offer inputs for each state that the plant reports, and send the "
         "messages that are handed to it."
     )
-    parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
-    parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
-    add_message_arguments(parser)
-    parser.add_argument(
-        "--pace",
-        default="realtime",
-        metavar="P",
-        help="the plant's: a network's delays are of its clock (default: realtime)",
-    )
-    parser.add_argument(
-        "--clear-alarm",
-        action="store_true",
-        help="let a controller offer again whose offers an alarm has ended",
-    )
-    parser.add_argument(
-        "--model-folder",
-        metavar="D",
-        help="where the files of defender.model and [network] are (default: beside the scenario)",
-    )
-    add_end_arguments(parser, "controller")
-
-
-@dataclass(frozen=True, kw_only=True)
-class ControllerOptions(ServiceOptions):
-    """The service's options."""
-
-    scenario: str = "sustained"
-    pace: str = "realtime"
-    message: str | None = None
-    message_file: str | None = None
-    clear_alarm: bool = False
-    model_folder: str | None = None
+    add_service_arguments(parser, "controller", ControllerOptions)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -90,7 +75,6 @@ def run_controller(options: ControllerOptions) -> int:
     from runtime.scenario_file import keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
-    at_least("--seed", options.seed, 0)
     check_addresses(options, "controller")
     bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
     message = message_of(options.message, options.message_file)
@@ -115,7 +99,7 @@ def run_controller(options: ControllerOptions) -> int:
     config = ControllerConfig(
         scenario=scenario,
         law=_law_of(scenario),
-        loop=loop_of(options),
+        loop=loop_of(options.loop),
         message=message,
         pace=pace,
         seed=options.seed,

@@ -11,12 +11,12 @@ The rules are those of :mod:`protocol.link.session`. Which plant's session is se
 
 from collections.abc import Callable
 from math import inf
-from typing import Final, Literal
+from typing import Final, Literal, NamedTuple
 from zlib import crc32
 
 from pydantic import ValidationError
 
-from controller_service.alarms import Tested, alarm_of, tested
+from controller_service.alarms import NO_TEST, Tested, alarm_of, first, tested
 from controller_service.outgoing import Outgoing
 from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
 from protocol.agreement import NO_SYMBOL
@@ -27,7 +27,7 @@ from protocol.link.events import FELL_BACK, SessionBegan
 from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.records import INITIAL_ID, Loaded, SenderRecord
-from protocol.link.session import Counted, CountedTransition, Rules, position_of
+from protocol.link.session import Counted, CountedTransition, Rules, reports
 from protocol.link.step import IDLE, Answered, Begun, Idle, Read
 from protocol.messages import (
     LARGEST_COUNT,
@@ -75,8 +75,17 @@ Predict = Callable[[Vector, Vector], Vector]
 NEW: Final = Loaded[SenderRecord]()
 """A journal that nothing was saved in."""
 
-_Report = tuple[Counted, Tested]
-"""What the test made of the transition that a measurement reports."""
+
+class _Reported(NamedTuple):
+    """What a measurement leads to.
+
+    ``following`` is the record that follows, but for what the answer adds. ``counted`` is None
+    where no new transition is reported.
+    """
+
+    following: SenderRecord
+    counted: Counted | None = None
+    test: Tested = NO_TEST
 
 
 class ControllerCore:
@@ -120,13 +129,7 @@ class ControllerCore:
     """
 
     hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, StopKeys)
-    says: tuple[type[Message], ...] = (
-        Offer,
-        ControllerHello,
-        SendReply,
-        StopKeys,
-        ControllerStatus,
-    )
+    says: tuple[type[Message], ...] = (Offer, ControllerHello, SendReply, ControllerStatus)
 
     def __init__(
         self,
@@ -163,7 +166,7 @@ class ControllerCore:
         if read.session is not None:
             said = read if isinstance(step, Idle) else step.offer
             newest = read.offer if isinstance(step, Idle) else step.offer
-            named = NOWHERE if newest is None else position_of(newest)
+            named = NOWHERE if newest is None else newest.position
             self.keys.begin(
                 read.session,
                 said.block,
@@ -208,7 +211,7 @@ class ControllerCore:
     def reported(self) -> int:
         """Transitions that the plant has reported, the one that waits to be counted included."""
         record, step = self.record, self.step
-        counts = isinstance(step, Answered) and _reports(record, step.measurement)
+        counts = isinstance(step, Answered) and reports(record, step.measurement)
         return record.transitions + counts
 
     # --- what the shell calls ---------------------------------------------------------------------
@@ -220,7 +223,7 @@ class ControllerCore:
             self._status_at = now
         if isinstance(self.step, Answered):
             measurement, offer = self.step
-            yield from self._count(measurement, offer, *self._report(measurement, offer.cipher))
+            yield from self._count(measurement, offer, self._report(measurement, offer.cipher))
         if self._fell_back:
             self._drop_session()
             yield Tell(SessionBegan(None, FELL_BACK))
@@ -313,20 +316,21 @@ class ControllerCore:
         ):
             yield from self._diverged(measurement)
             return
-        following, report = self._report(measurement)
+        reported = self._report(measurement)
+        following = reported.following
         if following.halted and record.halted:
             return
         offer = HALTED if following.halted else self._offer(measurement, following)
         if isinstance(offer, str):  # what the measurement reports counts all the same
             self._set_phase("alarmed" if following.halted else "outside", self._detail)
             yield self._refusal(offer)
-            yield from self._count(measurement, None, following, report)
+            yield from self._count(measurement, None, reported)
             return
         self.step = Answered(measurement, offer)
         self._set_phase("running")
         yield self._save()
         yield Publish(offer)
-        yield from self._count(measurement, offer, following, report)
+        yield from self._count(measurement, offer, reported)
 
     def _offer(self, measurement: Measurement, following: SenderRecord) -> Offer | str:
         """The answer to a measurement, or why there is none."""
@@ -382,41 +386,41 @@ class ControllerCore:
         assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
         return tuple([self._predict(x, u) for u in candidates])
 
-    def _report(
-        self, measurement: Measurement, decided: int | None = None
-    ) -> tuple[SenderRecord, _Report | None]:
+    def _report(self, measurement: Measurement, decided: int | None = None) -> _Reported:
         """Judge the offer that ``measurement`` reports as applied; decide the next symbol.
 
-        Returns the record that follows, but for what the answer adds, and what the test made of the
-        transition. Where the measurement reports none that is new, the symbol decided before stays.
-        ``decided`` is the cipher symbol of an answer that was given before.
+        Where it reports no new transition, the symbol decided before stays. ``decided`` is the
+        cipher symbol of an answer that was given before.
         """
         record, rules = self.record, self.rules
-        offer = record.offer
-        if offer is None or not _reports(record, measurement):
-            return record, None
-        digits = self._served(offer, measurement)
-        counted = rules.count(record, offer, measurement.x_after, digits)
-        if rules.scheme.from_stream and not digits:
-            # the symbol was not carried: it comes again
-            following = record._replace(state=counted.state)
+        offer, counted = record.offer, None
+        if record.k < 0:
+            following, test = record, first(rules, record)
+        elif offer is None or not reports(record, measurement):
+            return _Reported(record)
         else:
-            following = self.outgoing.following(record, counted.state, decided)
-        test = tested(rules, record, offer, counted)
-        estimate = counted.verdict.estimate
+            digits = self._served(offer, measurement)
+            counted = rules.count(record, offer, measurement.x_after, digits)
+            test = tested(rules, record, offer, counted)
+            if rules.scheme.from_stream and not digits:
+                # the symbol was not carried: it comes again
+                following = record._replace(state=counted.state)
+            else:
+                following = self.outgoing.following(record, counted.state, decided)
+        estimate = None if counted is None else counted.verdict.estimate
         following = following._replace(
             failed=test.failed,
             unwatched=test.unwatched,
             halted=test.halted,
             estimate=record.estimate if estimate is None else estimate,
         )
-        return following, (counted, test)
+        return _Reported(following, counted, test)
 
     def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
         """The digits of an applied offer, where the plant says that they served."""
         if not measurement.keyed:
             return ()
-        return self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        return self.keys.stream.at(offer.position, self.rules.digits) or ()
 
     def _next_position(self, announced: int) -> Position:
         """Where the next offer's digits begin.
@@ -434,35 +438,36 @@ class ControllerCore:
         self,
         measurement: Measurement,
         offer: Offer | None,
-        following: SenderRecord,
-        report: _Report | None,
+        reported: _Reported,
     ) -> Effects:
         """Bring the record up to the answer given: the transition that it reports, if any."""
-        before = self.record
+        before, (following, counted, test) = self.record, reported
         self.step = IDLE
         self.keys.heard(measurement)
         transition = delivered = alarm = None
-        if report is not None:
+        if counted is not None:
             assert before.offer is not None
             if following.message != before.message:
                 delivered = self._queued(before.message)
-            transition = self._transition(before, before.offer, measurement, report, delivered)
-            if report[1].reason:
-                alarm = alarm_of(self.rules, transition, before.offer, report[1].reason)
+            transition = self._transition(before, measurement, counted, test.expected, delivered)
             if self._telemetry is not None:
-                self._telemetry.counted(transition, alarm)
+                self._telemetry.counted(transition)
             following = following._replace(
                 applied_k=before.offer.k,
                 transitions=before.transitions + 1,
                 agreements=before.agreements + (transition.symbol != NO_SYMBOL),
                 p=transition.p,
             )
+        if test.reason:
+            alarm = alarm_of(self.rules, measurement, transition, before.offer, test.reason)
+            if self._telemetry is not None:
+                self._telemetry.alarmed(alarm)
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
             following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
         self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
         if before.offer is not None:
-            self.keys.used(position_of(before.offer), self.rules.digits)
+            self.keys.used(before.offer.position, self.rules.digits)
         ended = self.keys.ended()
         yield from map(Tell, ended)
         if transition is not None:
@@ -485,12 +490,14 @@ class ControllerCore:
     def _transition(
         self,
         before: SenderRecord,
-        applied: Offer,
         measurement: Measurement,
-        report: _Report,
+        counted: Counted,
+        expected: int,
         delivered: SendCommand | None,
     ) -> CountedTransition:
-        """The transition that ``applied`` made of the record ``before``, with its row of keys."""
+        """The transition that the record's offer made of it, with its row of keys."""
+        applied = before.offer
+        assert applied is not None
         contribution = self.keys.count(
             before.transitions,
             applied.k - before.applied_k,
@@ -498,7 +505,6 @@ class ControllerCore:
             measurement.applied_copy,
             before.nonce,
         )
-        counted, test = report
         carried = counted.carry.pad != NO_SYMBOL
         return CountedTransition.of(
             self.rules.scheme,
@@ -508,7 +514,7 @@ class ControllerCore:
             counted,
             before.message_symbol if carried else NO_SYMBOL,
             contribution,
-            expected=test.expected,
+            expected=expected,
             delivered=delivered,
         )
 
@@ -730,11 +736,6 @@ class ControllerCore:
         """Have a status published and kept at the next wake, which is then due at once."""
         if self._telemetry is not None:
             self._status_at = self._health_at = self.now
-
-
-def _reports(record: SenderRecord, measurement: Measurement) -> bool:
-    """Whether ``measurement`` reports a transition that the record does not have yet."""
-    return record.offer is not None and measurement.applied_k != record.applied_k
 
 
 def _after(incarnation: int) -> int:

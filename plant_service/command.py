@@ -5,16 +5,34 @@ from dataclasses import dataclass
 
 from runtime.bus_options import (
     ServiceOptions,
-    add_end_arguments,
+    add_service_arguments,
     buses_of,
     check_addresses,
     fleet_of,
     loop_of,
 )
 from runtime.errors import DONE, UsageError
-from runtime.options import at_least, checked, folder_of, pace_of, picked, run_dir_of
+from runtime.options import checked, folder_of, option, pace_of, picked, run_dir_of
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_SAFE
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlantOptions(ServiceOptions):
+    """The service's options."""
+
+    scenario: str = option("file or shipped name", "S", "sustained")
+    pace: str = option("realtime, xN, or fast (lock-step)", "P", "realtime")
+    steps: int | None = option("stop at step N", "N", least=1)
+    plant_folder: str | None = option(
+        "where the files are that [plant] and [network] name (default: beside the scenario)", "D"
+    )
+    clear_safe: bool = option(
+        "let a plant run again that was sent to its safe state", default=False
+    )
+    attack: str | None = option(
+        "attack this plant from a step on, in place of the scenario's [attack]", "KIND@STEP"
+    )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -23,40 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Run the plant: simulate or drive it, toss its coin, apply what is offered, recover "
         "the message."
     )
-    parser.add_argument("--scenario", default="sustained", metavar="S", help="file or shipped name")
-    parser.add_argument("--run-dir", metavar="D", help="where journal and traces lie")
-    parser.add_argument(
-        "--pace", default="realtime", metavar="P", help="realtime, xN, or fast (lock-step)"
-    )
-    parser.add_argument("--steps", type=int, metavar="N", help="stop at step N")
-    parser.add_argument(
-        "--plant-folder",
-        metavar="D",
-        help="where the files are that [plant] and [network] name (default: beside the scenario)",
-    )
-    parser.add_argument(
-        "--clear-safe",
-        action="store_true",
-        help="let a plant run again that was sent to its safe state",
-    )
-    parser.add_argument(
-        "--attack",
-        metavar="KIND@STEP",
-        help="attack this plant from a step on, in place of the scenario's [attack]",
-    )
-    add_end_arguments(parser, "plant")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlantOptions(ServiceOptions):
-    """The service's options."""
-
-    scenario: str = "sustained"
-    pace: str = "realtime"
-    steps: int | None = None
-    attack: str | None = None
-    plant_folder: str | None = None
-    clear_safe: bool = False
+    add_service_arguments(parser, "plant", PlantOptions)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -78,8 +63,6 @@ def run_plant(options: PlantOptions) -> int:
     from runtime.scenario_file import attack_option, keep_scenario, scenario_of
     from runtime.shipped import scenario_file_of
 
-    at_least("--steps", options.steps, 1)
-    at_least("--seed", options.seed, 0)
     check_addresses(options, "plant")
     bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
     fleet = fleet_of(options)
@@ -103,7 +86,7 @@ def run_plant(options: PlantOptions) -> int:
         return DONE
     config = PlantConfig(
         scenario=scenario,
-        loop=loop_of(options),
+        loop=loop_of(options.loop),
         pace=pace,
         steps=options.steps,
         attack=attack,

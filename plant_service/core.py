@@ -37,7 +37,7 @@ from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import Pacing, next_turn, phase_of
 from protocol.link.plant_session import PlantSession, first_state
 from protocol.link.records import Loaded, ReceiverRecord
-from protocol.link.session import CountedTransition, Rules, Truth, position_of
+from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.link.step import IDLE, Answered, Begun, Idle, Read
 from protocol.messages import (
     ControllerHello,
@@ -345,7 +345,7 @@ class PlantCore:
             self._telemetry.answered(now - self.measured_at)
         self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
         digits = self._digits(offer)
-        if not digits and self.keys.awaits(position_of(offer).block):
+        if not digits and self.keys.awaits(offer.position.block):
             return  # the offer comes again, when its digits are there
         keyed = self.rules.keyed and digits
         coin = digits[0] if keyed else self.coin.toss(record.transitions)
@@ -391,7 +391,7 @@ class PlantCore:
 
     def _digits(self, offer: Offer) -> tuple[int, ...]:
         """The digits of the key stream that an offer names, where this end holds them."""
-        return self.keys.stream.at(position_of(offer), self.rules.digits) or ()
+        return self.keys.stream.at(offer.position, self.rules.digits) or ()
 
     # --- read, save, report -----------------------------------------------------------------------
 
@@ -536,7 +536,7 @@ class PlantCore:
         )
         self.session.on("offer applied")
         if counted.digits:
-            self.keys.used(position_of(offer), rules.digits)
+            self.keys.used(offer.position, rules.digits)
         self.coin.prepare(self.record.transitions)
         self.plant.prepare(self.record.k)
         contradicted = None if self._telemetry is None else self._telemetry.counted(transition)

@@ -7,16 +7,14 @@ from typing import TYPE_CHECKING
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
-from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import (
     Coin,
     Disturbances,
     LinearModel,
-    NoisyPlant,
     OperatedPlant,
-    OutputPlant,
     Plant,
+    sensed,
 )
 from plant_service.status import PlantTelemetry
 from protocol.link.fallback import Fallback
@@ -25,8 +23,10 @@ from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.link.step import Read
 from protocol.scenario import Attack, Scenario
+from protocol.secret.nonces import NonceSource
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
 from protocol.vectors import Vector
+from runtime.chance import fresh_nonce
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.network import round_trip_s
@@ -62,6 +62,7 @@ def open_core(
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
     attack: Attack | None = None,
+    nonces: NonceSource = fresh_nonce,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
 
@@ -86,6 +87,7 @@ def open_core(
         In place of the scenario's plant.
     attack : Attack, optional
         On this plant, or on its bus.
+    nonces : NonceSource
 
     Raises
     ------
@@ -122,25 +124,11 @@ def open_core(
         plant = OperatedPlant(operated, disturbances, enters)
     try:
         draws = sensors or Stream(sensor_seed, SENSOR, width=scenario.readings)
-        if observer is not None and not plant.device:
-            state = scenario.initial_state if x is None else x
-            if record is not None and not plant.acts:
-                state = record.true_x or state
-            read = OutputPlant(plant, observer, spec, draws, state)
-            if isinstance(step, Read) and not plant.acts:
-                read.begin(step.report.applied_k, (), step.offer.candidates[step.coin])
-                read.end(step.report.applied_k)
-            plant, x = read, read.read(0 if record is None else record.k + 1)
-        elif spec is not None and not plant.device:
-            noisy = NoisyPlant(plant, spec, draws)
-            k = 0 if record is None else record.k + 1  # of a step that was cut short
-            if isinstance(step, Read):
-                u = step.offer.candidates[step.coin]
-                noisy.recall(step.report.k, step.report.x, u)
-            plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and attacker.at != "bus":
-            x = scenario.initial_state if x is None else x
-            plant = AttackedPlant(plant, attacker, x)
+        at_plant = None if attacker is None or attacker.at == "bus" else attacker
+        last = None
+        if isinstance(step, Read):
+            last = (step.report, step.offer.candidates[step.coin])
+        plant, x = sensed(plant, scenario, at_plant, draws, x, record, last)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
         first = None
@@ -166,6 +154,7 @@ def open_core(
             watchdog_s=scenario.link.watchdog_s,
             round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
             attack=None if attacker is None else attacker.began,
+            nonces=nonces,
         )
     except BaseException:  # it was started: whoever cannot go on leaves it safe
         plant.safe("its service could not start")

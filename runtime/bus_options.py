@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from protocol.topics import DEFAULT_LOOP, check_loop
 from runtime.collection import freeze_startup
 from runtime.errors import UsageError
 from runtime.logs import logger
-from runtime.options import add_bounds_arguments, add_check_argument, add_fleet_arguments
+from runtime.options import add_arguments, option
 from runtime.services import SERVICES, bus_names
 from runtime.signals import stop_on_signals
 
@@ -22,82 +22,76 @@ if TYPE_CHECKING:
     from runtime.fleet import Fleet
 
 
+ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that bus's default"
+
+
 @dataclass(frozen=True, kw_only=True)
 class BusOptions:
-    """What a command line says of the buses (:func:`add_endpoint_arguments`)."""
+    """What a command line says of the buses."""
 
-    loop: str = DEFAULT_LOOP
-    listen: Sequence[str] = ()
-    connect: Sequence[str] = ()
-    client: Sequence[str] = ()
-    tls: Sequence[str] = ()
-    scouting: bool = False
+    loop: str = option("id of the control loop", "ID", DEFAULT_LOOP, group=ENDPOINTS)
+    listen: Sequence[str] = option(
+        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
+        "BUS=ENDPOINT",
+        (),
+        many=True,
+        group=ENDPOINTS,
+    )
+    connect: Sequence[str] = option(
+        "connect to an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
+        "BUS=ENDPOINT",
+        (),
+        many=True,
+        group=ENDPOINTS,
+    )
+    client: Sequence[str] = option(
+        "open this bus as a client of the router it connects to",
+        "BUS",
+        (),
+        many=True,
+        group=ENDPOINTS,
+    )
+    tls: Sequence[str] = option(
+        "mutual TLS with ca.pem, cert.pem and key.pem of this folder",
+        "BUS=FOLDER",
+        (),
+        many=True,
+        group=ENDPOINTS,
+    )
+    scouting: bool = option(
+        "let peers find one another by multicast", default=False, group=ENDPOINTS
+    )
+
+
+BOUNDS: Final = "bounds of the recording"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceOptions(BusOptions):
     """What each of the services is told: also how its recording is bounded, and of many loops."""
 
-    scenario: str | None = None
-    run_dir: str | None = None
-    seed: int | None = None
-    check: bool = False
-    part_bytes: int | None = None
-    total_bytes: int | None = None
-    fleet: str | None = None
-    loops: int | None = None
-    metrics: str | None = None
-
-
-def add_endpoint_arguments(parser: argparse.ArgumentParser, service: str) -> None:
-    """Add ``--loop``, ``--listen``, ``--connect``, ``--client``, ``--tls``, ``--scouting``."""
-    buses = ", ".join(SERVICES[service].ends)
-    group = parser.add_argument_group(
-        "endpoints", f"BUS is one of: {buses}; an option replaces that bus's default"
+    scenario: str | None = option("file or shipped name", "S")
+    run_dir: str | None = option("where journal and traces lie", "D")
+    seed: int | None = option("for experiments: predictable draws", "N", least=0)
+    check: bool = option("check options and scenario, and start nothing", default=False)
+    fleet: str | None = option(
+        "run all loops of this file (docs/deployment.md)", "FILE", either="fleet"
     )
-    group.add_argument("--loop", default=DEFAULT_LOOP, metavar="ID", help="id of the control loop")
-    for option, what in (("--listen", "listen at"), ("--connect", "connect to")):
-        group.add_argument(
-            option,
-            action="append",
-            default=[],
-            metavar="BUS=ENDPOINT",
-            help=f"{what} an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        )
-    group.add_argument(
-        "--client",
-        action="append",
-        default=[],
-        metavar="BUS",
-        help="open this bus as a client of the router it connects to",
-    )
-    group.add_argument(
-        "--tls",
-        action="append",
-        default=[],
-        metavar="BUS=FOLDER",
-        help="mutual TLS with ca.pem, cert.pem and key.pem of this folder",
-    )
-    group.add_argument(
-        "--scouting", action="store_true", help="let peers find one another by multicast"
+    loops: int | None = option("run N loops of --scenario", "N", either="fleet")
+    metrics: str | None = option("answer Prometheus there (docs/deployment.md)", "HOST:PORT")
+    part_bytes: int | None = option("size at which a part ends", "N", group=BOUNDS)
+    total_bytes: int | None = option(
+        "bound of all parts together, of which one takes half at most; the oldest are dropped",
+        "N",
+        group=BOUNDS,
     )
 
 
-def add_end_arguments(parser: argparse.ArgumentParser, service: str) -> None:
-    """Add what both ends of a loop are told alike: seed, bounds, fleets, metrics, buses."""
-    parser.add_argument("--seed", type=int, metavar="N", help="for experiments: predictable draws")
-    add_check_argument(parser)
-    add_bounds_arguments(parser)
-    add_fleet_arguments(parser)
-    add_metrics_argument(parser)
-    add_endpoint_arguments(parser, service)
-
-
-def add_metrics_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--metrics``."""
-    parser.add_argument(
-        "--metrics", metavar="HOST:PORT", help="answer Prometheus there (docs/deployment.md)"
-    )
+def add_service_arguments(
+    parser: argparse.ArgumentParser, service: str, kind: type[BusOptions] = BusOptions
+) -> None:
+    """Add the options of a dataclass that has those of the buses of a service."""
+    add_arguments(parser, kind, buses=", ".join(SERVICES[service].ends))
 
 
 def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
@@ -111,10 +105,10 @@ def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[t
     return pairs
 
 
-def loop_of(options: BusOptions) -> str:
+def loop_of(loop: str) -> str:
     """The checked ``--loop``."""
     try:
-        return check_loop(options.loop)
+        return check_loop(loop)
     except ValueError as error:
         raise UsageError(f"--{error}") from None
 
@@ -134,10 +128,10 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
     listens = _split("--listen", options.listen, defaults)
     connects = _split("--connect", options.connect, defaults)
     folders = dict(_split("--tls", options.tls, defaults))
-    for option, pairs in (("--listen", listens), ("--connect", connects)):
+    for said, pairs in (("--listen", listens), ("--connect", connects)):
         for name, endpoint in pairs:
             try:
-                check_endpoint(endpoint, f"{option} {name}", tls=name in folders)
+                check_endpoint(endpoint, f"{said} {name}", tls=name in folders)
             except TransportError as error:
                 raise UsageError(str(error)) from None
     for name in options.client:
@@ -165,7 +159,7 @@ def check_addresses(options: ServiceOptions, service: str) -> None:
     UsageError
         When one of them is none.
     """
-    loop_of(options)
+    loop_of(options.loop)
     for bus in SERVICES[service].ends:
         endpoints_of(options, service, bus)
     if options.metrics is not None:

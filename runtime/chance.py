@@ -1,18 +1,25 @@
-"""What the operating system's generator draws live: symbols, nonces, the noise of a simulation.
+"""What is drawn at random: by the operating system's generator in a service, by a seed elsewhere.
 
 The protocol is handed all that is drawn (:mod:`protocol.streams`) and draws nothing itself.
 """
 
+import random
 import secrets
 from binascii import b2a_base64
 
-from protocol.secret.nonces import NONCE_BYTES
+from protocol.secret.nonces import NONCE_BYTES, NonceSource
 from protocol.streams import DISTURBANCE, SeededSymbols, Stream, SymbolSource
 
 
 def fresh_nonce() -> str:
     """A nonce from the operating system's generator, in base64."""
     return b2a_base64(secrets.token_bytes(NONCE_BYTES), newline=False).decode()
+
+
+def seeded_nonces(seed: int, run: int) -> NonceSource:
+    """Nonces that a seed gives again, for a simulated run: its ends draw from one source."""
+    draw = random.Random(f"nonces {seed} {run}")
+    return lambda: b2a_base64(draw.randbytes(NONCE_BYTES), newline=False).decode()
 
 
 class SystemSymbols:

@@ -1,14 +1,29 @@
 """What a status that a service writes once a second says of its health."""
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from protocol.messages import ControllerStatus, PlantStatus
 from runtime.errors import Failure
 from runtime.files import read_regular
-from runtime.services import Look
 
-S = TypeVar("S", PlantStatus, ControllerStatus)
+if TYPE_CHECKING:
+    from protocol.messages import ControllerStatus, PlantStatus
+
+S = TypeVar("S", "PlantStatus", "ControllerStatus")
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """One look at a service: how old its report is, what it has counted, and its own line.
+
+    ``health`` begins with ``ok`` or ``bad`` and says why; it is empty where the service has none.
+    """
+
+    age_s: float
+    count: int
+    text: str
+    health: str = ""
 
 
 def read_status(path: Path, kind: type[S]) -> S:
@@ -50,3 +65,25 @@ def look_at_status(folder: Path, now_s: float) -> Look:
     stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""
     text = f"{phase}{detail}, {count} transitions{stopped}"
     return Look(age_s, count, text, str(status.get("health", "")))
+
+
+def look_at_capture(folder: Path, now_s: float) -> Look:
+    """Look at what the tap has written: its beliefs' age, and the bytes of its capture.
+
+    Parts of a capture are removed when they grow old, so the newest part's time stands in for what
+    was written before.
+
+    Raises
+    ------
+    Failure
+        When nothing is there.
+    """
+    try:
+        age_s = now_s - (folder / "beliefs.json").stat().st_mtime
+        parts = [part.stat() for part in folder.glob("capture*.jsonl")]
+    except OSError as error:
+        raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
+    if not parts:
+        raise Failure(f"{folder}: expected a capture")
+    newest = max(part.st_mtime_ns for part in parts)
+    return Look(age_s, newest, f"{sum(part.st_size for part in parts)} bytes captured")

@@ -16,9 +16,9 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import inf
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from protocol.link.effects import Effects, Notice
+from protocol.link.effects import Effects, Notice, Save
 from protocol.link.peer import Peer
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
@@ -26,12 +26,14 @@ from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
 from runtime.bus import Bus, Channel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
-from runtime.extraction import Extraction
 from runtime.health_files import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
 from runtime.turn_watch import Turns, TurnWatch
+
+if TYPE_CHECKING:
+    from runtime.extraction import Extraction
 
 POLL_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
@@ -70,6 +72,7 @@ class _Loop:
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
+    failed: bool = False  # what it has done last may be carried out in part
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
 
 
@@ -178,6 +181,8 @@ class Host:
                 for kind in publishers.keys() & FIELD:
                     publishers[kind] = Sparing(publishers[kind], crowding)
                 if self._extraction is None:
+                    from runtime.extraction import Extraction  # what others need not load
+
                     self._extraction = Extraction()
                 extract = partial(
                     self._extraction.put,
@@ -342,6 +347,7 @@ class Host:
             perform(act(self._clock()), loop.ports)
             loop.started = True
         except Exception as error:
+            loop.failed = True
             if not self._fleet:
                 raise
             loop.ports.log.error("loop %s is over: %s: %s", name, type(error).__name__, error)
@@ -374,7 +380,10 @@ class Host:
             self._by_key.pop(key_of(kind, name), None)
         try:
             with self._lost(loop, OSError, Failure):
-                perform(loop.endpoint.stop(self._clock()), loop.ports)
+                last = loop.endpoint.stop(self._clock())
+                if loop.failed:  # what the journal has is done again by the next start
+                    last = (effect for effect in last if not isinstance(effect, Save))
+                perform(last, loop.ports)
         finally:
             with self._lost(loop):
                 loop.ports.close()

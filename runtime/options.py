@@ -1,4 +1,4 @@
-"""Options that services have in common: messages, run folders, paces, seeds."""
+"""Options: a dataclass says them once, and command line, help and reference come from it."""
 
 import argparse
 import fcntl
@@ -6,10 +6,11 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import fields
+from dataclasses import MISSING, dataclass, field, fields
 from datetime import UTC, datetime
+from inspect import get_annotations
 from pathlib import Path
-from typing import Any, Final, TypeVar, cast
+from typing import Any, Final, TypeVar, cast, get_args, get_type_hints
 
 from pydantic import BaseModel, ValidationError
 
@@ -23,49 +24,81 @@ STDIN: Final = "-"
 """In place of a text or a file: no other process can read it, as all can a command line."""
 
 
-def add_message_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--message`` and ``--message-file``."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--message",
-        metavar="TEXT",
-        help="the message to deliver, seen by all who list processes; - reads standard input",
-    )
-    group.add_argument(
-        "--message-file",
-        metavar="F",
-        help="a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
-        "- as above",
-    )
+@dataclass(frozen=True, slots=True)
+class Told:
+    """What a command line's help says of an option, and what a value of it must be.
+
+    ``group`` is a title, with a description on a second line if need be; of those that share
+    ``either`` one may be given. Of ``many`` the option may be repeated.
+    """
+
+    help: str
+    metavar: str | None = None
+    choices: tuple[str, ...] | None = None
+    least: int | None = None
+    many: bool = False
+    group: str = ""
+    either: str = ""
 
 
-def add_fleet_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add ``--fleet`` and ``--loops``: many loops in one process."""
-    group = parser.add_mutually_exclusive_group()
-    group.add_argument(
-        "--fleet", metavar="FILE", help="run all loops of this file (docs/deployment.md)"
-    )
-    group.add_argument("--loops", type=int, metavar="N", help="run N loops of --scenario")
+def option(help: str, metavar: str | None = None, default: Any = None, **told: Any) -> Any:
+    """A field of a dataclass of options; one whose default is ``...`` has to be given."""
+    metadata = {"told": Told(help, metavar, **told)}
+    if default is ...:
+        return field(metadata=metadata)
+    return field(default=default, metadata=metadata)
 
 
-def add_check_argument(parser: argparse.ArgumentParser) -> None:
-    """Add ``--check``: what is asked for is looked at, and nothing is started."""
-    parser.add_argument(
-        "--check", action="store_true", help="check options and scenario, and start nothing"
-    )
+def add_arguments(parser: argparse.ArgumentParser, kind: type, **words: str) -> None:
+    """Add the options that a dataclass has.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+    kind : type
+        Its fields are made by :func:`option`; the name, the type and the default are the field's.
+    words : str
+        What braces in a group's description stand for.
+    """
+    hints = get_type_hints(kind)
+    groups: dict[str, argparse._ActionsContainer] = {}
+    by_name = {one.name: one for one in fields(kind)}
+    own_first = dict.fromkeys(n for part in kind.__mro__ for n in get_annotations(part))
+    for one in (by_name[name] for name in own_first):
+        told: Told = one.metadata["told"]
+        place: argparse._ActionsContainer = parser
+        if told.group:
+            if told.group not in groups:
+                title, _, about = told.group.partition("\n")
+                group = parser.add_argument_group(title, about.format(**words) or None)
+                groups[told.group] = group
+            place = groups[told.group]
+        if told.either:
+            if told.either not in groups:
+                groups[told.either] = place.add_mutually_exclusive_group()
+            place = groups[told.either]
+        name = f"--{one.name.replace('_', '-')}"
+        if hints[one.name] is bool:
+            place.add_argument(name, action="store_true", help=told.help)
+            continue
+        place.add_argument(
+            name,
+            action="append" if told.many else "store",
+            type=_number(hints[one.name]),
+            required=one.default is MISSING,
+            default=None if told.many or one.default is MISSING else one.default,
+            choices=told.choices,
+            metavar=told.metavar,
+            help=told.help,
+        )
 
 
-def add_bounds_arguments(parser: argparse._ActionsContainer) -> None:
-    """Add ``--part-bytes`` and ``--total-bytes``: what a recording may take on disk."""
-    parser.add_argument(
-        "--part-bytes", type=int, metavar="N", help="size at which a part of the recording ends"
-    )
-    parser.add_argument(
-        "--total-bytes",
-        type=int,
-        metavar="N",
-        help="bound of all parts together, of which one takes half at most; the oldest are dropped",
-    )
+def _number(hint: Any) -> type:
+    """What makes a value of a text, for a field of this type."""
+    for kind in (int, float):
+        if kind in (hint, *get_args(hint)):
+            return kind
+    return str
 
 
 Options = TypeVar("Options")
@@ -77,12 +110,40 @@ def picked(kind: type[Options], parsed: Mapping[str, object]) -> Options:
     Parameters
     ----------
     kind : type
-        A dataclass; a field that was not parsed keeps its default.
+        A dataclass; a field that was not given keeps its default.
     parsed : mapping
         ``vars`` of what argparse made.
+
+    Raises
+    ------
+    UsageError
+        When a number is smaller than it may be.
     """
-    names = [field.name for field in fields(cast(Any, kind))]
-    return kind(**{name: parsed[name] for name in names if name in parsed})
+    given = {}
+    for one in fields(cast(Any, kind)):
+        value = parsed.get(one.name)
+        if value is not None:
+            given[one.name] = value
+            if (least := one.metadata["told"].least) is not None:
+                at_least(f"--{one.name.replace('_', '-')}", cast(int, value), least)
+    return kind(**given)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MessageOptions:
+    """What to deliver."""
+
+    message: str | None = option(
+        "the message to deliver, seen by all who list processes; - reads standard input",
+        "TEXT",
+        either="message",
+    )
+    message_file: str | None = option(
+        "a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
+        "- as above",
+        "F",
+        either="message",
+    )
 
 
 M = TypeVar("M", bound=BaseModel)

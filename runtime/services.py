@@ -1,7 +1,7 @@
-"""Who takes part on the buses: one row each, in a registry that deployment and command ask.
+"""Who takes part on the buses: one row each, in a table that deployment and command ask.
 
-A row loads nothing: what runs a service is named by its module. The package of a service says in
-its ``__init__`` which module registers its row (:func:`protocol.registry.provide`).
+A row loads nothing: what runs a service is named by its module. A service of one's own adds its
+row, ``SERVICES["logger"] = Service(...)``, when its package is imported.
 """
 
 from collections.abc import Iterable, Mapping
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple, Protocol
 
-from protocol.registry import Registry
+from runtime.health import Look, look_at_capture, look_at_status
 
 BUSES: Final = ("field", "management", "adversary")
 
@@ -38,19 +38,6 @@ class Ends(NamedTuple):
     connect: tuple[str, ...] = ()
 
 
-@dataclass(frozen=True, slots=True)
-class Look:
-    """One look at a service: how old its report is, what it has counted, and its own line.
-
-    ``health`` begins with ``ok`` or ``bad`` and says why; it is empty where the service has none.
-    """
-
-    age_s: float
-    count: int
-    text: str
-    health: str = ""
-
-
 class Health(Protocol):
     """Looks at what a service writes below its folder; raises Failure where nothing is."""
 
@@ -68,9 +55,8 @@ class Service:
     summary : str
         A line for the help.
     package : str
-        What ``python -m`` runs; empty for a person's program, which nobody supervises.
-    command : str
-        The module with ``add_arguments(parser)`` and ``run(args)``.
+        What ``python -m`` runs; empty for a person's program, which nobody supervises. Its module
+        ``command`` has ``add_arguments(parser)`` and ``run(args)``.
     ends : mapping of str to Ends
         The buses that it takes part on. On these it may subscribe to everything.
     publishes : mapping of str to tuple of str
@@ -84,19 +70,81 @@ class Service:
     name: str
     summary: str = ""
     package: str = ""
-    command: str = ""
     ends: Mapping[str, Ends] = field(default_factory=dict)
     publishes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     health: Health | None = None
     stop_s: float = 5.0
 
+    @property
+    def command(self) -> str:
+        """The module with ``add_arguments(parser)`` and ``run(args)``; empty without a package."""
+        return self.package and f"{self.package}.command"
 
-SERVICES: Registry[Service] = Registry("service")
 
+_ROWS: Final = (
+    Service(
+        name="controller",
+        summary="run the controller service",
+        package="controller_service",
+        ends={
+            "field": Ends((CONTROLLER_FIELD,), (PLANT_FIELD,)),
+            "management": Ends((CONTROLLER_MANAGEMENT,), (PLANT_MANAGEMENT,)),
+        },
+        publishes={
+            "field": ("offer",),
+            "management": (
+                "management/controller/hello",
+                "management/controller/status",
+                "management/reply/send",
+            ),
+        },
+        health=look_at_status,
+        stop_s=END_STOP_S,
+    ),
+    Service(
+        name="plant",
+        summary="run the plant service with its simulation",
+        package="plant_service",
+        ends={"field": Ends((PLANT_FIELD,)), "management": Ends((PLANT_MANAGEMENT,))},
+        publishes={
+            "field": ("measurement",),
+            "management": (
+                "management/plant/hello",
+                "management/plant/model",
+                "management/plant/status",
+            ),
+        },
+        health=look_at_status,
+        stop_s=END_STOP_S,
+    ),
+    Service(
+        name="tap",
+        summary="run the tap service with its eavesdroppers",
+        package="tap_service",
+        ends={
+            "field": Ends((), (PLANT_FIELD, CONTROLLER_FIELD)),
+            "adversary": Ends((TAP_ADVERSARY,)),
+        },
+        publishes={"adversary": ("adversary/tap/status",)},
+        health=look_at_capture,
+        stop_s=25.0,  # heavy eavesdroppers think to the end of what they heard
+    ),
+    Service(
+        name="dashboard",
+        ends={
+            "management": Ends((), (PLANT_MANAGEMENT, CONTROLLER_MANAGEMENT)),
+            "adversary": Ends((), (TAP_ADVERSARY,)),
+        },
+    ),
+    Service(
+        name="operator",
+        ends={"management": Ends((), (CONTROLLER_MANAGEMENT,))},
+        publishes={"management": ("management/command/send", "management/command/stop-keys")},
+    ),
+)
 
-def register(service: Service) -> None:
-    """Add a row."""
-    SERVICES.register(service.name, service)
+SERVICES: Final = {row.name: row for row in _ROWS}
+"""Every row, by name."""
 
 
 def bus_names(got: str, allowed: Iterable[str]) -> str:
@@ -113,4 +161,4 @@ def bus_names(got: str, allowed: Iterable[str]) -> str:
 
 def on_bus(bus: str) -> list[Service]:
     """Those who take part on a bus."""
-    return [row for name in SERVICES if bus in (row := SERVICES[name]).ends]
+    return [row for row in SERVICES.values() if bus in row.ends]

@@ -7,7 +7,7 @@ process's rights.
 from pathlib import Path
 from typing import Any
 
-from protocol.registry import UnknownError, module_at
+from protocol.plugins import UnknownError, module_at
 from runtime.errors import Failure
 
 

@@ -2,31 +2,23 @@
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from runtime.bus_options import (
+    BOUNDS,
     ServiceOptions,
-    add_endpoint_arguments,
-    add_metrics_argument,
+    add_service_arguments,
     check_addresses,
     endpoints_of,
     fleet_of,
     loop_of,
     noted,
 )
-from runtime.options import (
-    add_bounds_arguments,
-    add_check_argument,
-    add_fleet_arguments,
-    alone_in,
-    at_least,
-    checked,
-    picked,
-    run_dir_of,
-)
+from runtime.errors import UsageError
+from runtime.options import alone_in, checked, option, picked, run_dir_of
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
@@ -34,50 +26,45 @@ if TYPE_CHECKING:
     from tap_service.capture.channel import View
 
 
-def add_view_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the knobs of what the tap sees; each overrides the scenario's."""
-    group = parser.add_argument_group("what the tap sees (default: as the scenario says)")
-    group.add_argument("--view", choices=("both", "measurements", "offers"), help="direction")
-    group.add_argument("--loss", type=float, metavar="P", help="probability to miss a message")
-    group.add_argument(
-        "--loss-bad", type=float, metavar="P", help="the same in the bad one of two states"
-    )
-    group.add_argument(
-        "--to-bad", type=float, metavar="P", help="probability, a step, of turning bad"
-    )
-    group.add_argument(
-        "--to-good", type=float, metavar="P", help="probability, a step, of turning good again"
-    )
-    group.add_argument("--noise", type=float, metavar="SD", help="noise on every state and input")
-    group.add_argument("--quantise", type=float, metavar="STEP", help="round every state and input")
-    group.add_argument("--delay", type=int, metavar="N", help="hear everything N messages late")
-    group.add_argument(
-        "--model-error", type=float, metavar="E", help="relative error of each entry of A and B"
-    )
-    group.add_argument(
-        "--seed", type=int, default=0, metavar="N", help="of the knobs' draws (default 0)"
-    )
+VIEW: Final = "what the tap sees (default: as the scenario says)"
 
 
 @dataclass(frozen=True, kw_only=True)
-class TapOptions(ServiceOptions):
+class ViewOptions:
+    """The knobs of what the tap sees; each overrides the scenario's."""
+
+    view: str | None = option("direction", choices=("both", "measurements", "offers"), group=VIEW)
+    loss: float | None = option("probability to miss a message", "P", group=VIEW)
+    loss_bad: float | None = option("the same in the bad one of two states", "P", group=VIEW)
+    to_bad: float | None = option("probability, a step, of turning bad", "P", group=VIEW)
+    to_good: float | None = option("probability, a step, of turning good again", "P", group=VIEW)
+    noise: float | None = option("noise on every state and input", "SD", group=VIEW)
+    quantise: float | None = option("round every state and input", "STEP", group=VIEW)
+    delay: int | None = option("hear everything N messages late", "N", group=VIEW)
+    model_error: float | None = option("relative error of each entry of A and B", "E", group=VIEW)
+    seed: int = option("of the knobs' draws (default 0)", "N", 0, least=0, group=VIEW)
+
+
+@dataclass(frozen=True, kw_only=True)
+class TapOptions(ViewOptions, ServiceOptions):
     """The service's options, but for what the tap is told of the plant."""
 
-    run_dir: str
-    seed: int = 0
-    eavesdropper: Sequence[str] = ()
-    view: str | None = None
-    loss: float | None = None
-    loss_bad: float | None = None
-    to_bad: float | None = None
-    to_good: float | None = None
-    noise: float | None = None
-    quantise: float | None = None
-    delay: int | None = None
-    model_error: float | None = None
-    part_seconds: float | None = None
-    free_bytes: int | None = None
-    finish: float | None = None
+    scenario: str | None = option("derive what the tap knows from a scenario", "S", either="source")
+    knowledge: str | None = option("what the tap knows, as JSON", "FILE", either="source")
+    run_dir: str = option("write below D/tap", "D", ...)
+    eavesdropper: Sequence[str] = option(
+        "which to run in place of the strongest, by name or as path/to/file.py:Name",
+        "NAME[,NAME...]",
+        (),
+        many=True,
+    )
+    part_seconds: float | None = option("age at which a part ends", "S", group=BOUNDS)
+    free_bytes: int | None = option(
+        "room to leave on the disk; recording pauses while there is less", "N", group=BOUNDS
+    )
+    finish: float | None = option(
+        "seconds for the heavy eavesdroppers' last thoughts at the end (default 20)", "S"
+    )
 
 
 class GivenKnowledge(NamedTuple):
@@ -105,42 +92,7 @@ class GivenKnowledge(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the service's options."""
-    parser.add_argument(
-        "--knowledge", required=True, metavar="FILE", help="what the tap knows, as JSON"
-    )
-    add_options(parser)
-
-
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add all options but the one that says what the tap knows."""
-    parser.add_argument(
-        "--eavesdropper",
-        action="append",
-        default=[],
-        metavar="NAME[,NAME...]",
-        help="which to run in place of the strongest, by name or as path/to/file.py:Name",
-    )
-    add_view_arguments(parser)
-    parser.add_argument("--run-dir", required=True, metavar="D", help="write below D/tap")
-    limits = parser.add_argument_group("bounds of the recording")
-    add_bounds_arguments(limits)
-    limits.add_argument("--part-seconds", type=float, metavar="S", help="age at which a part ends")
-    limits.add_argument(
-        "--free-bytes",
-        type=int,
-        metavar="N",
-        help="room to leave on the disk; recording pauses while there is less",
-    )
-    parser.add_argument(
-        "--finish",
-        type=float,
-        metavar="S",
-        help="seconds for the heavy eavesdroppers' last thoughts at the end (default 20)",
-    )
-    add_check_argument(parser)
-    add_fleet_arguments(parser)
-    add_metrics_argument(parser)
-    add_endpoint_arguments(parser, "tap")
+    add_service_arguments(parser, "tap", TapOptions)
 
 
 def names_of(values: Iterable[str]) -> tuple[str, ...]:
@@ -156,7 +108,6 @@ def find_each(names: Iterable[str], find: Callable[[str], object], where: str) -
     UsageError
         With one line for each that ``find`` has not; ``where`` tells where the names stand.
     """
-    from runtime.errors import UsageError
     from tap_service.eavesdroppers import KnowledgeError
 
     problems = []
@@ -179,20 +130,8 @@ def view_of(options: TapOptions, defaults: Mapping[str, object]) -> "View":
     """
     from tap_service.capture.channel import View
 
-    at_least("--seed", options.seed, 0)
-    values = dict(defaults, seed=options.seed)
-    given = {
-        "view": options.view,
-        "loss": options.loss,
-        "loss_bad": options.loss_bad,
-        "to_bad": options.to_bad,
-        "to_good": options.to_good,
-        "noise": options.noise,
-        "quantise": options.quantise,
-        "delay": options.delay,
-        "model_error": options.model_error,
-    }
-    return checked(View, **values | {k: v for k, v in given.items() if v is not None})
+    given = {one.name: getattr(options, one.name) for one in fields(ViewOptions)}
+    return checked(View, **{**defaults, **{k: v for k, v in given.items() if v is not None}})
 
 
 def read_knowledge(path: str) -> "Knowledge":
@@ -209,7 +148,6 @@ def read_knowledge(path: str) -> "Knowledge":
 
     from protocol.knowledge import Knowledge
     from protocol.wrong_fields import expected_of
-    from runtime.errors import UsageError
     from runtime.files import read_regular
 
     try:
@@ -229,7 +167,10 @@ def read_knowledge(path: str) -> "Knowledge":
 
 def run(args: argparse.Namespace) -> int:
     """Run the service until it is told to stop."""
-    return run_with_knowledge(picked(TapOptions, vars(args)), knowledge_in(args.knowledge))
+    options = picked(TapOptions, vars(args))
+    if options.knowledge is None:
+        raise UsageError("--knowledge: got none, expected a file (wyner tap reads a scenario)")
+    return run_with_knowledge(options, knowledge_in(options.knowledge))
 
 
 def knowledge_in(path: str) -> GivenKnowledge:
@@ -256,7 +197,7 @@ def run_with_knowledge(
     from pathlib import Path
 
     from runtime.bus import TransportError
-    from runtime.errors import DONE, UsageError
+    from runtime.errors import DONE
     from tap_service.capture.recording import Limits
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
@@ -321,7 +262,7 @@ def run_with_knowledge(
                 return run_taps(
                     fleet, config_in_fleet, field, adversary, partial(noted, options.metrics)
                 )
-        config = config_of(told, loop_of(options), Path(options.run_dir))
+        config = config_of(told, loop_of(options.loop), Path(options.run_dir))
         if options.check:
             return DONE
         with alone_in(run_dir_of(options.run_dir) / "tap"):

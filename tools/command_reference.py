@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import wyner  # noqa: F401 - brings the services that are shipped
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.cli.main import build_parser, groups
@@ -23,8 +22,8 @@ COLUMNS: Final = "100"
 HEAD: Final = """\
 # Commands
 
-What `wyner COMMAND --help` prints; `wyner bench --help` tells its own. This page is made from the
-commands themselves (`python -m tools.command_reference --write`).
+What `wyner COMMAND --help` prints. This page is made from the commands themselves
+(`python -m tools.command_reference --write`).
 """
 
 
@@ -50,8 +49,7 @@ def page() -> str:
     for group, commands in groups().items():
         parts.append(f"## {group.capitalize()}\n")
         for name in commands:
-            if name != "bench":  # it hands its arguments on
-                parts.append(f"### wyner {name}\n\n```text\n{help_of(name)}```\n")
+            parts.append(f"### wyner {name}\n\n```text\n{help_of(name)}```\n")
     return "\n".join(parts)
 
 

@@ -21,8 +21,6 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-import controller_service.laws.registry  # noqa: F401  (the laws)
-import plant_service.adapters.registry  # noqa: F401  (the kinds of plants)
 from protocol.scenario import LAWS, PLANTS, Control, PlantTable, Scenario, ScenarioTable
 
 PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-reference.md"
@@ -30,8 +28,8 @@ PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-refere
 HEAD: Final = """# The scenario file
 
 A scenario is a TOML file: a plant, its sets, its control law, and what each side knows.
-`wyner scenarios` lists the shipped ones, `wyner new NAME` writes one with comments, `wyner design
-FILE` says what it gives. Unknown fields are refused, and each wrong field is told in one line.
+`wyner design --list` lists the shipped scenarios, `wyner new NAME` writes a commented one, and
+`wyner design FILE` computes its sets and rate. Unknown fields are refused, each in one line.
 
 Vectors are lists of numbers, matrices lists of rows. n is the number of states, m of inputs, M of
 candidates. States, inputs and disturbances are in the units of the plant's model, times in seconds,

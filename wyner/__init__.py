@@ -4,15 +4,7 @@
 imports this package too, never does.
 """
 
-# Ctrl-C comes before anything of Python's library. Then each says which laws, services and plants
-# it brings; none of them loads more than that.
-import runtime.early as _early  # noqa: F401, I001
-import controller_service as _controller_service  # noqa: F401
-import plant_service as _plant_service  # noqa: F401
-import tap_service as _tap_service  # noqa: F401
-from protocol.registry import provide as _provide
-
-_provide("service", "wyner.clients")
+import runtime.early as _early  # noqa: F401
 
 TYPE_CHECKING = False
 """As `typing` has it, which is not loaded for that."""

@@ -3,19 +3,15 @@
 from typing import Final
 
 from attacker_service.base import Attack, AttackError
-from protocol.registry import Classes, UnknownError
+from protocol.plugins import UnknownError, load_class
 
-ATTACKS: Final[Classes[Attack]] = Classes(
-    "attack",
-    Attack,
-    {
-        "ghost": "attacker_service.attacks.ghost:Ghost",
-        "replay": "attacker_service.attacks.replay:Replay",
-        "bias": "attacker_service.attacks.bias:Bias",
-        "covert": "attacker_service.attacks.covert:Covert",
-        "stuck": "attacker_service.attacks.stuck:Stuck",
-    },
-)
+ATTACKS: Final = {
+    "ghost": "attacker_service.attacks.ghost:Ghost",
+    "replay": "attacker_service.attacks.replay:Replay",
+    "bias": "attacker_service.attacks.bias:Bias",
+    "covert": "attacker_service.attacks.covert:Covert",
+    "stuck": "attacker_service.attacks.stuck:Stuck",
+}
 
 
 def named(name: str) -> type[Attack]:
@@ -27,6 +23,6 @@ def named(name: str) -> type[Attack]:
         With one line, when there is no such attack.
     """
     try:
-        return ATTACKS[name]
+        return load_class(name, ATTACKS, Attack)
     except UnknownError as error:
         raise AttackError(f"attack.kind: {error}") from None

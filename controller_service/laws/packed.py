@@ -10,12 +10,12 @@ from dataclasses import replace
 import numpy as np
 
 from controller_service.laws.base import ProgramLaw
-from controller_service.laws.tables import PackedControl
 from controller_service.sets.alphabet import smaller_inputs
 from controller_service.sets.design import Design, Progress, synthesise
 from controller_service.sets.packed_design import alphabet_of, reduced, search_terminal
 from protocol.arrays import Array, Indices
 from protocol.scenario import Scenario
+from protocol.scenario.laws import PackedControl
 
 
 class PackedLaw(ProgramLaw):

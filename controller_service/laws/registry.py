@@ -1,18 +1,15 @@
-"""The control laws by name: the table that a law reads, and what makes it of a design.
+"""The control laws by name, and what makes one of a design.
 
 A law is a class and a row here, or a class in a file of the user's, ``path/to/file.py:Name``. The
 rows name the classes and do not load them: who only reads a scenario needs no numerics.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, cast
+from typing import TYPE_CHECKING, Final, Protocol, cast
 
-from controller_service.laws.tables import PackedControl, PaperControl
-from protocol.registry import OwnClass, Registry, UnknownError, names_a_file
-from protocol.scenario import LAWS, Control, Scenario
+from protocol.plugins import load, names_a_file
+from protocol.scenario import Scenario
+from protocol.scenario.kinds import law_table
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
@@ -27,60 +24,12 @@ class LawFactory(Protocol):
     def synthesise(self, scenario: Scenario, progress: "Progress | None" = None) -> "Design": ...  # noqa: D102
 
 
-_LAWS: Registry[LawFactory | str] = Registry("law")
-
-
-def _own_law(name: str, own: OwnClass) -> LawFactory:
-    """The law in a file of the user's."""
-    found = own.found
-    if not (isinstance(found, type) and callable(getattr(found, "synthesise", None))):
-        raise UnknownError(
-            f"got {name!r}, expected a class {own.name} that extends "
-            "controller_service.laws.base.ProgramLaw, or has its methods"
-        )
-    return cast("LawFactory", found)
-
-
-def _own_table(name: str, own: OwnClass) -> type[Control]:
-    """The table that it reads: its class attribute ``table``, or that of every law."""
-    table = getattr(_own_law(name, own), "table", Control)
-    if not (isinstance(table, type) and issubclass(table, Control)):
-        raise UnknownError(
-            f"{name}: expected its table to be a class that extends protocol.scenario.Control, "
-            f"got {table!r}"
-        )
-    return table
-
-
-_LAWS.take_own(_own_law)
-LAWS.take_own(_own_table)
-
-
-def register(name: str, law: LawFactory | str, table: type[Control] = Control) -> None:
-    """Make ``control.law = name`` mean ``law``.
-
-    Parameters
-    ----------
-    name : str
-    law : LawFactory or str
-        The class, or where it is: ``module:Class``, loaded when it is needed.
-    table : type, optional
-        The table ``[control]`` that it reads, and what of it the tap is granted.
-    """
-    _LAWS.register(name, law)
-    LAWS.register(name, table)
-
-
-@contextmanager
-def registered(name: str, law: LawFactory, table: type[Control] = Control) -> Iterator[None]:
-    """Within the block, the law is registered."""
-    with _LAWS.registered(name, law), LAWS.registered(name, table):
-        yield
-
-
-register("paper", "controller_service.laws.paper:PaperLaw", PaperControl)
-register("sustained", "controller_service.laws.sustained:SustainedLaw")
-register("packed", "controller_service.laws.packed:PackedLaw", PackedControl)
+LAWS: Final = {
+    "paper": "controller_service.laws.paper:PaperLaw",
+    "sustained": "controller_service.laws.sustained:SustainedLaw",
+    "packed": "controller_service.laws.packed:PackedLaw",
+}
+"""Where the shipped laws are; the tables that they read stand in `protocol.scenario.LAWS`."""
 
 
 def law_named(name: str) -> LawFactory:
@@ -91,12 +40,8 @@ def law_named(name: str) -> LawFactory:
     UnknownError
         When there is none.
     """
-    found = _LAWS[name]
-    if isinstance(found, str):
-        module, _, attribute = found.partition(":")
-        law: LawFactory = getattr(import_module(module), attribute)
-        return law
-    return found
+    law_table(name)  # which knows what a law is
+    return cast("LawFactory", load(name, LAWS))
 
 
 def make_law(scenario: Scenario, design: "Design") -> "CandidateLaw":

@@ -18,10 +18,10 @@ from numpy.typing import ArrayLike
 
 from controller_service.sets.grid_alphabet import plane_offsets, plane_size
 from controller_service.sets.separation import APART, TOGETHER, AlphabetError, Separation
-from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import set_corners
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet
+from protocol.scenario.laws import CERTAIN
 
 ROUNDING = 1e-12
 """U' is smaller by this fraction, so that v + p rounds to an input in U."""

@@ -8,11 +8,11 @@ from controller_service.sets.alphabet import Alphabet
 from controller_service.sets.design import Design
 from controller_service.sets.packed_design import kept, reduced
 from controller_service.sets.recursion import recursion, support
-from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import SynthesisError
 from controller_service.sets.units import in_units
 from protocol.convex import Polytope, SetError, corners
 from protocol.scenario import Scenario
+from protocol.scenario.laws import CERTAIN
 
 TOLERANCE: Final = 1e-9
 """Fraction of itself, and of U, by which a set may reach beyond and still counts as inside."""

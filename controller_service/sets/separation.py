@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from controller_service.sets.spacing import CERTAIN
 from controller_service.sets.terminal import set_corners
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet
+from protocol.scenario.laws import CERTAIN
 
 APART = 1e-6
 """Candidates are this fraction farther apart than they must be: the verdict counts a gauge up to

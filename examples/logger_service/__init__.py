@@ -1,5 +1,13 @@
-"""A service that prints what the plant publishes."""
+"""A service that prints what the plant publishes: what it does on which bus."""
 
-from protocol.registry import provide
+from runtime.health import look_at_status
+from runtime.services import PLANT_FIELD, SERVICES, Ends, Service
 
-provide("service", "logger_service.service_spec")
+SERVICES["logger"] = Service(
+    name="logger",
+    summary="write down what the field bus carries",
+    package="logger_service",
+    ends={"field": Ends((), (PLANT_FIELD,))},
+    publishes={},
+    health=look_at_status,
+)

@@ -2,14 +2,15 @@
 
 from protocol.messages import Measurement
 from protocol.topics import key_of
-from runtime.bus_options import add_endpoint_arguments, endpoints_of
+from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of
+from runtime.options import picked
 from runtime.signals import stop_on_signals
 from runtime.zenoh_bus import open_bus
 
 
 def add_arguments(parser):
     """The options: where its buses are."""
-    add_endpoint_arguments(parser, "logger")
+    add_service_arguments(parser, "logger")
 
 
 def run(args):
@@ -18,7 +19,8 @@ def run(args):
     def heard(_key, payload, _t_ns):
         print(payload.decode(), flush=True)
 
-    with stop_on_signals() as stopping, open_bus(endpoints_of(args, "logger", "field")) as field:
+    ends = endpoints_of(picked(BusOptions, vars(args)), "logger", "field")
+    with stop_on_signals() as stopping, open_bus(ends) as field:
         field.subscribe(key_of(Measurement, args.loop), heard)
         stopping.wait()
     return 0

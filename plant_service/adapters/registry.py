@@ -1,170 +1,22 @@
-"""The kinds of plants by name: the table ``[plant]`` that a kind reads, and what opens it.
-
-A kind is a table with a method ``adapter``; :func:`open_plant` adds the wrapper. Nothing of a
-user's is loaded before that.
-"""
+"""Opening the scenario's plant, of whatever kind; nothing of a user's is loaded before that."""
 
 from pathlib import Path
-from typing import Annotated, Any, Final, Literal
-
-from pydantic import BeforeValidator, Field, field_validator
+from typing import Any, Final
 
 from plant_service.adapters.base import PlantAdapter, PlantError, SimulatedPlant, Stepped, stepped
 from plant_service.adapters.linear import Linear
 from plant_service.adapters.operated import Operated, OperatingPoint
 from protocol.agreement import Gauge
-from protocol.scenario import PLANTS, PlantTable, Scenario
-from protocol.scenario.parts import Positive
-from protocol.vectors import FiniteMatrix, FiniteVector
-from runtime.user_code import UserCodeError
-
-
-class LinearPlant(PlantTable):
-    """x+ = A x + B u + d."""
-
-    kind: Literal["linear"] = "linear"
-    """A linear plant, simulated exactly."""
-    A: FiniteMatrix
-    """State matrix, n rows of n numbers."""
-    B: FiniteMatrix
-    """Input matrix, n rows of m numbers."""
-    initial_state: FiniteVector
-    """x(0), n numbers."""
-
-    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
-        """The plant at the reading ``start``."""
-        return SimulatedPlant(Linear(self.A, self.B, start), self.period_s)
-
-
-class ModelledElsewhere(PlantTable):
-    """A plant that is no matrices: those of its model stand under ``[defender]``.
-
-    Its code runs in the plant's process, with that process's rights: it is trusted.
-    """
-
-    @field_validator("A", "B")
-    @classmethod
-    def _no_matrices(cls, matrix: FiniteMatrix | None) -> FiniteMatrix | None:
-        if matrix is not None:
-            raise ValueError("expected it under [defender]: a plant of this kind has none")
-        return matrix
-
-
-def _as_it_stands(start: object) -> object:
-    """Refuse a start where the plant brings its own."""
-    if start not in ((), []):
-        raise ValueError("expected none: a plant of this kind begins where its own code says")
-    return start
-
-
-AsItStands = Annotated[tuple[()], BeforeValidator(_as_it_stands)]
-
-
-class OdePlant(ModelledElsewhere):
-    """dx/dt = f(t, x, u), the function ``object``, in physical units."""
-
-    kind: Literal["ode"]
-    """An ordinary differential equation."""
-    object: str
-    """The function f(t, x, u), as FILE.py:NAME or module:NAME."""
-    substeps: Annotated[int, Field(ge=1, le=10000)] = 10
-    """Runge-Kutta steps to a period."""
-    initial_state: FiniteVector
-    """x(0) as a deviation from the operating point."""
-
-    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:
-        """The plant at the reading ``start``."""
-        from plant_service.adapters.ode import Ode
-        from runtime.user_code import load_attribute
-
-        function = load_attribute(self.object, folder)
-        if not callable(function):
-            raise PlantError(f"{self.object}: expected a function of t, x and u")
-        return SimulatedPlant(Ode(function, start, self.period_s, self.substeps), self.period_s)
-
-
-class PythonPlant(ModelledElsewhere):
-    """The object or class ``object``, a :class:`Stepped` plant or a :class:`PlantAdapter`."""
-
-    kind: Literal["python"]
-    """A Python object."""
-    object: str
-    """The object or class, as FILE.py:NAME or module:NAME."""
-    settle_s: Positive | None = None
-    """Seconds to run at the operating input before step 0."""
-    initial_state: AsItStands = ()
-    """None: it starts as it stands."""
-
-    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
-        """The plant as it stands."""
-        from runtime.user_code import load_attribute, made
-
-        plant = made(load_attribute(self.object, folder), self.object)
-        return _adapted(plant, self.object, self.period_s)
-
-
-class FmuPlant(ModelledElsewhere):
-    """A co-simulation FMU, pinned by its hash; its outputs are the state."""
-
-    kind: Literal["fmu"]
-    """A co-simulation FMU."""
-    file: str
-    """The .fmu file, beside the scenario."""
-    sha256: Annotated[str, Field(pattern=r"^[0-9a-fA-F]{64}$")]
-    """Its SHA-256; another file is refused."""
-    inputs: tuple[str, ...]
-    """Names of its inputs, in the order of u."""
-    outputs: tuple[str, ...]
-    """Names of its outputs, in the order of x."""
-    start: dict[str, float] | None = None
-    """Start values by name."""
-    seed: str | None = None
-    """The parameter that takes a session's seed, for a model with chance of its own."""
-    settle_s: Positive | None = None
-    """Seconds to run at the operating input before step 0."""
-    initial_state: AsItStands = ()
-    """None: it starts as it stands."""
-
-    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
-        """The plant as the file has it."""
-        from plant_service.adapters.fmu import Fmu
-
-        path = folder / self.file
-        fmu = Fmu(path, self.sha256, self.inputs, self.outputs, self.start, self.seed)
-        return SimulatedPlant(fmu, self.period_s)
-
-
-class GymnasiumPlant(ModelledElsewhere):
-    """The environment ``id``; ``state`` names the attribute that is read in full precision."""
-
-    kind: Literal["gymnasium"]
-    """A Gymnasium environment."""
-    id: str
-    """Its id."""
-    state: str | None = None
-    """Attribute that holds the state in full precision; the observation where not given."""
-    arguments: dict[str, Any] | None = None
-    """Arguments of gymnasium.make."""
-
-    def adapter(self, start: FiniteVector, folder: Path) -> PlantAdapter:  # noqa: ARG002
-        """The environment, at ``start`` where the file has an initial state."""
-        from plant_service.adapters.gymnasium_env import make
-
-        if self.initial_state and self.state is None:
-            raise PlantError(
-                "initial_state: an environment starts where it wants, expected none, or state = "
-                "the attribute that can be set"
-            )
-        at = start if self.initial_state else None
-        env = make(self.id, self.state, at, self.period_s, self.arguments)
-        return SimulatedPlant(env, self.period_s)
-
-
-KINDS: tuple[type[PlantTable], ...] = (LinearPlant, OdePlant, PythonPlant, FmuPlant, GymnasiumPlant)
-for kind in KINDS:
-    (name,) = kind.model_fields["kind"].annotation.__args__  # type: ignore[union-attr]
-    PLANTS.register(name, kind)
-
+from protocol.scenario import PlantTable, Scenario
+from protocol.scenario.plants import (
+    FmuPlant,
+    GymnasiumPlant,
+    LinearPlant,
+    OdePlant,
+    PythonPlant,
+)
+from protocol.vectors import FiniteVector
+from runtime.user_code import UserCodeError, load_attribute, made
 
 SINGLE: Final = 1e-6
 """Relative rounding of the single precision in which environments state their bounds."""
@@ -204,10 +56,8 @@ def open_plant(
     """
     plant, m = scenario.plant, scenario.m
     try:
-        adapter: PlantAdapter
-        start = _start(scenario)
         if own is None:
-            adapter = plant.adapter(start, folder)  # type: ignore[attr-defined]
+            adapter = _adapter(plant, _start(scenario), folder)
         else:
             adapter = _adapted(own, type(own).__name__, plant.period_s)
     except (PlantError, UserCodeError) as error:
@@ -238,6 +88,42 @@ def open_plant(
             f"plant of kind {plant.kind!r} cannot be written to"
         )
     return operated
+
+
+def _adapter(plant: PlantTable, start: FiniteVector, folder: Path) -> PlantAdapter:
+    """What a table names, at the reading ``start`` where it can be put there."""
+    match plant:
+        case LinearPlant(A=A, B=B):
+            return SimulatedPlant(Linear(A, B, start), plant.period_s)
+        case OdePlant():
+            from plant_service.adapters.ode import Ode
+
+            function = load_attribute(plant.object, folder)
+            if not callable(function):
+                raise PlantError(f"{plant.object}: expected a function of t, x and u")
+            ode = Ode(function, start, plant.period_s, plant.substeps)
+            return SimulatedPlant(ode, plant.period_s)
+        case PythonPlant():
+            own = made(load_attribute(plant.object, folder), plant.object)
+            return _adapted(own, plant.object, plant.period_s)
+        case FmuPlant():
+            from plant_service.adapters.fmu import Fmu
+
+            path = folder / plant.file
+            fmu = Fmu(path, plant.sha256, plant.inputs, plant.outputs, plant.start, plant.seed)
+            return SimulatedPlant(fmu, plant.period_s)
+        case GymnasiumPlant():
+            from plant_service.adapters.gymnasium_env import make
+
+            if plant.initial_state and plant.state is None:
+                raise PlantError(
+                    "initial_state: an environment starts where it wants, expected none, or state "
+                    "= the attribute that can be set"
+                )
+            at = start if plant.initial_state else None
+            env = make(plant.id, plant.state, at, plant.period_s, plant.arguments)
+            return SimulatedPlant(env, plant.period_s)
+    raise PlantError(f"kind: got {plant.kind!r}, expected one that can be opened")
 
 
 def _beyond_actions(scenario: Scenario, adapter: PlantAdapter) -> str:

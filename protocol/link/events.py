@@ -105,6 +105,8 @@ class Alarm(NamedTuple):
     key stream chose, or, where none did, the nearest one. ``reason``: ``unexplained``, no candidate
     explains the reading; ``another candidate``, not the one that the digit chose; ``digits
     refused``, the plant denies digits that it holds; ``unwatched``, too many steps had no digit.
+    This one may come with a session's first reading, before there is a transition (j = -1): of the
+    last step of the session before nobody has heard.
     """
 
     session: str

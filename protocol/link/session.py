@@ -47,7 +47,7 @@ from protocol.defence.watch import UNWATCHED, Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.messages import Offer, SendCommand
+from protocol.messages import Measurement, Offer, SendCommand
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
@@ -272,6 +272,11 @@ def _output_rule(scenario: Scenario) -> OutputRule | None:
     return OutputRule(observer, gauge, scenario.secrecy.alpha, Fallback.of(scenario))
 
 
+def reports(record: SenderRecord, measurement: Measurement) -> bool:
+    """Whether a measurement reports a transition that the controller's record does not have yet."""
+    return record.offer is not None and measurement.applied_k != record.applied_k
+
+
 class Truth(NamedTuple):
     """What a step really came to, where an attack or a noisy sensor says otherwise.
 
@@ -361,7 +366,7 @@ class CountedTransition(NamedTuple):
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
         verdict, after, carry, digits = counted
-        carried, position = carry.pad != NO_SYMBOL, position_of(offer)
+        carried, position = carry.pad != NO_SYMBOL, offer.position
         return cls(  # by place, which takes half the time: both ends do it in each step
             offer.session,
             record.transitions,
@@ -453,10 +458,3 @@ class CountedTransition(NamedTuple):
         if self.expected != NO_SYMBOL:
             event["expected"] = self.expected
         return event if self.truth is None else event | self.truth.fields()
-
-
-def position_of(offer: Offer) -> Position:
-    """Where in the key stream an offer's digits begin; :data:`NOWHERE` where it has none."""
-    if offer.stream_block is None or offer.stream_at is None or offer.stream_block < 0:
-        return NOWHERE
-    return Position(offer.stream_block, offer.stream_at)

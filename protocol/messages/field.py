@@ -14,6 +14,7 @@ from protocol.messages.base import (
     SessionId,
     Tag,
 )
+from protocol.secret.stream import NOWHERE, Position
 from protocol.vectors import FiniteVector
 
 
@@ -132,6 +133,13 @@ class Offer(StepMessage):
     tag: Tag = ""
     stream_block: BlockNumber | None = None
     stream_at: Count | None = None
+
+    @property
+    def position(self) -> Position:
+        """Where in the key stream its digits begin; :data:`NOWHERE` where it has none."""
+        if self.stream_block is None or self.stream_at is None or self.stream_block < 0:
+            return NOWHERE
+        return Position(self.stream_block, self.stream_at)
 
 
 FieldMessage = Measurement | Offer

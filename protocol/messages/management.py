@@ -8,10 +8,16 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
 from protocol.messages.base import (
+    BLOCKS_LOST,
+    DIGITS_LEFT,
+    KEYS_MADE,
+    KEYS_STOPPED,
+    MALFORMED,
     Count,
     Fingerprint,
     Identifier,
     Message,
+    Metric,
     SessionId,
 )
 from protocol.vectors import FiniteVector
@@ -294,37 +300,41 @@ class PlantStatus(_Status):
     phase: Literal["greeting", "running", "stopped", "refused"]
     session: SessionId
     sessions: Count
-    k: Count
+    k: Annotated[Count, Metric("steps", "steps that the plant made, missed ones too")]
     x: FiniteVector
     transitions: Count
-    missed: Count
-    late: Count
-    malformed: Count
-    agreements: Count
-    symbol_errors: Count
+    missed: Annotated[Count, Metric("missed_steps", "steps without an offer in time")]
+    late: Annotated[Count, Metric("late_offers", "offers that came after their step")]
+    malformed: Annotated[Count, MALFORMED]
+    agreements: Annotated[
+        Count, Metric("agreements", "transitions on which a key symbol was agreed")
+    ]
+    symbol_errors: Annotated[
+        Count, Metric("symbol_errors", "agreements on a symbol that was not applied")
+    ]
     rate_hz: float
     automaton: Count
     recovered_symbols: Count
-    messages: Count
+    messages: Annotated[Count, Metric("messages_recovered", "whole messages that the plant has")]
     last_message: str = ""
     message_k: Annotated[int, Field(ge=-1)] = -1
     latency_counts: tuple[Count, ...] = ()
     partial: str = ""
     frame_symbols: Count
     frame_length: Count
-    frames_refused: Count
+    frames_refused: Annotated[Count, Metric("frames_refused", "frames that failed their check")]
     outside: Count = 0
     unexplained: Count = 0
     sampled_late_s: FiniteVector = ()
     actuated_after_s: FiniteVector = ()
     overruns: Count = 0
-    keys_made: Count = 0
+    keys_made: Annotated[Count, KEYS_MADE] = 0
     keys_of_block: Count = 0
     key_block_steps: Count = 0
     keys_refused: str = ""
-    keys_stopped: str = ""
-    key_blocks_lost: Count = 0
-    digits_left: Count = 0
+    keys_stopped: Annotated[str, KEYS_STOPPED] = ""
+    key_blocks_lost: Annotated[Count, BLOCKS_LOST] = 0
+    digits_left: Annotated[Count, DIGITS_LEFT] = 0
     key_blocks_begun: Count = 0
     appearances: Count = 1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
@@ -387,6 +397,7 @@ class ControllerStatus(_Status):
         Alarms since this process began, and the step of the last one (-1: none).
     alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
         What was read after that step, what was expected, and how far apart they are, in D_c.
+        Nothing is expected where too many steps had no digit of the key stream.
     """
 
     topic: ClassVar[str] = "management/controller/status"
@@ -396,28 +407,36 @@ class ControllerStatus(_Status):
     set_index: Annotated[int, Field(ge=-1)]
     transitions: Count
     agreements: Count
-    malformed: Count
+    malformed: Annotated[Count, MALFORMED]
     automaton: Count
     sending: str = ""
     frame_symbols: Count
     frame_length: Count
     queue: Count
-    delivered: Count
+    delivered: Annotated[
+        Count, Metric("messages_delivered", "messages of which every symbol was counted")
+    ]
     unexplained: Count = 0
-    watched: Count = 0
-    unwatched: Count = 0
-    alarms: Count = 0
+    watched: Annotated[
+        Count, Metric("watched_steps", "transitions tested by a key's candidate")
+    ] = 0
+    unwatched: Annotated[
+        Count, Metric("unwatched_steps", "transitions that no key watched, of a keyed coin")
+    ] = 0
+    alarms: Annotated[
+        Count, Metric("alarms", "transitions whose test failed and made an alarm")
+    ] = 0
     alarm_k: Annotated[int, Field(ge=-1)] = -1
     alarm_reading: FiniteVector = ()
     alarm_expected: FiniteVector = ()
     alarm_gauge: float = 0.0
-    keys_made: Count = 0
+    keys_made: Annotated[Count, KEYS_MADE] = 0
     keys_of_block: Count = 0
     key_block_steps: Count = 0
     keys_refused: str = ""
-    keys_stopped: str = ""
-    key_blocks_lost: Count = 0
-    digits_left: Count = 0
+    keys_stopped: Annotated[str, KEYS_STOPPED] = ""
+    key_blocks_lost: Annotated[Count, BLOCKS_LOST] = 0
+    digits_left: Annotated[Count, DIGITS_LEFT] = 0
     appearances: Count = 1
 
     def alarm_sentence(self) -> str:
@@ -427,10 +446,10 @@ class ControllerStatus(_Status):
         read, expected = (
             ", ".join(f"{v:.4g}" for v in x) for x in (self.alarm_reading, self.alarm_expected)
         )
-        return (
-            f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
-            f"({expected})"
-        )
+        told = f"ALARMS: {self.alarms}, the last at step {self.alarm_k}"
+        if not self.alarm_expected:
+            return f"{told}: too many steps had no digit of the key stream"
+        return f"{told}: read ({read}), expected ({expected})"
 
 
 Status = PlantStatus | ControllerStatus

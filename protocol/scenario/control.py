@@ -6,7 +6,7 @@ from typing import Annotated, Any, ClassVar, Self
 from pydantic import Discriminator, Field, Tag, model_validator
 
 from protocol.knowledge import NotNegative, Policy, PolicyCost
-from protocol.registry import names_a_file
+from protocol.plugins import names_a_file
 from protocol.scenario.parts import Positive, ScenarioTable, check_matrix, shape, shape_problem
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet, Resisted, compact_problem
@@ -131,13 +131,11 @@ class Control(ScenarioTable):
                 f"{candidates} candidates (secrecy.candidates)"
             )
 
-    def coin_problems(self) -> Iterator[str]:
+    def why_unseen(self) -> Iterator[str]:
         """Why a coin that comes from keys would not catch a spoofed sensor under this law."""
         if not names_a_file(self.law):
             yield (
-                f"defence.coin: got 'keys' beside control.law = {self.law!r}, expected law "
-                "'packed': this law does not keep its candidates apart, and a spoofed sensor stays "
-                "unseen"
+                f"control.law = {self.law!r} does not keep its candidates apart, expected 'packed'"
             )
 
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:  # noqa: ARG002

@@ -62,8 +62,8 @@ class Keys(ScenarioTable):
             return None
         if not self.assumption().eps_E:
             return (
-                "eps_E = 0: nothing is claimed that a tap misses, so no key can be promised; "
-                "state keys.eps_E if you can"
+                "eps_E = 0: nothing is claimed that a tap misses, so no key can be promised (state "
+                "keys.eps_E if you can)"
             )
         return f"eps_E = {self.assumption().eps_E:g}: no block is long enough for a key"
 

@@ -1,81 +1,86 @@
-"""Tables whose fields depend on a kind: the registries that know the kinds, and the choice.
+"""Tables whose fields depend on a kind, ``[plant]`` and ``[control]``: each has a model."""
 
-A control law brings the table that it reads: a subclass of the common one. Where a process imports
-no room that provides kinds, as the plant's process imports no law's, the fields of a kind are kept
-as they stand: whoever serves the kind checks them.
-"""
-
-from collections.abc import Iterator
-from typing import Any, ClassVar, TypeVar
+from collections.abc import Callable
+from typing import Any, Final, TypeVar
 
 from pydantic import ValidatorFunctionWrapHandler, WrapValidator
 from pydantic_core import InitErrorDetails, PydanticCustomError, ValidationError
 
-from protocol.registry import Registry, UnknownError
+from protocol.plugins import UnknownError, load, names_a_file
 from protocol.scenario.control import Control
+from protocol.scenario.laws import PackedControl, PaperControl
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.plant import PlantTable
+from protocol.scenario.plants import PLANTS
 
-LAWS: Registry[type[Control]] = Registry("law")
-"""For each name of ``control.law`` the table ``[control]`` that this law reads."""
+T = TypeVar("T")
 
-PLANTS: Registry[type[PlantTable]] = Registry("plant")
-"""For each kind of plant the table ``[plant]`` that it reads."""
-
-P = TypeVar("P", bound=ScenarioTable)
-
-
-class UncheckedControl(Control, extra="allow"):
-    """``[control]`` of a law that this process does not know."""
-
-    needs_gain: ClassVar[bool] = False
-
-    def count_problems(self, candidates: int) -> Iterator[str]:  # noqa: ARG002
-        """None: this process does not know the law's fields."""
-        yield from ()
-
-    def coin_problems(self) -> Iterator[str]:
-        """None: this process does not know the law."""
-        yield from ()
+LAWS: Final[dict[str, type[Control]]] = {
+    "paper": PaperControl,
+    "sustained": Control,
+    "packed": PackedControl,
+}
+"""For each shipped law the table ``[control]`` that it reads."""
 
 
-class UncheckedPlant(PlantTable, extra="allow"):
-    """``[plant]`` of a kind that this process does not know."""
+def law_table(name: str) -> type[Control]:
+    """The table of a law, shipped or in a file of the user's, whose class names it as ``table``.
 
-
-def by_kind(
-    registry: Registry[type[P]], common: type[P], unchecked: type[P], field: str
-) -> WrapValidator:
-    """A validator that reads a table by the model registered for the kind that it names.
-
-    Parameters
-    ----------
-    registry : Registry
-        Subclasses of ``common`` by kind.
-    common, unchecked : type
-        The fields that every kind has; the same, with any others besides.
-    field : str
-        The field of the table that names the kind.
+    Raises
+    ------
+    UnknownError
+        When there is no such law.
     """
+    if name in LAWS or not names_a_file(name):
+        return _among(name, LAWS, ", or path/to/file.py:Name")
+    found = load(name, {})
+    if not (isinstance(found, type) and callable(getattr(found, "synthesise", None))):
+        raise UnknownError(
+            f"got {name!r}, expected a class {name.rpartition(':')[2]} that extends "
+            "controller_service.laws.base.ProgramLaw, or has its methods"
+        )
+    table = getattr(found, "table", Control)
+    if not (isinstance(table, type) and issubclass(table, Control)):
+        raise UnknownError(
+            f"{name}: expected its table to be a class that extends protocol.scenario.Control, "
+            f"got {table!r}"
+        )
+    return table
+
+
+def plant_table(name: str) -> type[PlantTable]:
+    """The table of a kind of plant.
+
+    Raises
+    ------
+    UnknownError
+        When there is none.
+    """
+    return _among(name, PLANTS)
+
+
+def _among(name: str, tables: dict[str, T], besides: str = "") -> T:
+    if name not in tables:
+        raise UnknownError(f"got {name!r}, expected {', '.join(tables)}{besides}")
+    return tables[name]
+
+
+def by_kind(field: str, default: str, table_of: Callable[[str], type[ScenarioTable]]) -> Any:
+    """A validator that reads a table by the model of the kind that its ``field`` names."""
 
     def read(table: object, handler: ValidatorFunctionWrapHandler) -> Any:
         if not isinstance(table, dict):
             return handler(table)
-        if not registry.served:
-            return unchecked.model_validate(table)
-        kind = table.get(field, common.model_fields[field].default)
+        kind = table.get(field, default)
         try:
-            model = registry[kind] if isinstance(kind, str) else None
+            if not isinstance(kind, str):
+                raise UnknownError("expected a name")
+            return table_of(kind).model_validate(table)
         except UnknownError as error:
-            model = None
             why = str(error).removeprefix(f"got {kind!r}, ")
-        else:
-            why = "expected a name"
-        if model is None:
             problem = InitErrorDetails(
                 type=PydanticCustomError("kind", "{why}", {"why": why}), loc=(field,), input=kind
             )
-            raise ValidationError.from_exception_data(common.__name__, [problem])
-        return model.model_validate(table)
+            raise ValidationError.from_exception_data(field, [problem]) from None
 
     return WrapValidator(read)

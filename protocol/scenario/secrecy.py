@@ -4,10 +4,10 @@ from typing import Annotated
 
 from pydantic import Field, field_validator
 
-from protocol.registry import UnknownError
+from protocol.plugins import UnknownError
 from protocol.scenario.parts import ScenarioTable
 from protocol.scenario.sets import ConvexSet
-from protocol.schemes.registry import SCHEMES
+from protocol.schemes.registry import scheme_named
 
 
 class Secrecy(ScenarioTable):
@@ -31,7 +31,7 @@ class Secrecy(ScenarioTable):
     @classmethod
     def _known(cls, name: str) -> str:
         try:
-            SCHEMES[name]
+            scheme_named(name)
         except UnknownError as error:
             raise ValueError(str(error).removeprefix(f"got {name!r}, ")) from None
         return name

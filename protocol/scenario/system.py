@@ -14,12 +14,13 @@ from protocol.brief import Brief
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.defence.watch import Watch
 from protocol.knowledge import Knowledge
+from protocol.plugins import source_of
 from protocol.scenario.attack import Attack
 from protocol.scenario.control import Control
 from protocol.scenario.defence import DefenceTable, needs_keys
 from protocol.scenario.defender import Defender
 from protocol.scenario.keys import Keys
-from protocol.scenario.kinds import LAWS, PLANTS, UncheckedControl, UncheckedPlant, by_kind
+from protocol.scenario.kinds import by_kind, law_table, plant_table
 from protocol.scenario.link import Link
 from protocol.scenario.network import Network
 from protocol.scenario.noise import widened
@@ -28,7 +29,7 @@ from protocol.scenario.plant import PlantTable
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.scenario.tap import TapView
-from protocol.schemes.registry import SCHEMES
+from protocol.schemes.registry import scheme_named
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 RULES_VERSION = 3
@@ -47,13 +48,11 @@ class Scenario(Brief, ScenarioTable):
     """One line for people."""
     source: str = ""
     """Where its numbers come from."""
-    plant: SerializeAsAny[
-        Annotated[PlantTable, by_kind(PLANTS, PlantTable, UncheckedPlant, "kind")]
-    ]
+    plant: SerializeAsAny[Annotated[PlantTable, by_kind("kind", "linear", plant_table)]]
     """What is simulated or driven."""
     defender: Defender
     """What both ends know of the plant, and she does not."""
-    control: SerializeAsAny[Annotated[Control, by_kind(LAWS, Control, UncheckedControl, "law")]]
+    control: SerializeAsAny[Annotated[Control, by_kind("law", "sustained", law_table)]]
     """How the candidate inputs are computed."""
     secrecy: Secrecy
     """The agreement rule."""
@@ -111,6 +110,11 @@ class Scenario(Brief, ScenarioTable):
     def readings(self) -> int:
         """Numbers of a reading: n, or the rows of C."""
         return self.n if self.plant.C is None else len(self.plant.C)
+
+    @property
+    def digits(self) -> int:
+        """Digits of the key stream that an offer takes: for the coin, and for a sealed symbol."""
+        return self.defence.keyed + scheme_named(self.secrecy.scheme).from_stream
 
     @property
     def observer(self) -> BoxObserver | None:
@@ -251,9 +255,12 @@ class Scenario(Brief, ScenarioTable):
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
         if self.defence.keyed:
-            problems += self.control.coin_problems()
+            problems += [
+                f"defence.coin: got 'keys', and a spoofed sensor would stay unseen: {why}"
+                for why in self.control.why_unseen()
+            ]
         problems += self.defence.problems(self.keys, self.link)
-        if SCHEMES[self.secrecy.scheme].from_stream:
+        if scheme_named(self.secrecy.scheme).from_stream:
             problems += needs_keys(f"secrecy.scheme: {self.secrecy.scheme!r}", self.keys)
         try:
             _ = self.alarm_rule
@@ -310,7 +317,7 @@ class Scenario(Brief, ScenarioTable):
                 "plant apply it by itself (wyner design shows the regulator's)"
             )
         found = self.defender.calibration
-        if found is not None and LAWS and found.law_fingerprint != self.law_fingerprint():
+        if found is not None and found.law_fingerprint != self.law_fingerprint():
             yield (
                 f"defender.calibration.law_fingerprint: got {found.law_fingerprint[:16]}..., "
                 f"expected {self.law_fingerprint()[:16]}...: the certificate is stale, as the law, "
@@ -345,7 +352,7 @@ class Scenario(Brief, ScenarioTable):
         Compared over the management bus only: on the field bus it would let an eavesdropper test
         her guesses.
         """
-        scheme, source = SCHEMES[self.secrecy.scheme], SCHEMES.source(self.secrecy.scheme)
+        scheme, source = scheme_named(self.secrecy.scheme), source_of(self.secrecy.scheme)
         own = (source,) if source else ()
         keys = {} if self.keys is None else {"keys": self.keys.shared()}
         # With a nonlinear f_c the offer carries its predictions, and both ends test against those.
@@ -384,8 +391,7 @@ class Scenario(Brief, ScenarioTable):
     def loop_fingerprint(self) -> str:
         """SHA-256 (hex) over all that controller and plant work with: everything but the words.
 
-        Of the law's table and of the plant's only what is stated: the defaults of a law are known
-        to the controller alone, those of a kind of plant to the plant.
+        Of the law's table and of the plant's only what is stated.
         """
         apart = {"plant", "control"}
         untold = {"description", "source", "tap", "attack"}
@@ -435,8 +441,8 @@ class Scenario(Brief, ScenarioTable):
         return {"N": N.model_dump(), "of": D_c.model_dump(), **C}
 
     def _own_law(self) -> dict[str, str]:
-        """The source of a law in a file of the user's, where this process knows laws."""
-        source = LAWS.source(self.control.law) if LAWS else ""
+        """The source of a law in a file of the user's."""
+        source = source_of(self.control.law)
         return {"law": f"{self.control.law.rpartition(':')[2]} {source}"} if source else {}
 
     def knowledge(self) -> Knowledge:
@@ -455,7 +461,7 @@ class Scenario(Brief, ScenarioTable):
             noisy=self.defender.noise is not None,
             C=self.plant.C,
             keys=None if self.keys is None else self.keys.assumption(),
-            digits=self.defence.keyed + SCHEMES[self.secrecy.scheme].from_stream,
+            digits=self.digits,
         )
 
     def oracle_knowledge(self) -> Knowledge:

@@ -1,42 +1,17 @@
 """The schemes by name, as a scenario's ``[secrecy] scheme`` gives it."""
 
 from collections.abc import Callable, Iterator
+from functools import cache
 from typing import Any, Final, TypeVar
 
 from protocol.agreement import NO_SYMBOL
-from protocol.registry import Classes, UnknownError
+from protocol.plugins import UnknownError, load_class
 from protocol.schemes.base import Carry, Scheme
 
 T = TypeVar("T")
 
 EXPLORED: Final = 64
 """States of a scheme that are looked at before anybody follows it."""
-
-
-class Schemes(Classes[Scheme[Any]]):
-    """Schemes by name; one that both ends could not follow is refused here, in one line."""
-
-    def _checked(self, name: str, found: object, class_name: str) -> type[Scheme[Any]]:
-        scheme = super()._checked(name, found, class_name)
-        version: object = getattr(scheme, "version", None)
-        initial: Any = getattr(scheme, "initial", None)
-        if not isinstance(version, int):
-            raise UnknownError(
-                f"{name!r}: expected a class attribute version, a whole number, got {version!r}"
-            )
-        named = isinstance(initial, tuple) and hasattr(initial, "_fields")
-        if not (named and all(isinstance(v, int) for v in initial)):
-            raise UnknownError(
-                f"{name!r}: expected a class attribute initial, a NamedTuple of whole numbers, "
-                f"got {initial!r}"
-            )
-        try:
-            problem = next(_problems(_asked(scheme, 2)), None)
-        except UnknownError as error:
-            raise UnknownError(f"{name!r}: {error}") from error.__cause__
-        if problem is not None:
-            raise UnknownError(f"{name!r}: {problem}")
-        return scheme
 
 
 def _asked(method: Callable[..., T], *arguments: object) -> T:
@@ -78,15 +53,45 @@ def _problems(scheme: Scheme[Any]) -> Iterator[str]:
             yield f"tests: got False in {state}, expected True, since a verdict makes a difference"
 
 
-SCHEMES: Final[Schemes] = Schemes(
-    "scheme",
-    Scheme,
-    {
-        "switched": "protocol.schemes.switched:Switched",
-        "pipelined": "protocol.schemes.pipelined:Pipelined",
-        "sealed": "protocol.schemes.sealed:Sealed",
-    },
-)
+SCHEMES: Final = {
+    "switched": "protocol.schemes.switched:Switched",
+    "pipelined": "protocol.schemes.pipelined:Pipelined",
+    "sealed": "protocol.schemes.sealed:Sealed",
+}
+"""Where the shipped ones are."""
+
+
+def scheme_named(name: str) -> type[Scheme[Any]]:
+    """The scheme of that name, shipped or ``path/to/file.py:Name``, that both ends can follow.
+
+    Raises
+    ------
+    protocol.plugins.UnknownError
+        When there is none, or an end could not follow it; one line.
+    """
+    scheme: type[Scheme[Any]] = load_class(name, SCHEMES, Scheme)  # type: ignore[type-abstract]
+    if problem := _problem(scheme):
+        raise UnknownError(f"{name!r}: {problem}")
+    return scheme
+
+
+@cache
+def _problem(scheme: type[Scheme[Any]]) -> str:
+    """What an end could not follow of it, in a line; empty where there is nothing."""
+    version: object = getattr(scheme, "version", None)
+    initial: Any = getattr(scheme, "initial", None)
+    if not isinstance(version, int):
+        return f"expected a class attribute version, a whole number, got {version!r}"
+    if not (
+        isinstance(initial, tuple)
+        and hasattr(initial, "_fields")
+        and all(isinstance(v, int) for v in initial)
+    ):
+        return f"expected a class attribute initial, a NamedTuple of whole numbers, got {initial!r}"
+    try:
+        return next(_problems(_asked(scheme, 2)), "")
+    except UnknownError as error:
+        return str(error)
 
 
 def make_scheme(name: str, alphabet: int) -> Scheme[Any]:
@@ -94,7 +99,7 @@ def make_scheme(name: str, alphabet: int) -> Scheme[Any]:
 
     Raises
     ------
-    protocol.registry.UnknownError
-        When there is none.
+    protocol.plugins.UnknownError
+        As :func:`scheme_named`.
     """
-    return SCHEMES[name](alphabet)
+    return scheme_named(name)(alphabet)

@@ -56,6 +56,16 @@ class Schedule:
         grown = min(number, self.growing)
         return 1 + self.first * ((1 << grown) - 1) + (number - grown) * self.largest
 
+    @property
+    def first_use(self) -> int:
+        """The first step of a session that can have a digit of the key stream.
+
+        Block 0 is over with the measurement of step ``begins(1)``, and is extracted. Each end
+        announces it after one more transition. The plant confirms it by the offer of that step, the
+        controller by the measurement after that, and then names a digit.
+        """
+        return self.begins(1) + 3
+
     def block_of(self, j: int) -> int:
         """The block of transition ``j``; -1 for the session's first."""
         if j < 1:

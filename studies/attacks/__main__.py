@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
-from protocol.registry import UnknownError
+from protocol.plugins import UnknownError
 from runtime.command import Parser, carry_out
 from runtime.errors import DONE, UsageError
 

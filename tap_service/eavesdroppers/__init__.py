@@ -7,7 +7,7 @@ user's own. Modules are loaded when they are asked for.
 from typing import Final
 
 from protocol.knowledge import Knowledge
-from protocol.registry import Classes, UnknownError
+from protocol.plugins import UnknownError, load_class
 from protocol.secret.blocks import schedule_of
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
@@ -33,8 +33,6 @@ LADDER: Final[dict[str, str]] = {
     "key-solver": "tap_service.eavesdroppers.key_solver:KeySolver",
 }
 """Each name with its module and class, weakest first; the last goes for the keys alone."""
-
-EAVESDROPPERS: Final[Classes[Eavesdropper]] = Classes("eavesdropper", Eavesdropper, LADDER)
 
 ORACLE: Final = "oracle"
 """The one that must be told alpha."""
@@ -75,6 +73,6 @@ def named(name: str) -> type[Eavesdropper]:
         With one line, when there is no such eavesdropper.
     """
     try:
-        return EAVESDROPPERS[name]
+        return load_class(name, LADDER, Eavesdropper)  # type: ignore[type-abstract]
     except UnknownError as error:
         raise KnowledgeError(str(error)) from None

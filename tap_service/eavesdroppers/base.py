@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from protocol.registry import UnknownError
+from protocol.plugins import UnknownError
 from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.framing import Deframer
 from protocol.schemes.registry import make_scheme

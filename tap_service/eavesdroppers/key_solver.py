@@ -18,7 +18,6 @@ from typing import ClassVar, Final, NamedTuple
 import numpy as np
 
 from protocol.knowledge import Knowledge
-from protocol.link.session import position_of
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import Deframer
@@ -146,7 +145,7 @@ class KeySolver(Eavesdropper):
             if not message.copy_number and message.nonce:
                 step.offer = as_bytes(message.nonce)
             step.measurement_taken = message.heard
-            step.position = position_of(message)
+            step.position = message.position
         else:
             if not message.copy_number and message.nonce:
                 step.measurement = as_bytes(message.nonce)

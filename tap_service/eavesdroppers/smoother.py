@@ -1,7 +1,7 @@
 """`smoother`: decodes like `list-decoder` what she heard badly or in part.
 
 She infers lost states and offers from later ones, by the law that she was told
-(:mod:`tap_service.inference.offers_reader`, :mod:`tap_service.inference.from_measurements`) or
+(:mod:`tap_service.inference.offers_reader`, :mod:`tap_service.inference.unheard_offers`) or
 by what she learns of it (:mod:`tap_service.inference.gap_smoother`), and follows every outcome that
 remains likely, beside every threshold. She has to hear what came after before she can infer what
 was lost, so she decodes all that she keeps anew each time she has heard twice as much as before.
@@ -29,12 +29,13 @@ from tap_service.eavesdroppers.base import (
 from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected
 from tap_service.inference.fitted_shape import Shape, likelier_shape
-from tap_service.inference.from_measurements import infer_from_measurements
-from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.gap_smoother import GapSmoother
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.output_model import OutputModel
 from tap_service.inference.policy import KnownLaw
+from tap_service.inference.unheard_offers import infer_from_readings
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go, decoded for good."""
@@ -174,9 +175,9 @@ class Smoother(Eavesdropper):
             self._steps = self.reader.infer(kept)
             return self.reader.width or _among(self.reader.support)
         A, B = np.array(self._model.A), np.array(self._model.B)
-        told = self._law is not None and not self._law.shared
-        if told and self._law is not None and all(t.candidates is None for t in kept):
-            self._steps = infer_from_measurements(A, B, self._shape, self._law, kept)
+        if self._law is not None and all(t.candidates is None for t in kept):
+            found = infer_from_readings(A, B, self._shape, self._law, self.size, self._noise, kept)
+            self._steps = found.steps
             return _among(1.0)
         clear = not self._noise and all(t.whole for t in kept)
         facets = self._law is not None and self._law.facets

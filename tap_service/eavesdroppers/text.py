@@ -29,7 +29,8 @@ from tap_service.eavesdroppers.base import (
 )
 from tap_service.inference.english import AnyBytes, English, english
 from tap_service.inference.from_outputs import inferred
-from tap_service.inference.front import Inference, Inferred
+from tap_service.inference.front import Inference
+from tap_service.inference.inferred import Inferred
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.message_reader import SURE, Message, MessageReader
 from tap_service.inference.message_search import BEAM

@@ -7,8 +7,7 @@ import numpy as np
 
 from protocol.arrays import Array, Integers
 from tap_service.capture.transcript import Transition, transitions_in_a_row
-from tap_service.inference.front import Inferred
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.opening import AT_FIRST, Known, Opening, lost_after
 from tap_service.inference.output_model import LOST, OutputModel
 

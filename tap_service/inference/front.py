@@ -7,7 +7,7 @@ the law as the policy gives it or as it is learned. Any other: by the law's piec
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Final
 
@@ -23,12 +23,14 @@ from tap_service.inference.fitted_shape import (
     likelier_shape,
     residuals_of,
 )
-from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.gap_smoother import GapSmoother
+from tap_service.inference.inferred import Inferred, thresholds_above
 from tap_service.inference.line_smoother import LineSmoother
 from tap_service.inference.mixture_smoother import MixtureSmoother
 from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.planar_law import PlanarLaw, learned_law, matching
 from tap_service.inference.policy import KnownLaw
+from tap_service.inference.unheard_offers import infer_from_readings
 
 ENOUGH: Final = 16
 """Steps heard whole from which the disturbance is measured."""
@@ -42,12 +44,6 @@ BLURRED: Final = 3.0
 MOST_ACTIVE_SHARE: Final = 0.6
 """Share of the offers that a law must explain."""
 
-SLACK: Final = 0.02
-"""Over the width: how far a disturbance may be outside where the width is looked for."""
-
-STRAY: Final = -7.0
-"""Log density of a step that a width does not explain."""
-
 TRIAL: Final = 120
 """Steps on which scales are tried."""
 
@@ -56,21 +52,6 @@ SAMPLES: Final = 96
 
 FEW: Final = 120
 """Particles while scales are tried."""
-
-
-@dataclass(frozen=True)
-class Inferred:
-    """The steps as inferred.
-
-    Parameters
-    ----------
-    steps : list of InferredStep
-    among : tuple of float
-        t_c from and to, in units of D_e.
-    """
-
-    steps: list[InferredStep]
-    among: tuple[float, float]
 
 
 class Inference:
@@ -88,7 +69,7 @@ class Inference:
         assert k.disturbance_h is not None
         self._A, self._B = np.array(k.A), np.array(k.B)
         self._told = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
-        self._shape = Shape(self._told)
+        self._shape, self._size = Shape(self._told), k.candidates
         # rounding to a step is an error spread evenly over it
         self._noise = float(np.hypot(k.noise, k.quantise / np.sqrt(12.0)))
         self._certain = k.policy is not None and k.policy.certain
@@ -112,12 +93,15 @@ class Inference:
         if not self._noise:
             ties = self._certain or self._other_set
             self._shape = likelier_shape(self._told, self._A, self._B, kept, ties=ties)
+        if self._law is not None and all(t.candidates is None for t in kept):
+            A, B, noise = self._A, self._B, self._noise
+            return infer_from_readings(A, B, self._told, self._law, self._size, noise, kept)
         law = None if self._planar is None else self._fitted(self._planar, kept)
         if law is not None:
             return self._by_lines(law, runs, kept)
         if self._law is not None and all(t.x is None for t in kept):
             reader = OffersReader(self._A, self._B, self._told, self._law, self._noise)
-            return Inferred(reader.infer(kept), reader.width or _among(reader.support))
+            return Inferred(reader.infer(kept), reader.width or thresholds_above(reader.support))
         smoother: GapSmoother | MixtureSmoother = GapSmoother(
             self._A, self._B, self._shape, self._noise, samples=SAMPLES
         )
@@ -125,15 +109,13 @@ class Inference:
             smoother = MixtureSmoother(
                 self._A, self._B, self._told, self._noise, self._law, samples=SAMPLES
             )
-        return Inferred(smoother.infer(kept), _among(smoother.support))
+        return Inferred(smoother.infer(kept), thresholds_above(smoother.support))
 
     # --- the law ----------------------------------------------------------------------------------
 
     def _fitted(self, law: PlanarLaw, kept: Sequence[Transition]) -> PlanarLaw | None:
         """The law of the right width, or a learned one; None where none explains the offers."""
         offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
-        if not offers:
-            return self._by_states(law, kept) if law.known else None
         law = matching(law, offers)
         pairs = [t for t in kept if t.x is not None and t.candidates is not None]
         if len(pairs) < ENOUGH:
@@ -151,31 +133,6 @@ class Inference:
             tried.append(learned_law(law, x, u))
         shares = [float((one.explains(x, u) <= room).mean()) for one in tried]
         return None if max(shares) < MOST_ACTIVE_SHARE else tried[int(np.argmax(shares))]
-
-    def _by_states(self, law: PlanarLaw, kept: Sequence[Transition]) -> PlanarLaw | None:
-        """The likeliest width, where states alone were heard: the least that explains most."""
-        pairs = [t for t in kept if t.x is not None and t.x_next is not None]
-        if len(pairs) < ENOUGH:
-            return None
-        x, after = np.array([t.x for t in pairs]), np.array([t.x_next for t in pairs])
-        moved = after - x @ self._A.T
-
-        def nearest(width: float) -> Array:
-            u = law.of_width(width).offers(x)
-            d = moved[:, None] - u[:, :, None] * self._B[:, 0]
-            out: Array = np.maximum((d @ self._told.T).max(axis=2), 0.0).min(axis=1)
-            return out
-
-        def likelihood(width: float) -> float:
-            inside = nearest(width) <= width * (1 + SLACK) + self._noise * np.abs(self._told).max()
-            return float(np.where(inside, -2 * np.log(width), STRAY).mean())
-
-        def left(width: float) -> float:
-            return float(np.quantile(nearest(width), 0.75))
-
-        best = max(np.geomspace(1 / 64, 1.0, 417).tolist(), key=likelihood)
-        near = best * np.geomspace(0.94, 1.06, 121)
-        return law.of_width(min(float(min(near.tolist(), key=left)), 1.0))
 
     # --- by lines ---------------------------------------------------------------------------------
 
@@ -205,7 +162,7 @@ class Inference:
         if law.scaled and law.known and not self._other_set and self._shape.told is None:
             room = 1.0005 if exact else 1.06
             return Inferred(steps, (law.width / room, min(law.width * room, 1.0)))
-        return Inferred(steps, _among(float(support.max())))
+        return Inferred(steps, thresholds_above(float(support.max())))
 
     def _measured(self, kept: Sequence[Transition]) -> bool:
         return not self._noise and sum(t.whole for t in kept) >= ENOUGH
@@ -220,11 +177,6 @@ class Inference:
         nearest = products[np.arange(len(whole)), products.max(axis=2).argmin(axis=1)]
         found: Array = nearest.max(axis=0) * (1 + 2 / len(whole))
         return np.maximum(both_ways(rows, found), SMALLEST)
-
-
-def _among(support: float) -> tuple[float, float]:
-    """Thresholds of a defender, by the gauge of the largest disturbance."""
-    return 0.95 * support, min(3.0 * support, 1.0)
 
 
 def _joined(run: list[Transition]) -> list[Transition]:

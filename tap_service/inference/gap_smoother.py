@@ -17,6 +17,7 @@ import numpy as np
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
 from tap_service.inference.fitted_shape import Shape
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.law_pieces import Form, LearnedLaw, Reading, heard_exactly, learn_law
 
 SAMPLES: Final = 32
@@ -35,17 +36,6 @@ ENOUGH: Final = 12
 """Steps heard whole from which the disturbance is measured."""
 
 TINY: Final = 1e-9
-
-
-@dataclass(slots=True)
-class InferredStep:
-    """One transition as it was inferred: equally likely gauges, and the cipher if it was heard.
-
-    ``samples`` has shape (S, M); S = 1 where nothing is uncertain; None where nothing is known.
-    """
-
-    transition: Transition
-    samples: Array | None
 
 
 @dataclass(frozen=True, slots=True)

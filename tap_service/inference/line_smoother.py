@@ -17,7 +17,7 @@ import numpy as np
 from protocol.arrays import Array, Indices
 from tap_service.capture.transcript import Transition
 from tap_service.inference.fitted_shape import Shape
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.planar_law import PlanarLaw
 
 PARTICLES: Final = 640

@@ -21,7 +21,7 @@ from protocol.schemes.table import StateTable
 from tap_service.capture.transcript import transitions_in_a_row
 from tap_service.inference.alignment import align
 from tap_service.inference.english import AnyBytes, English
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_search import BEAM, REFUTED, Found
 from tap_service.inference.message_sets import SharedSearch

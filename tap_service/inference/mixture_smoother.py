@@ -18,7 +18,7 @@ import numpy as np
 
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.law_pieces import LearnedLaw, learn_law
 from tap_service.inference.policy import KnownLaw
 

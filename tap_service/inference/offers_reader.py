@@ -15,7 +15,7 @@ import numpy as np
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition, steps_in_a_row
 from tap_service.inference.active_sets import Scales
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.particle_smoother import PARTICLES, ParticleSmoother
 from tap_service.inference.policy import KnownLaw
 

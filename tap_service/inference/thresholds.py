@@ -17,7 +17,7 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.schemes.framing import IDLE, LENGTH_BYTES, START, digits_of
 from protocol.schemes.table import StateTable
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, ENDS, SHORT_SHARE
 from tap_service.inference.verdicts import DOUBT, PSEUDO
 

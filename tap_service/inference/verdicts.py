@@ -8,13 +8,16 @@ import numpy as np
 
 from protocol.arrays import Array
 from tap_service.capture.transcript import Transition
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 
 LIKE_ALONE: Final = 10.0
 """Trajectories that are added, where a step is looked at after another, as it is alone."""
 
 DOUBT: Final = 1e-4
 """Probability that a step's verdict is another where nothing seems to speak for it."""
+
+NEAREST: Final = 1e-4
+"""Trajectories that are added for each drawn, in which its nearest candidate was agreed."""
 
 PSEUDO: Final = 0.25
 """Trajectories that are added to those drawn, spread over all verdicts."""
@@ -50,6 +53,10 @@ def verdicts_of(
         alone[i] = share.sum(axis=0)
         more = DOUBT if len(share) == 1 else PSEUDO
         alone[i, 1 if certain else 0 :] += more / (size + 1)
+        # if one was agreed all the same, then the nearest
+        samples = steps[i].samples
+        assert samples is not None
+        alone[i, 1:] += NEAREST * np.bincount(samples.argmin(axis=1), minlength=size)
         alone[i] /= alone[i].sum()
     blind = np.array([share is None for share in shares], dtype=bool)
     seen = alone[~blind]

@@ -37,12 +37,12 @@ from protocol.topics import key_of
 from runtime.bus import TransportError
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
-from runtime.memory_bus import MemoryBus, MemoryChannel, MemoryHub
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
 from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
+from tests.support.memory_bus import MemoryBus, MemoryChannel, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size

@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 LOOK = 5
 """Steps in a row that are watched before an attack begins."""
 
-KEYED = '\n[defence]\nkind = "keyed-coin"\n'
+KEYED = '\n[defence]\ncoin = "keys"\n'
 
 
 def told(folder: Path, onset: int = 0) -> dict[str, Any]:
@@ -101,19 +101,19 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
 
 @pytest.mark.parametrize("keys", [None, {"eps_E": 0.0}])
 def test_keys_that_cannot_be_made_are_one_line(keys: dict[str, float] | None) -> None:
-    defence = {"defence": {"kind": "keyed-coin"}}
+    defence = {"defence": {"coin": "keys"}}
     tables = scenario_of("packed").model_dump(exclude_unset=True) | defence
     with pytest.raises(ScenarioError) as caught:
         parse_scenario(tables if keys is None else tables | {"keys": keys}, "x")
     assert len(caught.value.problems) == 1
-    assert "keyed-coin takes distilled keys" in caught.value.problems[0]
+    assert "defence.coin: 'keys' takes distilled keys" in caught.value.problems[0]
 
 
 @pytest.mark.parametrize(
     ("defence", "line"),
     [
-        ({"kind": "mac"}, 'defence.kind: got "mac", expected'),
-        ({"messages": "mac"}, 'defence.messages: got "mac", no such field'),
+        ({"coin": "mac"}, 'defence.coin: got "mac", expected'),
+        ({"kind": "mac"}, 'defence.kind: got "mac", no such field'),
     ],
 )
 def test_a_defence_that_cannot_be_is_one_line(defence: dict[str, str], line: str) -> None:

@@ -2,9 +2,6 @@
 
 import importlib
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Callable
 from inspect import signature
 from pathlib import Path
@@ -14,7 +11,6 @@ import pytest
 from benchmarks import fleet, pace
 from benchmarks.__main__ import BENCHMARKS, main
 from protocol.messages import LATENCY_BOUNDS_S
-from tests.support.patience import PATIENCE_S
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -30,7 +26,7 @@ def test_a_quantile_is_the_upper_bound_of_its_bucket() -> None:
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (["loop", "--loops", "3"], "--loops: is for bench fleet"),
+        (["loop", "--loops", "3"], "--loops: is for the benchmark fleet"),
         (["fleet", "--loops", "0"], "--loops: got 0"),
         (["fleet", "--seconds", "0"], "--seconds: got 0"),
     ],
@@ -42,31 +38,12 @@ def test_options_of_the_fleets_benchmark(
     assert said in capsys.readouterr().err
 
 
-def test_the_command_hands_its_arguments_on(tmp_path: Path) -> None:
-    """``wyner bench`` becomes the benchmarks' own program, wherever it is called."""
-    for arguments, code, said in (
-        (("--help",), 0, "usage: wyner bench"),
-        (("--json", "fleet", "--loops", "0"), 2, "wyner: --loops: got 0, expected at least 1"),
-    ):
-        done = subprocess.run(
-            [sys.executable, "-m", "wyner", "bench", *arguments],
-            cwd=tmp_path,
-            capture_output=True,
-            text=True,
-            timeout=PATIENCE_S,
-            check=False,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-        assert done.returncode == code
-        assert (done.stdout or done.stderr).startswith(said)
-
-
 @pytest.mark.parametrize("name", BENCHMARKS)
 @pytest.mark.parametrize("machine", [False, True])
 def test_what_goes_on_is_said_beside_the_result(
     name: str, machine: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """``bench pace`` takes minutes: each rate is a line on standard error, with ``--json`` too."""
+    """``pace`` takes minutes: each rate is a line on standard error, with ``--json`` too."""
     module = importlib.import_module(BENCHMARKS[name].module)
     assert signature(module.measure).parameters["progress"].default is None
 
@@ -78,7 +55,7 @@ def test_what_goes_on_is_said_beside_the_result(
     monkeypatch.setattr(module, "render", lambda result: f"highest: {result['highest_hz']} Hz")
     assert main([name, *(["--json"] if machine else [])]) == 0
     said = capsys.readouterr()
-    assert said.err == f"bench {name}: {BENCHMARKS[name].text} ...\n  20 Hz, 600 steps\n"
+    assert said.err == f"{name}: {BENCHMARKS[name].text} ...\n  20 Hz, 600 steps\n"
     assert said.out == ('{"highest_hz": 20}\n' if machine else "highest: 20 Hz\n")
 
 

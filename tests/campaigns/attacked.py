@@ -36,11 +36,11 @@ from protocol.agreement import INSIDE
 from protocol.scenario import Attack, Scenario
 from protocol.statistics import clopper_pearson
 from runtime.bus import Bus
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.pace import Pace
 from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from wyner.runs.resolve import Resolved
 
 SIZES = (2, 3, 4)

@@ -21,7 +21,7 @@ from protocol.link.distiller import BlockEnded
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Alarm, Event, SessionBegan
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, position_of
+from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.link.step import Answered, Read
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
@@ -233,7 +233,7 @@ class End:
         self._reports.look(save)
         step, received = save.step, save.received
         if isinstance(step, Read) and step.report.keyed:
-            self._take(step.offer.session, step.offer.k, position_of(step.offer))
+            self._take(step.offer.session, step.offer.k, step.offer.position)
         self.journal.save(save)
         if received is not None:
             place = self.view.received
@@ -282,7 +282,7 @@ class End:
         self._said[topic] = plain
         if isinstance(message, Offer):
             self._offered(message)
-            if (position := position_of(message)) != NOWHERE:
+            if (position := message.position) != NOWHERE:
                 self._take(message.session, message.k, position)
         return message.model_copy(update={"nonce": dummy}) if dummy else message
 

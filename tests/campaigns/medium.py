@@ -106,7 +106,7 @@ def _loop(case: Case, air: Medium, folder: Path) -> None:
     plant, controller, *taps = air.stations
     wyner = [sys.executable, "-m", "wyner"]
     knowledge = folder / "knowledge.json"
-    told = [*wyner, "scenarios", str(scenario), "--knowledge", str(knowledge)]
+    told = [*wyner, "design", str(scenario), "--knowledge", str(knowledge)]
     subprocess.run(told, check=True, capture_output=True)
     common = ["--scenario", str(scenario), "--run-dir", str(run_dir)]
 

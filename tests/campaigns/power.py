@@ -5,8 +5,8 @@ synced. An *image* is what a disk may hold after a power failure at one instant:
 that was synced, and of the writes since then none, all, the first few, or any of them, the last one
 torn. Both ends go on from it, as after another boot of the machine, or one end from its image and
 the other from all that it wrote. Every message that had been accepted before must arrive; every
-message that had been called delivered must be in the plant's trace; and the checks of messages and
-frames must pass. What other checks say is counted.
+message that had been called delivered must be in the plant's trace; and the
+rule of messages must hold. What other rules say is counted.
 """
 
 import argparse
@@ -40,7 +40,7 @@ MARKS: Final = "marks"
 
 SECTOR: Final = 512
 CALLS: Final = "write,pwrite64,fsync,fdatasync,ftruncate,unlink"
-JUDGED: Final = ("messages", "frames")
+JUDGED: Final = ("messages",)
 KINDS: Final = ("none", "all", "first", "any", "torn")
 
 _CALL: Final = re.compile(
@@ -243,11 +243,10 @@ def gone_on(folder: Path, image: Image) -> tuple[Counter[str], list[str]]:
         for name in image.accepted
         if name.encode() not in recovered
     ]
-    results = check(read_evidence(loop.folder))
-    failed = {r.check.name: str(r.counter.first) for r in results if r.result == "FAIL"}
-    wrong += [f"check: {name}: {failed[name]}" for name in JUDGED if name in failed]
+    found = check(read_evidence(loop.folder))
+    wrong += [f"check: {finding}" for finding in found if finding.rule in JUDGED]
     twice = sum(count - 1 for count in Counter(recovered).values())
-    counts = Counter(f"check: {name}, {image.kind}" for name in failed)
+    counts = Counter(f"check: {name}, {image.kind}" for name in {f.rule for f in found})
     counts[f"images, {image.kind}"] += 1
     counts["messages that came again"] += twice
     return counts, wrong

@@ -12,6 +12,7 @@ from plant_service import core as plant_core
 from protocol.link import distiller
 from protocol.link.controller_session import TABLE, Row
 from protocol.link.distiller import Distiller
+from protocol.messages import Offer
 from protocol.secret.blocks import ExtractedBlock
 from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
@@ -174,7 +175,8 @@ def announce_at_once(patch: Patch) -> None:
 
     def wrong(self: Distiller, block: ExtractedBlock) -> None:
         extracted(self, block)
-        self._confirm(block)
+        said = {"block": block.number, "tag": block.tag}
+        self.heard(Offer(session=block.session, k=0, candidates=(), cipher=0, **said))
 
     patch.setattr(Distiller, "extracted", wrong)
 

@@ -76,13 +76,12 @@ class Traffic:
             self.wrong += _recovered(run_dir, self.expected, counts)
             self.wrong += _watched(run_dir, counts)
             evidence = read_evidence(run_dir)
-            results = check(evidence)
+            found = check(evidence)
         except (OSError, RunError, TraceError, ValueError) as error:
             return [*self.wrong, f"the run cannot be read: {error}"]
         plant = evidence.plant
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
-        failed = [f"{r.check.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
-        return self.wrong + failed
+        return self.wrong + [str(finding) for finding in found]
 
 
 def _watched(run_dir: Path, counts: Counter[str]) -> list[str]:

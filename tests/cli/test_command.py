@@ -49,16 +49,7 @@ def python(*args: str, **more: Any) -> subprocess.CompletedProcess[bytes]:
     return subprocess.run([sys.executable, *args], cwd=ROOT, check=False, **kept | more)
 
 
-def test_the_benchmarks_are_a_program_of_their_own_and_have_help() -> None:
-    """In a process of its own: the command becomes that program."""
-    done = python("-m", "wyner", "bench", "--help", env=os.environ | {"COLUMNS": "80"})
-    assert done.returncode == 0
-    assert b"wyner bench" in done.stdout
-    assert max(map(len, done.stdout.splitlines())) <= 80
-    assert len(done.stdout.splitlines()) > 3
-
-
-@pytest.mark.parametrize("name", sorted({*PRESENT} - {"bench"}))
+@pytest.mark.parametrize("name", sorted(PRESENT))
 def test_every_command_has_help(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -147,7 +138,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["check"], "the following arguments are required: RUN_DIR"),
         (["check", "no-such-run"], "no-such-run: no run here"),
         (["design", "none"], "none: no such file"),
-        (["scenarios", "none", "--knowledge"], "none: no such file"),
+        (["design", "none", "--knowledge"], "none: no such file"),
     ],
 )
 def test_wrong_use_is_one_line(
@@ -220,7 +211,7 @@ def test_a_scenario_is_the_same_where_the_loop_is(tmp_path: Path) -> None:
     assert (tmp_path / "scenario.toml").read_text() == text
 
 
-@pytest.mark.parametrize("command", ["up", "plant", "controller", "design", "scenarios"])
+@pytest.mark.parametrize("command", ["up", "plant", "controller", "design"])
 def test_a_wrong_scenario_is_a_line_a_field(
     command: str,
     capsys: pytest.CaptureFixture[str],
@@ -231,7 +222,7 @@ def test_a_wrong_scenario_is_a_line_a_field(
     text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
     text = text.replace("period_s = 0.1", 'period_s = "short"').replace("alpha = 8.0", "alpha = 0")
     (tmp_path / "mine.toml").write_text(text)
-    before = {"design": [], "scenarios": ["--knowledge", "k.json"]}.get(command, ["--scenario"])
+    before = [] if command == "design" else ["--scenario"]
     lines = usage_error(capsys, command, *before, "mine.toml")
     assert [line.split(":")[2].strip() for line in lines] == ["plant.period_s", "secrecy.alpha"]
 
@@ -292,29 +283,29 @@ def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anyt
 def test_an_unexpected_error_is_one_line_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    import wyner.cli.scenarios
+    import wyner.cli.design
 
     def fail(_args: object) -> int:
         raise RuntimeError("something\n  nobody thought of")
 
-    monkeypatch.setattr(wyner.cli.scenarios, "run", fail)
-    assert main(["scenarios", "paper", "--knowledge"]) == 1
+    monkeypatch.setattr(wyner.cli.design, "run", fail)
+    assert main(["design", "paper", "--knowledge"]) == 1
     assert capsys.readouterr().err == (
         "wyner: unexpected RuntimeError: something nobody thought of\n"
     )
     monkeypatch.setenv("WYNER_TRACEBACK", "1")
     with pytest.raises(RuntimeError):
-        main(["scenarios", "paper", "--knowledge"])
+        main(["design", "paper", "--knowledge"])
 
 
 def test_ctrl_c_is_130(monkeypatch: pytest.MonkeyPatch) -> None:
-    import wyner.cli.scenarios
+    import wyner.cli.design
 
     def interrupt(_args: object) -> int:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(wyner.cli.scenarios, "run", interrupt)
-    assert main(["scenarios", "paper", "--knowledge"]) == 130
+    monkeypatch.setattr(wyner.cli.design, "run", interrupt)
+    assert main(["design", "paper", "--knowledge"]) == 130
 
 
 def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
@@ -487,11 +478,11 @@ def test_a_folder_of_a_shipped_name_does_not_hide_it(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "paper").mkdir()
-    assert main(["scenarios", "paper", "--knowledge"]) == 0
+    assert main(["design", "paper", "--knowledge"]) == 0
     assert json.loads(capsys.readouterr().out)["scenario"] == "paper"
 
 
-KNOWLEDGE = ("-m", "wyner", "scenarios", "paper", "--knowledge")
+KNOWLEDGE = ("-m", "wyner", "design", "paper", "--knowledge")
 
 
 @pytest.mark.slow
@@ -515,7 +506,7 @@ def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
 
 
 def test_knowledge_is_json_without_a_secret(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scenarios", "paper", "--knowledge"]) == 0
+    assert main(["design", "paper", "--knowledge"]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["alpha"] is None
     assert told["disturbance_h"] == [0.96] * 4

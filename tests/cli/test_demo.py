@@ -1,4 +1,4 @@
-"""``wyner demo``: five runs, four lines, and an exit code that means them."""
+"""``wyner up --demo``: five runs, four lines, and an exit code that means them."""
 
 import json
 from pathlib import Path
@@ -9,7 +9,7 @@ from runtime.scenario_file import scenario_of
 from tests.support.bare_figures import bare_figures
 from wyner.cli import demo
 from wyner.cli.main import main
-from wyner.cli.up import Outcome
+from wyner.cli.session import Outcome
 from wyner.deployment.one_machine import RunOptions
 
 
@@ -17,7 +17,7 @@ from wyner.deployment.one_machine import RunOptions
 @pytest.mark.integration
 @pytest.mark.timeout(900)  # beside sixteen other programs its runs are made again, at a lower pace
 def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = main(["demo", "--json", "--run-dir", str(tmp_path / "demo")])
+    code = main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "demo")])
     told = json.loads(capsys.readouterr().out)
     assert (code, told["as_it_must"]) == (0, True), told["verdict"]
     assert list(bare_figures(told)) == []
@@ -75,7 +75,7 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
 
     monkeypatch.setattr(demo, "run_session", session)
     monkeypatch.setattr(demo, "SLOWEST", 2)
-    assert main(["demo", "--json", "--run-dir", str(tmp_path / "never")]) == 1
+    assert main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "never")]) == 1
     assert asked[:3] == [
         ("spoken", f"x{pace:g}"),
         ("spoken", f"x{pace / 2:g}"),
@@ -86,13 +86,21 @@ def test_a_run_that_shows_nothing_is_made_again_at_half_the_pace_and_those_after
     assert "no key was there in time (99 of 460 steps missed)" in verdict[-1]
     missed = 0
     asked.clear()
-    assert main(["demo", "--json", "--run-dir", str(tmp_path / "idle")]) == 1
+    assert main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "idle")]) == 1
     names = [name for name, _ in asked]
     assert names == ["spoken", "keys", "control", "caught", "unseen"]  # it was not the machine
     capsys.readouterr()
     missed = 99
     monkeypatch.setattr(demo, "SLOWEST", 8)
     asked.clear()
-    main(["demo", "--json", "--run-dir", str(tmp_path / "demo")])
+    main(["up", "--demo", "--json", "--run-dir", str(tmp_path / "demo")])
     assert asked[-2:] == [("caught", slowest), ("unseen", slowest)]
     assert "caught 1 step after its onset" in json.loads(capsys.readouterr().out)["verdict"][-1]
+
+
+@pytest.mark.parametrize("option", [["--steps", "9"], ["--story"], ["--scenario", "paper"]])
+def test_an_option_that_the_demo_chooses_itself_is_refused(
+    option: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["up", "--demo", *option]) == 2
+    assert f"{option[0]}: cannot be given with --demo" in capsys.readouterr().err

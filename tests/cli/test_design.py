@@ -77,7 +77,8 @@ def test_the_text_shows_sets_gain_and_rate(tmp_path: Path, capsys: Any) -> None:
     assert main(["design", scenario(tmp_path)]) == 0
     out, err = capsys.readouterr()
     assert err == ""
-    lines = out.splitlines()
+    first, lines = out.splitlines()[:3], out.splitlines()[3:]
+    assert [line.partition(":")[0] for line in first] == ["secrecy", "cost", "attack"]
     assert lines[0] == "short: 2 state(s), 1 input(s), law sustained"
     assert lines[1].startswith("sets T_0..T_12 computed in")
     assert "K (given): -13.27 -2.26" in lines
@@ -92,7 +93,6 @@ def test_the_text_shows_sets_gain_and_rate(tmp_path: Path, capsys: Any) -> None:
         "seed 1; 95 % intervals over runs)"
     ) in out
     assert "ceiling 5 bit/s" in out
-    assert "which is not secrecy" in out
 
 
 def test_the_object_is_one_and_consistent(tmp_path: Path, capsys: Any) -> None:
@@ -246,3 +246,15 @@ def test_who_computes_a_design_shows_its_progress_on_a_terminal(
     assert main([name, "--scenario", "quadruple-tank"]) == 2
     assert callable(told[0])
     assert capsys.readouterr().err == "wyner: quadruple-tank: far enough\n"
+
+
+def test_a_message_under_distilled_keys_has_a_rate_and_no_settled_one(capsys: Any) -> None:
+    """Its rate was simulated as if its scheme tested for keys: 0 bit/s, "the law falls silent"."""
+    assert main(["design", "sealed", "--json"]) == 0
+    result = json.loads(capsys.readouterr().out)
+    assert result["under_keys"] == {"bits_per_second_at_most": 20.0, "first_step": 48}
+    assert (result["rate"], result["why"]) == (None, None)
+    assert main(["design", "sealed"]) == 0
+    out = capsys.readouterr().out
+    assert "message rate: 20 bit/s at most, from step 48 on at the earliest" in out
+    assert "settled rate" not in out

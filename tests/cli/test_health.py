@@ -1,4 +1,4 @@
-"""`wyner status --healthy`, `wyner scenarios --knowledge`: what containers' checks and taps use."""
+"""`wyner status --healthy`, `wyner design --knowledge`: what containers' checks and taps use."""
 
 import json
 import os
@@ -15,7 +15,7 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution
 from runtime.chance import fresh_nonce
-from runtime.services import Look
+from runtime.health import Look
 from wyner.cli.healthy import MAX_AGE_S, advances
 from wyner.cli.main import main
 
@@ -186,8 +186,8 @@ def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
     tmp_path: Path, sustained: Scenario, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "knowledge.json"
-    assert main(["scenarios", "sustained", "--knowledge", str(path)]) == 0
-    assert main(["scenarios", "sustained", "--knowledge"]) == 0
+    assert main(["design", "sustained", "--knowledge", str(path)]) == 0
+    assert main(["design", "sustained", "--knowledge"]) == 0
     assert capsys.readouterr().out == path.read_text()
     written = json.loads(path.read_text())
     assert written["alpha"] is None
@@ -209,10 +209,10 @@ def test_knowledge_that_cannot_be_written_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "file").touch()
-    assert main(["scenarios", "sustained", "--knowledge", str(tmp_path / "file/k.json")]) == 1
+    assert main(["design", "sustained", "--knowledge", str(tmp_path / "file/k.json")]) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "cannot be written" in line
-    assert main(["scenarios", "nowhere.toml", "--knowledge"]) == 2
+    assert main(["design", "nowhere.toml", "--knowledge"]) == 2
 
 
 @pytest.mark.parametrize(("grows", "code"), [(True, 0), (False, 1)])

@@ -1,8 +1,7 @@
 """Every rate and probability of every ``--json`` has its interval, or says why it has none.
 
-`fit`, `send` and `demo` are looked at where they are run: tests/fit/test_fit.py, test_send.py,
-test_demo.py. `export` has no ``--json``: it hands on what was recorded, and sums nothing up but the
-leakage, whose line says why it has no interval.
+`fit`, `send` and `up --demo` are looked at where they are run: tests/fit/test_fit.py, test_send.py,
+test_demo.py.
 """
 
 import json
@@ -21,7 +20,6 @@ from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
 from wyner.dashboard.model import State, reduce_all
 from wyner.runs.score.attacked import AttackCounts
-from wyner.runs.score.leakage import LeakedKey, leakage_line
 
 
 @pytest.mark.parametrize(
@@ -64,7 +62,7 @@ def said(capsys: pytest.CaptureFixture[str], *argv: str) -> Any:
         ("design", "packed"),
         ("design", "paper"),
         ("design", "network"),
-        ("scenarios",),
+        ("design", "--list"),
     ],
     ids=" ".join,
 )
@@ -113,12 +111,6 @@ def test_of_an_attack_and_its_options() -> None:
     attack = {"kind": "ghost", "onset": 5, "options": {"share": 1.0}}
     assert list(bare_figures(attack))
     assert list(bare_figures(AttackCounts(attack=attack).as_json())) == []
-
-
-def test_of_an_exports_leakage() -> None:
-    rows = [LeakedKey(k % 2, (float(k % 2), 0.01 * k)) for k in range(40)]
-    assert "%" not in leakage_line(rows)
-    assert "(no interval: " in leakage_line(rows)
 
 
 def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:

@@ -10,16 +10,16 @@ import pytest
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
-from wyner.cli.new import HORIZONS
+from wyner.fit.first_scenario import HORIZONS
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_shipped_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["scenarios", "--json"]) == 0
+    assert main(["design", "--list", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert set(listed) == {load_scenario(path).name for path in SCENARIOS.glob("*.toml")}
-    assert main(["scenarios"]) == 0
+    assert main(["design", "--list"]) == 0
     out = capsys.readouterr().out
     assert all(name in out and about["description"] in out for name, about in listed.items())
 

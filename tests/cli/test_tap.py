@@ -197,7 +197,7 @@ def test_an_eavesdropper_who_fails_ends_with_1_and_is_not_scored(
 
 
 def test_export_to_csv(run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code, out, err = call(capsys, "export", run_dir, "--to", "csv")
+    code, out, err = call(capsys, "report", run_dir, "--to", "csv")
     assert code == 0
     rows = list(csv.DictReader(io.StringIO(out)))
     assert len(rows) == len(run.messages)
@@ -215,7 +215,7 @@ def test_export_to_parquet(
 ) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "c.parquet"
-    assert call(capsys, "export", run_dir, "--to", "parquet", "--output", path)[0] == 0
+    assert call(capsys, "report", run_dir, "--to", "parquet", "--output", path)[0] == 0
     rows = parquet.read_table(path).to_pylist()
     assert [r["k"] for r in rows] == [m.k for m in run.messages]
     assert rows[0]["x"] == list(run.messages[0].x)  # type: ignore[union-attr]
@@ -228,7 +228,7 @@ def test_export_to_mcap_is_read_by_the_public_reader(
 ) -> None:
     reader_module = pytest.importorskip("mcap.reader")
     path = tmp_path / "c.mcap"
-    assert call(capsys, "export", run_dir, "--to", "mcap", "--output", path)[0] == 0
+    assert call(capsys, "report", run_dir, "--to", "mcap", "--output", path)[0] == 0
     with path.open("rb") as file:
         reader = reader_module.make_reader(file)
         summary = reader.get_summary()
@@ -259,7 +259,7 @@ def test_a_torn_capture_is_exported_without_its_last_line(
     path = tmp_path / "capture.jsonl"
     whole = (run_dir / CAPTURE).read_bytes()
     path.write_bytes(whole[:-5])
-    code, out, err = call(capsys, "export", path, "--to", "csv")
+    code, out, err = call(capsys, "report", path, "--to", "csv")
     assert code == 0
     assert "1 torn lines" in err
     reader = CaptureReader(path)
@@ -277,7 +277,7 @@ def test_export_refuses_to_write_over_the_capture(
     link = tmp_path / "link.csv"
     link.symlink_to(tap / "capture.0001.jsonl")
     for output in (tap / "capture.jsonl", tap / ".." / "tap" / "capture.0001.jsonl", link):
-        code, out, err = call(capsys, "export", tap / capture, "--to", to, "--output", output)
+        code, out, err = call(capsys, "report", tap / capture, "--to", to, "--output", output)
         assert (code, out) == (2, "")
         assert err == f"wyner: --output: {output}: is a part of the capture itself\n"
     assert {p: p.read_bytes() for p in tap.iterdir()} == before
@@ -301,12 +301,12 @@ def test_a_failed_export_leaves_what_was_there(
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(CaptureReader, "records", breaks)
-    code, _, err = call(capsys, "export", run_dir, "--to", to, "--output", output)
+    code, _, err = call(capsys, "report", run_dir, "--to", to, "--output", output)
     assert (code, err) == (1, f"wyner: {output}: cannot be written: No space left on device\n")
     assert [p.name for p in tmp_path.iterdir()] == [output.name]
     assert output.read_text() == "mine"
     monkeypatch.undo()
-    assert call(capsys, "export", run_dir, "--to", to, "--output", output)[0] == 0
+    assert call(capsys, "report", run_dir, "--to", to, "--output", output)[0] == 0
     assert [p.name for p in tmp_path.iterdir()] == [output.name]
     assert len(output.read_bytes()) > 1000
 
@@ -319,8 +319,8 @@ def test_output_is_never_written_onto_a_device_nor_through_a_link(
     os.mkfifo(pipe)
     for output in (Path(os.devnull), link, pipe):
         for command in (
-            ("export", run_dir, "--to", "csv", "--output"),
-            ("scenarios", "sustained", "--knowledge"),
+            ("report", run_dir, "--to", "csv", "--output"),
+            ("design", "sustained", "--knowledge"),
         ):
             code, _, err = call(capsys, *command, output)
             assert code == 1
@@ -340,7 +340,7 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
     header = first.splitlines()[0].replace(b'"loss":0.0', b'"loss":0.5')
     later = tmp_path / "tap" / "capture.0001.jsonl"
     later.write_bytes(header + b"\n")
-    for args in (("export", tmp_path, "--to", "csv"), ("score", tmp_path, "--decode")):
+    for args in (("report", tmp_path, "--to", "csv"), ("score", tmp_path, "--decode")):
         code, out, err = call(capsys, *args)
         assert (code, out) == (2, "")
         assert err.startswith(f"wyner: {later}: line 1: view: differs from the first part's")
@@ -356,8 +356,8 @@ def test_a_capture_of_two_taps_is_refused_in_one_line(
             "--to: got 2, expected at least 5",
         ),
         (("score", "nowhere", "--decode"), "nowhere: cannot be read: no such capture"),
-        (("export", "nowhere", "--to", "csv"), "nowhere: cannot be read: no such capture"),
-        (("export", "nowhere", "--to", "xml"), "invalid choice: 'xml'"),
+        (("report", "nowhere", "--to", "csv"), "nowhere: cannot be read: no such capture"),
+        (("report", "nowhere", "--to", "xml"), "invalid choice: 'xml'"),
         (("score", "nowhere"), "nowhere: no run here"),
         (("tap", "--scenario", "sustained", "--run-dir", "d", "--loss", "2"), "--loss: got 2.0"),
         (("tap", "--scenario", "sustained", "--run-dir", "d", "--view", "up"), "invalid choice"),
@@ -442,7 +442,7 @@ def test_a_second_tap_in_a_folder_is_refused(
 def test_export_of_steps_has_one_column_a_number(
     run: Run, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    code, out, err = call(capsys, "export", run_dir, "--to", "csv", "--steps")
+    code, out, err = call(capsys, "report", run_dir, "--to", "csv", "--steps")
     assert code == 0
     rows = list(csv.DictReader(io.StringIO(out)))
     assert [int(row["k"]) for row in rows] == list(range(run.truth.transitions))
@@ -454,7 +454,7 @@ def test_export_of_steps_has_one_column_a_number(
         assert (row["x_next_1"], row["x_next_2"]) == (after["x_1"], after["x_2"])
     table = pytest.importorskip("pyarrow.parquet")
     path = tmp_path / "steps.parquet"
-    assert call(capsys, "export", run_dir, "--to", "parquet", "--steps", "--output", path)[0] == 0
+    assert call(capsys, "report", run_dir, "--to", "parquet", "--steps", "--output", path)[0] == 0
     assert table.read_table(path).column("x_1").to_pylist() == [float(r["x_1"]) for r in rows]
 
 
@@ -467,7 +467,7 @@ def test_export_puts_the_truth_beside_the_steps(
     whole = SmallRun(folder)
     whole.steps(200)
     whole.close()
-    code, out, _ = call(capsys, "export", folder, "--to", "csv", "--steps", "--truth")
+    code, out, _ = call(capsys, "report", folder, "--to", "csv", "--steps", "--truth")
     assert code == 0
     rows = list(csv.DictReader(io.StringIO(out)))
     agreed = [row for row in rows if row["key"] not in ("", "-1")]
@@ -477,9 +477,9 @@ def test_export_puts_the_truth_beside_the_steps(
         assert row["key"] == row["coin"]
         assert row["u_1"] == row[f"u{row['coin']}_1"]
         assert float(row[f"gauge_{row['key']}"]) <= 1
-    code, _, err = call(capsys, "export", folder, "--to", "csv", "--truth")
+    code, _, err = call(capsys, "report", folder, "--to", "csv", "--truth")
     assert code == 2
     assert "expected together with --steps" in err
     capture = folder / CAPTURE
-    code, _, err = call(capsys, "export", capture, "--to", "csv", "--steps", "--truth")
+    code, _, err = call(capsys, "report", capture, "--to", "csv", "--steps", "--truth")
     assert (code, err) == (2, f"wyner: {capture}: no run here, expected a run's folder\n")

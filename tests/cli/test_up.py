@@ -10,7 +10,7 @@ import pytest
 from runtime.errors import Failure, UsageError
 from runtime.scenario_file import scenario_of
 from runtime.shipped import SCENARIOS
-from wyner.cli import up
+from wyner.cli import session, up
 from wyner.cli.main import main
 from wyner.deployment.one_machine import RunOptions
 
@@ -18,11 +18,11 @@ from wyner.deployment.one_machine import RunOptions
 def progress(returned: int | None) -> tuple[Any, SimpleNamespace]:
     plant = SimpleNamespace(returned=returned)
     supervisor: Any = SimpleNamespace(poll=lambda: None, child=lambda _name: plant)
-    return up.Progress(until_delivered=True, supervisor=supervisor), plant
+    return session.Progress(until_delivered=True, supervisor=supervisor), plant
 
 
 def test_a_run_is_over_with_its_plant(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(up, "GRACE_S", 0.0)
+    monkeypatch.setattr(session, "GRACE_S", 0.0)
     watching, plant = progress(None)
     assert not watching.over()
     plant.returned = 0
@@ -34,7 +34,7 @@ def test_a_service_that_never_says_anything_is_a_failure(monkeypatch: pytest.Mon
     watching, plant = progress(None)
     plant.log = Path("run/plant/log")
     assert not watching.over()
-    monkeypatch.setattr(up, "SAID_S", 0.0)
+    monkeypatch.setattr(session, "SAID_S", 0.0)
     watching.controller_said("", b"{}", 0)
     with pytest.raises(Failure, match=r"^plant: nothing heard of it in 0 s \(log: run/pl"):
         watching.over()
@@ -53,7 +53,7 @@ def test_eavesdroppers_asked_for_listen_besides_the_scenarios_own(tmp_path: Path
     mine = f"{tmp_path}/mine.py:Mine"
 
     def listening(asked: str | None) -> tuple[str, ...]:
-        return up.eavesdroppers_of(RunOptions(eavesdropper=asked), scenario)
+        return session.eavesdroppers_of(RunOptions(eavesdropper=asked), scenario)
 
     usual = listening(None)
     assert "list-decoder" in usual
@@ -73,8 +73,8 @@ def test_who_wants_whole_states_is_refused_before_anything_starts(tmp_path: Path
     encoder = scenario_of("encoder")
     for name in ("oracle", f"{tmp_path}/mine.py:Mine"):
         with pytest.raises(UsageError, match=r"--eavesdropper: .*plant\.C"):
-            up.eavesdroppers_of(RunOptions(eavesdropper=name), encoder)
-    assert up.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
+            session.eavesdroppers_of(RunOptions(eavesdropper=name), encoder)
+    assert session.eavesdroppers_of(RunOptions(eavesdropper="list-decoder"), encoder)
 
 
 def test_wrong_delays_are_one_line_before_anything_starts(tmp_path: Path, capsys: Any) -> None:
@@ -94,6 +94,47 @@ def test_wrong_delays_are_one_line_before_anything_starts(tmp_path: Path, capsys
         assert not run_dir.exists()
 
 
+@pytest.mark.parametrize("name", ["sealed", "watched"])
+def test_a_run_that_ends_before_its_first_key_is_one_line(
+    name: str, tmp_path: Path, capsys: Any
+) -> None:
+    run_dir = tmp_path / "run"
+    options = ["--scenario", name, "--run-dir", str(run_dir), "--headless"]
+    assert main(["up", *options, "--steps", "48"]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "--steps: got 48, expected more than 48: under this claim no step before" in said.err
+    assert not run_dir.exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("[keys]\neps_E = 0.3", "[keys]\neps_E = 1.0", "keys.eps_E: got 1.0, expected less than 1"),
+        ("[keys]\neps_E = 0.3", "[keys]\neps_E = 0.0", "takes distilled keys, and eps_E = 0"),
+        ("[keys]\neps_E = 0.3", "[keys]\neps_E = 1e-4", "no block is long enough for a key"),
+        ("[keys]\neps_E = 0.3", "", "expected a table [keys] beside it"),
+    ],
+)
+@pytest.mark.parametrize("name", ["sealed", "watched"])
+def test_a_claim_that_makes_no_key_is_one_line_before_anything_starts(
+    name: str, old: str, new: str, line: str, tmp_path: Path, capsys: Any
+) -> None:
+    text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8")
+    assert text.count(old) == 1
+    rest = "" if new else "appearances = 1"
+    file, run_dir = tmp_path / "changed.toml", tmp_path / "run"
+    file.write_text(text.replace(old, new).replace(rest, ""), encoding="utf-8")
+    options = ["--scenario", str(file), "--message", "hi", "--run-dir", str(run_dir)]
+    assert main(["up", "--headless", *options]) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert line in said.err
+    assert not run_dir.exists()
+
+
 @pytest.mark.parametrize(("failed", "code"), [([], 0), (["mine"], 1)])
 def test_a_run_whose_eavesdropper_failed_ends_with_1(
     failed: list[str], code: int, monkeypatch: pytest.MonkeyPatch, capsys: Any
@@ -101,7 +142,7 @@ def test_a_run_whose_eavesdropper_failed_ends_with_1(
     """What she would have had nobody knows: it is no success."""
     summary = {"failed": failed, "delivered": True}
     scenario = scenario_of("sustained")
-    outcome = up.Outcome(scenario, summary, None, interrupted=False, left=False)
+    outcome = session.Outcome(scenario, summary, None, interrupted=False, left=False)
     monkeypatch.setattr(up, "run_session", lambda _options: outcome)
     assert main(["up", "--json", "--until-delivered"]) == code
     assert json.loads(capsys.readouterr().out)["failed"] == failed

@@ -12,11 +12,12 @@ import pytest
 from controller_service.laws.base import ProgramLaw
 from controller_service.laws.online import ProgramError
 from controller_service.laws.planar import Planar
-from controller_service.laws.registry import cached_design, law_named, make_law, registered
+from controller_service.laws.registry import LAWS, cached_design, law_named, make_law
 from controller_service.sets.design import Design, Progress, synthesise
 from protocol.arrays import Array, Indices
 from protocol.knowledge import Policy
-from protocol.registry import UnknownError
+from protocol.plugins import UnknownError
+from protocol.scenario import LAWS as TABLES
 from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
 from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS
@@ -76,9 +77,10 @@ def table(**control: Any) -> dict[str, Any]:
 
 
 @pytest.fixture
-def scenario() -> Iterator[Scenario]:
-    with registered("ends", EndsLaw, EndsControl):
-        yield parse_scenario(table(), "ends.toml")
+def scenario(monkeypatch: pytest.MonkeyPatch) -> Scenario:
+    monkeypatch.setitem(LAWS, "ends", f"{__name__}:EndsLaw")
+    monkeypatch.setitem(TABLES, "ends", EndsControl)
+    return parse_scenario(table(), "ends.toml")
 
 
 def test_its_table_is_read_and_its_faults_are_told(scenario: Scenario) -> None:
@@ -127,7 +129,7 @@ def test_both_services_run_under_it_and_the_run_is_checked(
 
 
 def test_a_law_that_nobody_registered() -> None:
-    with pytest.raises(UnknownError, match="got 'ends', expected a law: paper, sustained"):
+    with pytest.raises(UnknownError, match="got 'ends', expected paper, sustained, packed, or"):
         law_named("ends")
 
 

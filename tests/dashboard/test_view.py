@@ -763,6 +763,8 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
         assert "63 keys, 698 bit/s; no tap goes for them" in shown(made, 120, height)
         assert f" assumption     {claim}" in shown(made, 120, height)
     assert "63 keys, 698 bit/s" in shown(made, 60, 16)
+    left = with_plant(made, digits_left=5120)
+    assert "no tap goes for them; 5120 digits left" in shown(left, 120, 40)
     seeded = with_plant(made, keys_refused="seed 3: predictable")
     assert f"refused: seed 3: predictable; {claim}" in shown(seeded, 120, 40)
     none = with_plant(state, keys_refused="eps_E = 0: nothing is claimed")

@@ -12,7 +12,8 @@ from typing import Any, cast
 import pytest
 
 from runtime.errors import Failure
-from runtime.services import PLANT_FIELD, SERVICES, Ends, Look, Service
+from runtime.health import Look
+from runtime.services import PLANT_FIELD, SERVICES, Ends, Service
 from tests.support.patience import PATIENCE_S
 from wyner.cli.certs import default_names
 from wyner.cli.main import commands, main
@@ -27,9 +28,9 @@ import json, sys, threading, time
 from pathlib import Path
 
 def add_arguments(parser):
-    from runtime.bus_options import add_endpoint_arguments
+    from runtime.bus_options import add_service_arguments
     parser.add_argument("--run-dir", type=Path, required=True)
-    add_endpoint_arguments(parser, "counting")
+    add_service_arguments(parser, "counting")
 
 def run(args):
     from runtime.signals import stop_on_signals
@@ -43,15 +44,11 @@ def run(args):
     return 0
 """
 
-ROW = """
-from runtime.services import Ends, Service, register
-register(Service("counting", command="counting_service.command", ends={"field": Ends()}))
-"""
-
 MAIN = """
 import sys
-from protocol.registry import provide
-provide("service", "counting_service.row")
+from runtime.services import SERVICES, Ends, Service
+row = Service("counting", package="counting_service", ends={"field": Ends()})
+SERVICES["counting"] = row
 from runtime.command import serve
 sys.exit(serve("counting"))
 """
@@ -70,7 +67,7 @@ def counting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
     package = tmp_path / PACKAGE
     package.mkdir()
     (package / "__init__.py").touch()
-    for name, text in (("command", COMMAND), ("row", ROW), ("__main__", MAIN)):
+    for name, text in (("command", COMMAND), ("__main__", MAIN)):
         (package / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(tmp_path), prepend=":")
@@ -78,14 +75,13 @@ def counting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
         name="counting",
         summary="count to no purpose",
         package=PACKAGE,
-        command=f"{PACKAGE}.command",
         ends={"field": Ends((), (PLANT_FIELD,)), "management": Ends()},
         publishes={"management": ("management/counting/status",)},
         health=look,
         stop_s=3.0,
     )
-    with SERVICES.registered("counting", service):
-        yield service
+    monkeypatch.setitem(SERVICES, "counting", service)
+    yield service
     for name in [n for n in sys.modules if n.split(".")[0] == PACKAGE]:
         del sys.modules[name]
 
@@ -144,11 +140,6 @@ def test_it_is_supervised_and_its_health_is_told(
     time.sleep(0.3)
     assert main(["status", *arguments, "--within", "0.2"]) == 1
     assert "stands still" in capsys.readouterr().err
-
-
-def test_a_name_is_taken_once(counting: Service) -> None:
-    with pytest.raises(ValueError, match="service 'plant' stands there already"):
-        SERVICES.register("plant", counting)
 
 
 def test_a_log_is_begun_again_where_it_is_long(

@@ -118,11 +118,25 @@ def test_there_are_a_dozen_programs_and_three_notebooks() -> None:
     assert len(NOTEBOOKS) == 3
 
 
+README = (ROOT / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("code", "printed"),
+    re.findall(r"```python\n(.*?)```\n\n```text\n(.*?)```", README, re.DOTALL),
+    ids=("packed", "own"),
+)
+def test_the_readmes_programs_print_what_stands_below_them(
+    code: str, printed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exec(compile(code, "README.md", "exec"), {})
+    assert capsys.readouterr().out == printed
+
+
 def test_the_readme_has_the_numbers_of_the_papers_example() -> None:
     out = printed(ROOT / "examples" / "paper_scheme.py")
     rates = re.findall(r": (\S+ \[\S+, \S+\]) bit/s", out)
     named = re.findall(r"nearest-centre names (\d+ of \d+)", out)
-    readme = (ROOT / "README.md").read_text(encoding="utf-8")
     for rate, keys in zip(rates, named, strict=True):
-        assert f"| {rate} | {keys} |" in readme
+        assert f"| {rate} | {keys} |" in README
     assert len(named) == 3

@@ -17,10 +17,10 @@ from attacker_service.attacks import ATTACKS
 from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
-from protocol.registry import module_at
+from protocol.plugins import module_at
 from protocol.scenario import PLANTS, ScenarioError
 from protocol.schemes.base import Scheme
-from protocol.schemes.registry import SCHEMES
+from protocol.schemes.registry import make_scheme
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.addresses import free_endpoints
 from runtime.recording import MARKS
@@ -65,7 +65,7 @@ def program(title: str, folder: Path, name: str) -> Path:
     [
         ("A plant of your own", PLANTS),
         ("Eavesdroppers", LADDER),
-        ("Attacks", ATTACKS.shipped),
+        ("Attacks", ATTACKS),
     ],
 )
 def test_the_tables_have_a_row_for_each_that_is_shipped(title: str, shipped: list[str]) -> None:
@@ -107,7 +107,7 @@ def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
 
 def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
     name = f"{program('A scheme of your own', tmp_path, 'pairs.py')}:Pairs"
-    scheme = SCHEMES[name](2)
+    scheme = make_scheme(name, 2)
     assert isinstance(scheme, Scheme)
     state, pads = scheme.initial, []
     for verdict in (1, -1, 0, 1, 1, 0):

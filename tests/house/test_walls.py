@@ -216,7 +216,7 @@ def test_a_tag_is_compared_in_constant_time() -> None:
 
 def test_the_protocol_is_pure() -> None:
     """Time, randomness and what was heard are arguments; what is to be done is a value."""
-    finders = {"protocol.registry"}  # reads a user's own scheme, FILE.py:Name
+    finders = {"protocol.plugins"}  # reads a user's own scheme, FILE.py:Name
     for path in inside("protocol"):
         if name_of(path) not in finders:
             roots = {name.split(".")[0] for name in imports_of(path)}

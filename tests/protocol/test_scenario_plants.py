@@ -71,7 +71,7 @@ def test_the_model_is_the_defenders() -> None:
 @pytest.mark.parametrize(
     ("changes", "says"),
     [
-        ({"plant.kind": "od"}, 'plant.kind: got "od", expected a plant: linear'),
+        ({"plant.kind": "od"}, 'plant.kind: got "od", expected linear'),
         ({"plant.object": None}, "plant.object: expected here, and not given"),
         (
             {"plant.substeps": 0},

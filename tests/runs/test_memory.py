@@ -30,7 +30,7 @@ code = main(["{0}", sys.argv[1]])
 """
 EXPORT = """
 from wyner.cli.main import main
-code = main(["export", "--steps", "--truth", "--to", "csv", sys.argv[1]])
+code = main(["report", "--steps", "--truth", "--to", "csv", sys.argv[1]])
 """
 HIGHEST = """
 with open("/proc/self/status") as status:

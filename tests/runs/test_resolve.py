@@ -5,12 +5,9 @@ from typing import Any
 
 import pytest
 
-from protocol.link.session import rules_of
 from runtime.recording import TraceError, TraceWriter
 from runtime.run_folder import PLANT_TRACE
 from tests.support.small_run import Fault, SmallRun
-from wyner.runs.check.records import MissedLine, OtherLine, Walked
-from wyner.runs.check.sides import SideReader
 from wyner.runs.resolve import Event, Resolved
 from wyner.runs.run import Run, RunError
 
@@ -89,18 +86,12 @@ def test_who_counts_and_who_checks_take_the_same_steps(
         for e in events
         if e["event"] in ("transition", "missed", "interrupted")
     ]
-    reader = SideReader("plant", tmp_path / PLANT_TRACE, rules_of(run.scenario), None)
-    theirs, reports = [], 0
-    for item in reader:
-        if isinstance(item, Walked):
-            theirs.append(("transition", item.t.session, item.t.k))
-        elif isinstance(item, MissedLine):
-            theirs.append((item.event, item.session, item.k))
-        elif isinstance(item, OtherLine):
-            reports += item.line.event == "recovered" and not item.again
-    assert mine == theirs
-    assert behind == reader.behind
-    assert reports == sum(e["event"] == "recovered" for e in events)
+    trace = Run.load(tmp_path).read("plant")
+    kinds = ("transition", "missed", "interrupted")
+    assert mine == [(kinds[row["kind"]], *trace.where(row)) for row in trace.rows]
+    assert behind == trace.behind
+    reports = list(trace.told("recovered"))
+    assert len(reports) == sum(e["event"] == "recovered" for e in events)
 
 
 def test_what_no_plant_wrote_is_one_line_that_names_the_trace(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any, cast
 
 import pytest
 
+from controller_service.command import ControllerOptions
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service import service
@@ -21,20 +22,20 @@ from plant_service.service import run_plants
 from protocol.link.effects import Effects
 from protocol.link.peer import Peer
 from protocol.messages import LATENCY_BOUNDS_S, Message, Offer, PlantStatus, SendCommand
-from protocol.topics import DEFAULT_LOOP, key_of
+from protocol.topics import key_of
 from runtime import host
-from runtime.bus_options import ServiceOptions, fleet_of
+from runtime.bus_options import add_service_arguments, fleet_of
 from runtime.errors import DONE, UsageError
 from runtime.files import StatusFile
 from runtime.fleet import Fleet, numbered, read_fleet
 from runtime.health import read_status
-from runtime.memory_bus import MemoryBus, MemoryHub
-from runtime.options import add_fleet_arguments, add_message_arguments, message_of, picked
+from runtime.options import message_of, picked
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
 from runtime.shipped import SCENARIOS
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
 from wyner.cli.main import main
@@ -131,12 +132,10 @@ def test_each_loop_of_a_number_has_the_message_that_was_given(tmp_path: Path, op
     given.write_bytes("zwölf".encode() + b"\xff")
     value = str(given) if option == "--message-file" else "zwölf"
     parser = argparse.ArgumentParser()
-    add_message_arguments(parser)
-    add_fleet_arguments(parser)
-    parser.set_defaults(loop=DEFAULT_LOOP, scenario="sustained", seed=None)
+    add_service_arguments(parser, "controller", ControllerOptions)
     args = parser.parse_args(["--loops", "2", option, value])
-    options = picked(ServiceOptions, vars(args))
-    fleet = fleet_of(options, message_of(args.message, args.message_file))
+    options = picked(ControllerOptions, vars(args))
+    fleet = fleet_of(options, message_of(options.message, options.message_file))
     assert fleet is not None
     expected = given.read_bytes() if option == "--message-file" else value.encode()
     assert [loop.payload for loop in fleet.loops.values()] == [expected] * 2
@@ -308,6 +307,7 @@ class Overloaded:
 
     hears: tuple[type[Message], ...] = (SendCommand,)
     says: tuple[type[Message], ...] = ()
+    makes_keys = False
     code = None
 
     def __init__(self) -> None:
@@ -337,7 +337,7 @@ def test_an_end_that_is_always_due_is_told_of_commands_and_stops() -> None:
     stopping = threading.Event()
     end = Overloaded()
     running = host.Host(MemoryBus(MemoryHub()), MemoryBus(hub), stopping)
-    files = SimpleNamespace(key_maker=None, health=Path("status.json"), close=lambda: None)
+    files = SimpleNamespace(health=Path("status.json"), close=lambda: None)
     running.add("loop", cast("Peer", end), cast("Files", files), logging.getLogger("overload"))
     thread = threading.Thread(target=running.run)
     thread.start()

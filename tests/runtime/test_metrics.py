@@ -16,9 +16,9 @@ from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import UsageError
 from runtime.host import Host
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 
 pytest.importorskip("prometheus_client")
@@ -45,7 +45,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
         status = plant.status(0.0).model_copy(
             update={"k": 70, "missed": 3, "latency_counts": (5, 2, *[0] * 17, 1)}
             | {"keys_made": 63, "keys_stopped": "no pad is left" if loop == "b" else ""}
-            | {"key_blocks_lost": 2}
+            | {"key_blocks_lost": 2, "digits_left": 128}
         )
         put = bus.publisher(key_of(PlantStatus, loop)).put
         put(status.model_copy(update={"k": 1}).wire())
@@ -79,6 +79,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
         assert samples["wyner_keys_made_total" + of % loop] == 63
         assert samples["wyner_keys_stopped" + of % loop] == (loop == "b")
         assert samples["wyner_keys_blocks_lost_total" + of % loop] == 2
+        assert samples["wyner_keys_digits_left" + of % loop] == 128
     of_hers = '{eavesdropper="key-solver",loop="a",service="tap"}'
     assert samples["wyner_keys_bits_held_total" + of_hers] == 256
     assert samples["wyner_keys_copies_missed_total" + of_hers] == 3

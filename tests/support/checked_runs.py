@@ -10,7 +10,7 @@ from uuid import uuid4
 import pytest
 
 from runtime.shipped import SCENARIOS
-from wyner.cli.up import run_session
+from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
@@ -23,8 +23,8 @@ EAVESDROPPERS: Final = ["nearest-centre", "smoother", "key-solver"]
 
 
 def failed(folder: Path) -> set[str]:
-    """Names of the checks that a run does not pass."""
-    return {found.check.name for found in check(read_evidence(folder)) if found.result == "FAIL"}
+    """Names of the rules that a run does not obey."""
+    return {finding.rule for finding in check(read_evidence(folder))}
 
 
 def keyed_run(factory: pytest.TempPathFactory) -> Path:

@@ -16,7 +16,7 @@ from typing import Any
 
 from attacker_service.relay import Rewriter
 from controller_service.service import ControllerConfig, open_controller
-from plant_service.attacked import AttackedPlant
+from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.networked import behind
 from protocol.link.peer import Peer
@@ -194,8 +194,9 @@ class RecordedLoop(TwoEnds):
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
         plant = self.plant.plant if "plant" in self.ends else None
-        if isinstance(plant, AttackedPlant):
-            plant.heard.append((message.kind.topic, message.payload))
+        if isinstance(plant, FilteredPlant):
+            for one in plant.filters:
+                one.incoming(message.kind.topic, message.payload)
         if self.relay is None:
             return message
         kind: Any = message.kind
@@ -239,5 +240,4 @@ class RecordedLoop(TwoEnds):
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""
-        results = check(read_evidence(self.folder))
-        return [f"{r.check.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
+        return [str(finding) for finding in check(read_evidence(self.folder))]

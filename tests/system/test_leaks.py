@@ -6,24 +6,25 @@ import os
 import pty
 import re
 import signal
-import sqlite3
 import subprocess
 import sys
 import time
-from contextlib import closing
 from pathlib import Path
 
 import pytest
 
 from runtime.errors import UsageError
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.options import message_of
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
-    CONTROLLER_KEYS,
     CONTROLLER_TRACE,
     MANIFEST,
+    PLANT_JOURNAL,
     PLANT_TRACE,
+    SCENARIO,
 )
+from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.traces import read_trace
@@ -118,14 +119,8 @@ class Seen:
             self.pieces[name] = path.read_bytes()
 
     def look_back(self) -> None:
-        """What is left of it when it is over; traces, journals, stores and summary are its own."""
-        own = (
-            CONTROLLER_TRACE.name,
-            CONTROLLER_JOURNAL.name,
-            CONTROLLER_KEYS.name,
-            "message",
-            "summary.json",
-        )
+        """What is left of it when it is over; traces, journals and summary are its own."""
+        own = (CONTROLLER_TRACE.name, CONTROLLER_JOURNAL.name, "message", "summary.json")
         for path in self.run.rglob("*"):
             if path.is_file() and (path.parent.name == "tap" or not path.name.startswith(own)):
                 self.pieces[str(path.relative_to(self.run))] = path.read_bytes()
@@ -145,21 +140,31 @@ def in_a_row(symbols: list[int]) -> set[bytes]:
     return found
 
 
+def key_of(digits: bytes) -> bytes:
+    """The key whose base-4 digits these are: words of 32 bits, the lowest digit first."""
+    words = [digits[at : at + 16] for at in range(0, len(digits), 16)]
+    return b"".join(sum(d << 2 * i for i, d in enumerate(word)).to_bytes(4) for word in words)
+
+
 def secrets_of(run: Path) -> dict[str, set[bytes]]:
     """Every secret value of a run, by kind, from where it is kept."""
     keys: set[bytes] = set()
     contributions: set[bytes] = set()
-    for side in ("controller", "plant"):
-        with closing(sqlite3.connect(run / side / "keys.sqlite3")) as store:
-            rows = store.execute("SELECT body FROM key WHERE body IS NOT NULL")
-            keys |= {bytes(body) for (body,) in rows}
+    digits: set[bytes] = set()
+    fingerprint = load_scenario(run / SCENARIO).fingerprint()
+    for kind, path in ((ControllerJournal, CONTROLLER_JOURNAL), (PlantJournal, PLANT_JOURNAL)):
+        with kind(run / path, fingerprint) as journal:
+            for part in journal.load().parts:
+                digits |= {part.digits, *in_a_row(list(part.digits))}
+                keys.add(key_of(part.digits))
     for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
         message = json.loads(line).get("message") or {}
         contributions |= {message["nonce"].encode()} if message.get("nonce") else set()
     transitions = list(read_trace(run / PLANT_TRACE).of("transition"))
     return {
         "plaintext": forms(TEXT.encode()),
-        "keys of the store": {form for key in keys for form in forms(key)},
+        "keys": {form for key in keys for form in forms(key)},
+        "digits of the key stream": digits,
         "nonces": contributions,
         "coins": in_a_row([t["coin"] for t in transitions]),
         "key symbols": in_a_row([t["symbol"] for t in transitions if t["symbol"] >= 0]),
@@ -204,7 +209,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     seen.look_back()
     secrets = secrets_of(run)
     assert all(secrets.values())
-    assert len(secrets["keys of the store"]) > 20
+    assert len(secrets["keys"]) > 20
     assert {"manifest.json", "tap/capture.jsonl", "plant/log", "plant/status.json"} <= set(
         seen.pieces
     )

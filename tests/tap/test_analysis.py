@@ -1,17 +1,16 @@
 """The heavy eavesdroppers' process: what it skips when it is far behind, and what it waits for."""
 
 import logging
-import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 
 import pytest
 
 from protocol.messages import TapStatus
 from runtime import recording
-from runtime.child import Line
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE
 from studies.secrecy.runs import Run, simulate
@@ -68,29 +67,27 @@ def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
 
 
 @contextmanager
-def started(run: Run, run_dir: Path) -> Iterator[Line]:
+def started(run: Run, run_dir: Path) -> Iterator[Connection]:
     knowledge = {NAME: run.scenario.knowledge()}
     given = Assignment(run_dir, (NAME,), knowledge, Limits(free_bytes=0), header(run, View()))
-    (hers, told), (asked, mine) = os.pipe(), os.pipe()
+    mine, hers = Pipe()
 
     def run_until_nobody_listens() -> None:
         with suppress(EOFError, ConnectionError):
-            analyse(given, Line(asked, told))
+            analyse(given, hers)
 
     thread = threading.Thread(target=run_until_nobody_listens)
     thread.start()
     try:
-        yield Line(hers, mine)
+        yield mine
     finally:
-        for end in (hers, mine):
-            os.close(end)
+        mine.close()
         thread.join(PATIENCE_S)
-        for end in (asked, told):
-            os.close(end)
+        hers.close()
     assert not thread.is_alive()
 
 
-def status_when_caught_up(pipe: Line) -> TapStatus:
+def status_when_caught_up(pipe: Connection) -> TapStatus:
     while True:
         assert pipe.poll(20.0)
         status: TapStatus = pipe.recv()[0]

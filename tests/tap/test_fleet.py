@@ -15,10 +15,10 @@ from protocol.topics import key_of
 from runtime.addresses import Addresses
 from runtime.errors import UsageError
 from runtime.fleet import FleetLoop, read_fleet
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import CAPTURE
 from tap_service.config import TapConfig
 from tap_service.fleet import TapFleet
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.told import log_of
 

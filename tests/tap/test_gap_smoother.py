@@ -12,7 +12,8 @@ from studies.secrecy.study import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.inference.fitted_shape import Shape
-from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.gap_smoother import GapSmoother
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.law_pieces import UNKNOWN, LawNearby, LawPieces, learn_law
 
 RNG = np.random.default_rng(0)

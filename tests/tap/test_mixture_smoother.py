@@ -13,7 +13,8 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import smoother
 from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.front import Inference
-from tap_service.inference.gap_smoother import GapSmoother, InferredStep
+from tap_service.inference.gap_smoother import GapSmoother
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.mixture_smoother import SIZES, MixtureSmoother
 from tap_service.inference.verdicts import verdicts_of
 from tests.support.size import size

@@ -11,11 +11,9 @@ from protocol.scenario import Scenario
 from studies.secrecy.runs import Run, law_of, scenario_at, simulate
 from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
-from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import smoother
 from tap_service.eavesdroppers.smoother import FIRST, Smoother
 from tap_service.inference import offers_reader
-from tap_service.inference.from_measurements import infer_from_measurements
 from tap_service.inference.offers_reader import LEAST, TRIAL, OffersReader
 from tap_service.inference.particle_smoother import SAMPLES
 from tap_service.inference.policy import KnownLaw
@@ -318,33 +316,3 @@ def test_noise_is_borne() -> None:
     view = View(noise=0.05, seed=0)
     _, _, _, scored = played(0, view, size(64, 80))
     assert scored.keys_reviewed.right > 0.85 * scored.keys_reviewed.of
-
-
-# --- states alone --------------------------------------------------------------------------------
-
-
-def test_states_alone_name_the_keys_and_not_the_message() -> None:
-    _, tap, said, scored = played(2, View(view="measurements"))
-    assert scored.keys_reviewed.right > 0.97 * scored.keys_reviewed.of
-    assert scored.bits.right == 0.5 * scored.bits.of
-    assert said.belief.whole == ()
-    assert not tap.message_symbols()
-
-
-def test_states_alone_of_a_plant_of_four_states() -> None:
-    _, _, _, scored = played(1, View(view="measurements"), 300, "quadruple-tank")
-    assert scored.keys_reviewed.right > 0.9 * scored.keys_reviewed.of
-
-
-def test_a_lost_state_leaves_its_steps_open() -> None:
-    run = simulate(60, 1)
-    heard = heard_by(run, View(view="measurements", loss=0.2, seed=1))
-    k = run.scenario.knowledge()
-    shape = np.array(k.disturbance_H) / np.array(k.disturbance_h)[:, None]
-    A, B = np.array(k.A), np.array(k.B)
-    steps = infer_from_measurements(A, B, shape, law_told(run.scenario), heard)
-    open_steps = [s.transition for s in steps if s.samples is None]
-    assert open_steps
-    assert open_steps == [t for t in heard if t.x is None or t.x_next is None]
-    nothing = [Transition("s", 0, None, None, None, None)]
-    assert infer_from_measurements(A, B, shape, law_told(run.scenario), nothing)[0].samples is None

@@ -26,7 +26,6 @@ from protocol.messages import (
 )
 from protocol.topics import key_of
 from runtime.addresses import Addresses, free_endpoints
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import Run, simulate
@@ -39,6 +38,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import Replay
@@ -306,7 +306,7 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     child = wire.service.heavy.process
     assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
-    assert child.wait(PATIENCE_S) == 0
+    assert child.end(PATIENCE_S) == 0
 
 
 @pytest.mark.slow

@@ -33,7 +33,7 @@ from tap_service.inference.english import (
     english,
 )
 from tap_service.inference.front import Inference
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
 from tap_service.inference.message_graph import DRAWN
 from tap_service.inference.message_halves import first_of_each
@@ -623,7 +623,7 @@ def test_what_she_states_comes_true() -> None:
 
 @pytest.mark.long
 def test_she_reads_a_sentence_of_which_a_third_was_missed_soon_after_the_plant() -> None:
-    """What a step costs her is `wyner bench text`'s."""
+    """A step's cost stays bounded."""
     payload = b"Nobody may enter the room"
     run = simulate(190, 3, name="packed", payloads=[payload])
     (over, _), *_ = run.truth.whole

@@ -14,7 +14,7 @@ from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
 from tap_service.capture.transcript import Transition
 from tap_service.inference.english import english
-from tap_service.inference.gap_smoother import InferredStep
+from tap_service.inference.inferred import InferredStep
 from tap_service.inference.message_reader import MessageReader
 from tap_service.inference.message_search import Found
 from tap_service.inference.message_sets import together

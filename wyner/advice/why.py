@@ -189,9 +189,9 @@ def packs(scenario: "Scenario") -> bool:
     """Whether the law ``packed`` has an alphabet and a terminal set here, by a regulator."""
     from pydantic import ValidationError
 
-    from controller_service.laws.tables import PackedControl
     from controller_service.sets.design import SynthesisError, stated_start
     from controller_service.sets.packed_design import alphabet_of, nearest_regulator, reduced
+    from protocol.scenario.laws import PackedControl
 
     try:
         its = packed(scenario)

@@ -4,7 +4,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
 from runtime.options import picked
 from runtime.services import CONTROLLER_MANAGEMENT, PLANT_MANAGEMENT
 from wyner.cli.options import add_run_argument, joined
@@ -18,7 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--headless", action="store_true", help="print lines even on a terminal")
     add_run_argument(parser)
-    add_endpoint_arguments(parser, "dashboard")
+    add_service_arguments(parser, "dashboard")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
             "started by hand. Start `wyner up` first, or say --connect",
             file=sys.stderr,
         )
-    loop = loop_of(buses)
+    loop = loop_of(buses.loop)
     management, adversary = (
         endpoints_of(buses, "dashboard", bus) for bus in ("management", "adversary")
     )

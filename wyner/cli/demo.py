@@ -1,4 +1,4 @@
-"""``wyner demo``: the whole story in five short runs on one screen.
+"""``wyner up --demo``: the whole story in five short runs on one screen.
 
 The law `packed` at its limit, read by the tap as it is spoken; keys distilled beside a tap that
 misses three messages of ten; the control, a tap that hears all; and a sensor
@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Final
 from runtime.errors import DONE, FAILED, INTERRUPTED
 from runtime.options import run_dir_of
 from runtime.scenario_file import scenario_of
-from wyner.cli.up import Outcome, run_session
+from wyner.cli.session import Outcome, run_session
 from wyner.deployment.one_machine import RunOptions
 
 if TYPE_CHECKING:
@@ -72,19 +72,14 @@ LISTENED: Final = {"tap.eavesdroppers": ATTACKED_BY}
 HEARS_ALL: Final = {"tap.loss": 0.0}
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "Make five short runs, a minute in all, and say in four lines what came of them: messages "
-        "and keys, each beside an eavesdropper, and an attack."
-    )
-    parser.add_argument("--headless", action="store_true", help="lines instead of a screen")
-    parser.add_argument("--json", action="store_true", help="end with one JSON object on stdout")
-    parser.add_argument("--run-dir", metavar="D", help="default: a new folder below runs/")
+def run_demo(args: argparse.Namespace) -> int:
+    """Make each run and print the lines of verdict; 0 if each run came out as it must.
 
-
-def run(args: argparse.Namespace) -> int:
-    """Each of its runs, and the lines of verdict; 0 if each came out as it must."""
+    Parameters
+    ----------
+    args : argparse.Namespace
+        Of ``wyner up``: ``headless``, ``json`` and ``run_dir`` are used.
+    """
     from wyner.dashboard.app import has_screen, one_stage
 
     if not args.headless and not args.json and has_screen():

@@ -1,4 +1,4 @@
-"""``wyner design``: a scenario's sets, gains and settled rate."""
+"""``wyner design``: a scenario's sets, gains and settled rate; the list of shipped scenarios."""
 
 import argparse
 import json
@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
+    from wyner.advice.answer import Answer
     from wyner.advice.rate import SettledRate
     from wyner.advice.why import Why
 
@@ -25,9 +26,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
     parser.description = (
         "Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
-        "them, and estimate the rate at which the link settles by seeded simulations of the loop."
+        "them, and estimate the rate at which the link settles by seeded simulations of the loop. "
+        "With --list, list the shipped scenarios. With --knowledge, write as JSON what the paper's "
+        "eavesdropper knows of SCENARIO: f_c and D_e, and neither D_c nor alpha. A tap on a "
+        "machine of its own needs this file and no scenario (wyner tap --knowledge FILE)."
     )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
+    parser.add_argument(
+        "scenario", nargs="?", metavar="SCENARIO", help="a TOML file or a shipped name"
+    )
+    what = parser.add_mutually_exclusive_group()
+    what.add_argument("--list", action="store_true", help="list the shipped scenarios")
+    what.add_argument(
+        "--knowledge",
+        nargs="?",
+        const="",
+        metavar="FILE",
+        help="write what the eavesdropper of SCENARIO is told (default: standard output)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     parser.add_argument("--no-cache", action="store_true", help="compute, and store nothing")
     parser.add_argument(
@@ -41,7 +56,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the design."""
+    """Show the design, or what else was asked for."""
+    from wyner.cli.scenarios import list_scenarios, write_knowledge
+
+    if args.list:
+        if args.scenario is not None:
+            raise UsageError(f"--list: got SCENARIO {args.scenario!r} as well, expected none")
+        return list_scenarios(as_json=args.json)
+    if args.scenario is None:
+        raise UsageError("SCENARIO: expected a TOML file or a shipped name (--list shows them)")
+    if args.knowledge is not None:
+        return write_knowledge(args.scenario, args.knowledge)
+    return _show_design(args)
+
+
+def _show_design(args: argparse.Namespace) -> int:
     import time
 
     from controller_service.laws.online import ProgramError
@@ -64,11 +93,15 @@ def run(args: argparse.Namespace) -> int:
     result = describe(scenario, design, law)
     result["seconds"] = round(design.seconds, 4)
     result["ready_seconds"] = round(time.perf_counter() - begin, 4)
+    carries = under_keys(scenario)
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
+    linear = linear and carries is None
     folder = scenario_file_of(args.scenario).parent
-    rate, reasons = (linear and _rate(scenario, law, folder)) or (None, None)
+    rate, reasons, found = (linear and _rate(scenario, law, folder)) or (None, None, None)
+    result["answer"] = None if found is None else found.as_json()
     result["rate"] = None if rate is None else rate.as_json()
     result["simulated"] = linear
+    result["under_keys"] = carries
     result["network"] = expected_misses(scenario, folder)
     result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
@@ -77,7 +110,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print(json.dumps(result))
     else:
-        shown = [render(result), *_rate_lines(rate, linear=linear)]
+        first = [] if found is None else found.lines()
+        rates = _rate_lines(rate, linear=linear) if carries is None else [_sealed_line(carries)]
+        shown = [*first, render(result), *rates]
         print("\n".join([*shown, *(() if reasons is None else reasons.lines())]))
     return FAILED if linear and rate is None else DONE
 
@@ -89,6 +124,35 @@ def _rate_lines(rate: "SettledRate | None", *, linear: bool) -> list[str]:
     if linear:
         return ["settled rate: none, the loop cannot start or leaves the sets"]
     return ["settled rate: not simulated, as plant code runs in the plant alone"]
+
+
+def under_keys(scenario: "Scenario") -> dict[str, Any] | None:
+    """What a message under distilled keys can have; None under a scheme that agrees its own.
+
+    A step carries a symbol where it has its digits. Keys give so many at most, where nothing is
+    lost.
+    """
+    from math import log2
+
+    from protocol.schemes.registry import scheme_named
+    from protocol.secret.key_digits import KEY_BITS, WORD_BITS, digits_per_word
+
+    schedule = None if scenario.keys is None else scenario.keys.schedule()
+    if schedule is None or not scheme_named(scenario.secrecy.scheme).from_stream:
+        return None
+    a, N, M = schedule.assumption, schedule.largest, scenario.secrecy.candidates
+    keys = a.rows(N, N, a.copies * N) - 1
+    digits = keys * KEY_BITS // WORD_BITS * digits_per_word(M)[0]
+    steps = digits / (N * scenario.digits)
+    rate = min(1.0, steps) * log2(M) / scenario.plant.period_s
+    return {"bits_per_second_at_most": rate, "first_step": schedule.first_use}
+
+
+def _sealed_line(found: dict[str, Any]) -> str:
+    return (
+        f"message rate: {found['bits_per_second_at_most']:.3g} bit/s at most, from step "
+        f"{found['first_step']} on at the earliest: each symbol travels under distilled keys"
+    )
 
 
 def _output_line(scenario: "Scenario") -> str | None:
@@ -106,8 +170,12 @@ def _output_line(scenario: "Scenario") -> str | None:
 
 def _rate(
     scenario: "Scenario", law: "CandidateLaw", folder: "Path"
-) -> "tuple[SettledRate, Why | None] | None":
-    """The rate, and why it is what it is; None where the loop cannot start or leaves the sets."""
+) -> "tuple[SettledRate, Why | None, Answer] | None":
+    """The rate, why it is what it is, and what it is worth.
+
+    None where the loop cannot start or leaves the sets.
+    """
+    from wyner.advice.answer import answer
     from wyner.advice.rate import long_runs, settled_rate
     from wyner.advice.why import why
     from wyner.simulate.engine import SimulationError
@@ -117,15 +185,16 @@ def _rate(
     except SimulationError:
         return None
     rate = settled_rate(runs)
+    found = answer(scenario, law.design, runs, rate.settled)
     if scenario.plant.C is not None:
-        return rate, None
+        return rate, None, found
     if scenario.network is not None:
         whole = scenario.model_copy(update={"network": None})
         try:
             runs = long_runs(whole, law, folder, record=True)
         except SimulationError:
-            return rate, None
-    return rate, why(scenario, runs)
+            return rate, None, found
+    return rate, why(scenario, runs), found
 
 
 def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> None:

@@ -1,128 +1,93 @@
-"""``wyner export``: write a capture as MCAP, CSV or Parquet."""
+"""A capture as MCAP, CSV or Parquet, for ``wyner report --to``."""
 
-import argparse
+import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "Write a capture in a format that other tools open. CSV goes to standard "
-        "output unless a file is named."
-    )
-    parser.add_argument("capture", metavar="CAPTURE", help="a capture, or a run's directory")
-    parser.add_argument("--to", required=True, choices=("mcap", "csv", "parquet"))
-    parser.add_argument(
-        "--steps",
-        action="store_true",
-        help="one row a step, one column a number (CSV, Parquet), instead of a row a message",
-    )
-    parser.add_argument(
-        "--truth",
-        action="store_true",
-        help="with --steps of a run: what the plant knows beside it (coin, key, gauges)",
-    )
-    parser.add_argument(
-        "--leakage",
-        action="store_true",
-        help="of a run: one row an agreed step, the key symbol (secret) and x(k+1) less each "
-        "prediction (view), for estimators such as F-BLEAU",
-    )
-    parser.add_argument("--output", metavar="FILE", help="default: capture.mcap or .parquet here")
+from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.files import PUBLIC_FILE, replacing
+from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
+from tap_service.capture.reading import CaptureError, CaptureReader
+from wyner.runs.run import Run, RunError
+from wyner.runs.score.step_table import step_rows, truth_of, write_csv, write_parquet
 
 
-def run(args: argparse.Namespace) -> int:
-    """Write the file and say how many messages it holds."""
-    import sys
-    from pathlib import Path
+def export(capture: Path, kind: str, output: Path | None, *, steps: bool, truth: bool) -> int:
+    """Write a capture and say on standard error how much it holds; return the exit code.
 
-    from runtime.errors import DONE, Failure, UsageError
-    from runtime.files import PUBLIC_FILE, replacing
-    from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
-    from tap_service.capture.reading import CaptureError, CaptureReader
+    Parameters
+    ----------
+    capture : Path
+        A capture, or a run's folder.
+    kind : str
+        "csv", "parquet" or "mcap".
+    output : Path, optional
+        CSV goes to standard output where no file is named.
+    steps, truth : bool
+        One row a step; with what the plant knows.
 
-    if args.leakage and (args.steps or args.truth):
-        raise UsageError("--leakage: expected neither --steps nor --truth")
-    if args.steps or args.truth or args.leakage:
-        return _steps(args)
-    output = args.output or (None if args.to == "csv" else f"capture.{args.to}")
+    Raises
+    ------
+    UsageError
+        When there is no such capture, or the options do not fit one another.
+    Failure
+        When the file cannot be written.
+    """
+    if truth and not steps:
+        raise UsageError("--truth: expected together with --steps")
+    if steps and kind == "mcap":
+        raise UsageError("--steps: expected --to csv or --to parquet")
+    if output is None and kind != "csv":
+        output = Path(f"{'steps' if steps else 'capture'}.{kind}")
     try:
-        reader = CaptureReader(Path(args.capture))
-        if output is None:
-            count = to_csv(reader, sys.stdout)
-        elif is_part(reader, Path(output)):
-            raise UsageError(f"--output: {output}: is a part of the capture itself")
+        if steps:
+            said = f"{_write_steps(capture, kind, output, truth=truth)} steps"
         else:
-            with replacing(Path(output), PUBLIC_FILE) as path:
-                if args.to == "csv":
-                    with path.open("w", encoding="utf-8", newline="") as file:
-                        count = to_csv(reader, file)
-                else:
-                    count = BINARY[args.to](reader, path)
-    except CaptureError as error:
+            said = _write_messages(capture, kind, output)
+    except (CaptureError, RunError) as error:
         raise UsageError(str(error)) from None
     except ExportError as error:
         raise Failure(str(error)) from None
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        raise Failure(f"{output or args.to}: cannot be written: {error.strerror}") from None
-    reader.finish()
-    print(
-        f"{count} messages, {reader.malformed} undecodable left out, {reader.torn} torn lines",
-        file=sys.stderr,
-    )
-    return DONE
-
-
-def _steps(args: argparse.Namespace) -> int:
-    """One row a step, or an agreed step, to a file or to standard output."""
-    import sys
-    from pathlib import Path
-
-    from runtime.errors import DONE, Failure, UsageError, needs
-    from runtime.files import PUBLIC_FILE, replacing
-    from tap_service.capture.reading import CaptureError, CaptureReader
-    from wyner.runs.run import Run, RunError
-    from wyner.runs.score.leakage import LeakedKey, leakage_line, leakage_rows, leaked_keys
-    from wyner.runs.score.step_table import step_rows, truth_of, write_csv, write_parquet
-
-    if args.truth and not args.steps:
-        raise UsageError("--truth: expected together with --steps")
-    kind = "leakage" if args.leakage else "steps"
-    if args.to == "mcap":
-        raise UsageError(f"--{kind}: expected --to csv or --to parquet")
-    output = args.output or (None if args.to == "csv" else f"{kind}.parquet")
-    try:
-        views: list[LeakedKey] = []
-        truth = truth_of(Run.load(args.capture)) if args.truth or args.leakage else None
-        if truth is not None and args.leakage:
-            views = leaked_keys(CaptureReader(Path(args.capture)), truth)
-
-        def rows() -> Iterator[dict[str, Any]]:
-            if args.leakage:
-                return leakage_rows(views)
-            return step_rows(CaptureReader(Path(args.capture)), truth)
-
-        if output is None:
-            count = write_csv(rows, sys.stdout)
-        else:
-            with replacing(Path(output), PUBLIC_FILE) as path:
-                if args.to == "csv":
-                    with path.open("w", encoding="utf-8", newline="") as file:
-                        count = write_csv(rows, file)
-                else:
-                    count = write_parquet(rows, path)
-    except (CaptureError, RunError) as error:
-        raise UsageError(str(error)) from None
     except ImportError:
         raise Failure(needs("parquet", "pyarrow")) from None
     except OSError as error:
         if isinstance(error, BrokenPipeError):
             raise
-        raise Failure(f"{output or args.to}: cannot be written: {error.strerror}") from None
-    print(f"{count} {'agreed steps' if args.leakage else 'steps'}", file=sys.stderr)
-    if args.leakage:
-        print(leakage_line(views), file=sys.stderr)
+        raise Failure(f"{output or kind}: cannot be written: {error.strerror}") from None
+    print(said, file=sys.stderr)
     return DONE
+
+
+def _write_messages(capture: Path, kind: str, output: Path | None) -> str:
+    """Write one row or record a message; return what is said of it."""
+    reader = CaptureReader(capture)
+    if output is None:
+        count = to_csv(reader, sys.stdout)
+    elif is_part(reader, output):
+        raise UsageError(f"--output: {output}: is a part of the capture itself")
+    else:
+        with replacing(output, PUBLIC_FILE) as path:
+            if kind == "csv":
+                with path.open("w", encoding="utf-8", newline="") as file:
+                    count = to_csv(reader, file)
+            else:
+                count = BINARY[kind](reader, path)
+    reader.finish()
+    return f"{count} messages, {reader.malformed} undecodable left out, {reader.torn} torn lines"
+
+
+def _write_steps(capture: Path, kind: str, output: Path | None, *, truth: bool) -> int:
+    """Write one row a step; return how many."""
+    known = truth_of(Run.load(str(capture))) if truth else None
+
+    def rows() -> Iterator[dict[str, Any]]:
+        return step_rows(CaptureReader(capture), known)
+
+    if output is None:
+        return write_csv(rows, sys.stdout)
+    with replacing(output, PUBLIC_FILE) as path:
+        if kind == "parquet":
+            return write_parquet(rows, path)
+        with path.open("w", encoding="utf-8", newline="") as file:
+            return write_csv(rows, file)

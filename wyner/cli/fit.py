@@ -1,11 +1,11 @@
-"""``wyner fit``: a model and a D_c, with a certificate, from a plant's own readings."""
+"""``wyner fit``: a model and a D_c, from a recording or from a plant that is run for it."""
 
 import argparse
 import json
 import sys
 import tomllib
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.statistics import STATED
 from runtime.errors import DONE, Failure, UsageError
@@ -15,15 +15,41 @@ if TYPE_CHECKING:
     from wyner.fit.fitting import Plan
 
 
+RECORDED_VIOLATION: Final = 0.01
+"""Share of recorded steps that may leave D_c, for its scale."""
+
+CONFIDENCE: Final = 0.999
+
+OF_A_PLANT: Final = (
+    "excite_sessions",
+    "excite_steps",
+    "pilot",
+    "calibration",
+    "fresh",
+    "steps",
+    "seed",
+    "amplitude",
+    "noise",
+)
+"""Options that say how a plant is run."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Run the plant of SCENARIO: excite it, identify A and B where the file has "
-        "none, scale D_c by whole sessions under the law until it stands still, freeze it, and "
-        "count the fresh sessions that leave it. Write the scenario with the certificate."
+        "With --states, --inputs and --period, read a recording (CSV, or MATLAB's .mat): identify "
+        "A and B from its first half, scale D_c with the third quarter, count the steps of the "
+        "last quarter that leave it, and write a scenario. Without them FILE is a scenario, and "
+        "its plant is run: excited, to identify A and B where the file has none; then in whole "
+        "sessions under the law, until D_c stands still; then in fresh sessions, which certify it."
     )
-    parser.add_argument("scenario", metavar="SCENARIO", help="a TOML file or a shipped name")
+    parser.add_argument(
+        "scenario", metavar="FILE", help="a recording; or a scenario, by file or shipped name"
+    )
     parser.add_argument("-o", "--output", type=Path, required=True, metavar="FILE")
+    parser.add_argument("--states", metavar="NAMES", help="columns of the states: a,b,c")
+    parser.add_argument("--inputs", metavar="NAMES", help="columns of the inputs: u or u1,u2")
+    parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row")
     parser.add_argument("--json", action="store_true", help="one object on standard output")
     numbers: tuple[tuple[str, float, str], ...] = (
         ("--excite-sessions", 20, "sessions with random inputs"),
@@ -34,14 +60,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         ("--steps", 200, "steps of a session under the law"),
         ("--seed", 1, "seed of excitation, coins and disturbance"),
         ("--amplitude", 0.3, "of the random inputs, as a share of U"),
-        ("--violation", 0.05, "share of sessions that may leave D_c, for the calibration"),
-        ("--confidence", 0.999, "of the certificate"),
+        ("--confidence", 0.999, "of what is said of D_c"),
     )
     for option, default, text in numbers:
         kind, metavar = (int, "N") if isinstance(default, int) else (float, "P")
-        told = f"{text} ({default})"
-        parser.add_argument(option, type=kind, default=default, metavar=metavar, help=told)
+        parser.add_argument(option, type=kind, metavar=metavar, help=f"{text} ({default})")
 
+    parser.add_argument(
+        "--violation",
+        type=float,
+        metavar="P",
+        help="share of sessions (0.05) or of recorded steps (0.01) that may leave D_c",
+    )
     parser.add_argument(
         "--noise",
         type=float,
@@ -53,6 +83,104 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write, tell."""
+    if args.output.is_dir() or not args.output.parent.is_dir():
+        raise UsageError(f"--output: got {str(args.output)!r}, expected a file in a folder")
+    if (args.states, args.inputs, args.period) != (None, None, None):
+        return _fit_recording(args)
+    if Path(args.scenario).suffix.lower() in (".csv", ".mat"):
+        raise UsageError(
+            f"{args.scenario}: a recording wants --states NAMES, --inputs NAMES and --period S"
+        )
+    return _fit_plant(args)
+
+
+def _fit_recording(args: argparse.Namespace) -> int:
+    from protocol.scenario.reading import LARGEST_NUMBER
+    from wyner.fit.first_scenario import HORIZONS, WIDER, FirstScenario
+    from wyner.fit.identification import FitError
+    from wyner.fit.recording import fit_recording, read_recording
+
+    if None in (args.states, args.inputs, args.period):
+        raise UsageError("expected --states, --inputs and --period together")
+    if not 0 < args.period <= LARGEST_NUMBER:
+        raise UsageError(f"--period: got {args.period:g}, expected more than 0")
+    for name in OF_A_PLANT:
+        if getattr(args, name) is not None:
+            option = name.replace("_", "-")
+            raise UsageError(f"--{option}: is for a plant that is run, and not for a recording")
+    violation = RECORDED_VIOLATION if args.violation is None else args.violation
+    confidence = CONFIDENCE if args.confidence is None else args.confidence
+    _check_share("violation", violation)
+    _check_share("confidence", confidence)
+    states, inputs = _names("--states", args.states), _names("--inputs", args.inputs)
+    if (len(states), len(inputs)) not in HORIZONS:
+        raise UsageError(
+            f"--states, --inputs: got {len(states)} and {len(inputs)}, expected 1 to 4 states and "
+            "1 or 2 inputs"
+        )
+    path = Path(args.scenario)
+    try:
+        recording = read_recording(path, states, inputs)
+        found = fit_recording(recording, violation=violation, confidence=confidence)
+    except FitError as error:
+        raise Failure(str(error)) from None
+    identified, scaled, held_out = found.steps
+    promise = (
+        f"a step leaves D_c with probability at most {found.violation:.3g}, confidence "
+        f"{found.confidence:g}: {found.exceeded} of {held_out} steps held out did"
+    )
+    origin = (
+        f"A, B and D_c by `wyner fit` from {path.name}: states {', '.join(states)}; inputs "
+        f"{', '.join(inputs)}.\nUnder the recorded inputs {promise}."
+    )
+    widths = found.half_widths / WIDER
+    text, starts = FirstScenario(
+        args.output.stem,
+        found.model.A.tolist(),
+        found.model.B.tolist(),
+        args.period,
+        found.bounds.tolist(),
+        widths.tolist(),
+        origin,
+    ).text()
+    try:
+        write_atomically(args.output, text.encode())
+    except OSError as error:
+        raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
+    warnings = found.warnings()
+    if not starts:
+        warnings.append(f"there is no terminal set yet: `wyner design {args.output}` says why")
+    if args.json:
+        told = {
+            "output": str(args.output),
+            "A": found.model.A.tolist(),
+            "B": found.model.B.tolist(),
+            "standard_errors": found.model.errors.tolist(),
+            "half_widths": found.half_widths.tolist(),
+            "steps": {"identified": identified, "scaled": scaled, "held_out": held_out},
+            "exceeded": found.exceeded,
+            "violation": found.violation,
+            "confidence": found.confidence,
+            "warnings": warnings,
+        }
+        bare = {"violation": STATED, "confidence": STATED}
+        print(json.dumps({**told, "no_interval": bare}))
+        return DONE
+    print(f"A and B from {identified} steps, condition {found.model.condition:.3g}")
+    for i, name in enumerate(states):
+        row = [*found.model.A[i].tolist(), *found.model.B[i].tolist()]
+        terms = (f"{v:+.5g} {of}" for v, of in zip(row, (*states, *inputs), strict=True))
+        errors = ", ".join(f"{e:.1g}" for e in found.model.errors[i])
+        print(f"  next {name} = {' '.join(terms)}   (standard errors {errors})")
+    print("D_c half-widths " + "  ".join(f"{w:.4g}" for w in found.half_widths))
+    print(promise)
+    for line in warnings:
+        print(f"warning: {line}")
+    print(f"wrote {args.output}; `wyner design {args.output}` says what the loop carries")
+    return DONE
+
+
+def _fit_plant(args: argparse.Namespace) -> int:
     from controller_service.laws.online import ProgramError
     from controller_service.laws.registry import make_law, synthesise
     from controller_service.sets.design import SynthesisError
@@ -66,8 +194,6 @@ def run(args: argparse.Namespace) -> int:
     from wyner.simulate.engine import SimulationError
 
     plan = _plan(args)
-    if args.output.is_dir() or not args.output.parent.is_dir():
-        raise UsageError(f"--output: got {str(args.output)!r}, expected a file in a folder")
     path = scenario_file_of(args.scenario)
 
     def opened(scenario: Scenario) -> Operated:
@@ -120,6 +246,13 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
+def _names(option: str, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise UsageError(f"{option}: got {text!r}, expected names of columns, such as a,b,c")
+    return names
+
+
 def _tables(path: Path) -> dict[str, Any]:
     from runtime.files import read_regular
 
@@ -138,16 +271,21 @@ def _plan(args: argparse.Namespace) -> "Plan":
     from wyner.fit.conformal import rank
     from wyner.fit.fitting import Plan
 
+    given = {name: getattr(args, name) for name in Plan.__dataclass_fields__}
+    plan = Plan(**{name: value for name, value in given.items() if value is not None})
     for name in ("excite_sessions", "excite_steps", "pilot", "calibration", "fresh", "steps"):
-        at_least(f"--{name.replace('_', '-')}", getattr(args, name), 1)
+        at_least(f"--{name.replace('_', '-')}", getattr(plan, name), 1)
     for name in ("amplitude", "violation", "confidence"):
-        if not 0 < getattr(args, name) < 1:
-            raise UsageError(f"--{name}: got {getattr(args, name):g}, expected between 0 and 1")
+        _check_share(name, getattr(plan, name))
     if args.noise is not None and not 0 < args.noise < float("inf"):
         raise UsageError(f"--noise: got {args.noise:g}, expected above 0")
     try:
-        rank(args.calibration, args.violation)
+        rank(plan.calibration, plan.violation)
     except ValueError as error:
         raise UsageError(f"--calibration: {error}") from None
-    fields = Plan.__dataclass_fields__
-    return Plan(**{name: getattr(args, name) for name in fields})
+    return plan
+
+
+def _check_share(name: str, value: float) -> None:
+    if not 0 < value < 1:
+        raise UsageError(f"--{name}: got {value:g}, expected between 0 and 1")

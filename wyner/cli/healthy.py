@@ -14,8 +14,9 @@ from pathlib import Path
 
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
+from runtime.health import Look
 from runtime.run_folder import loops_below
-from runtime.services import SERVICES, Look
+from runtime.services import SERVICES
 
 MAX_AGE_S = 5.0
 """A report older than this was written by a service that is frozen or gone; it writes one each

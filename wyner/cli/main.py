@@ -13,32 +13,28 @@ from runtime.services import SERVICES
 
 COMMANDS: Final[dict[str, dict[str, str]]] = {
     "run": {
-        "up": "controller, plant and tap here, watched",
-        "demo": "the whole story in four lines",
-        "controller": "one service by itself",
-        "plant": "one service by itself",
-        "tap": "one service by itself",
-        "dashboard": "watch a running system",
-        "send": "hand a running controller a message",
+        "up": "start controller, plant and tap here, and watch",
+        "controller": "start one service alone",
+        "plant": "start one service alone",
+        "tap": "start one service alone",
+        "dashboard": "watch services that run already",
+        "send": "queue a message at a running controller",
     },
     "look": {
-        "check": "whether a run's traces obey the paper",
-        "score": "what each eavesdropper got; --decode",
-        "report": "a run as one page of HTML",
-        "export": "a capture as MCAP, CSV or Parquet",
+        "check": "does a run obey the paper, rule by rule?",
+        "score": "what did each eavesdropper get of a run?",
+        "report": "a run as a page of HTML, CSV or Parquet",
     },
     "design": {
-        "new": "a scenario file of one's own, with comments",
-        "design": "sets, gains, and the rate in the long run",
-        "fit": "a plant and a certified D_c from recordings",
-        "scenarios": "what is shipped; --knowledge: what she is told",
-        "sweep": "a grid of experiments; --plot its rows",
+        "new": "write a scenario file from A and B",
+        "design": "compute a scenario's sets, gain and rate",
+        "fit": "estimate A, B and D_c from recordings",
+        "sweep": "run a grid of simulations",
     },
     "operate": {
-        "router": "a Zenoh router, with access control",
-        "certs": "for mutual TLS",
-        "status": "what a run's services last said; --healthy",
-        "bench": "how fast wyner is here; did a change slow it?",
+        "router": "start a Zenoh router with access control",
+        "certs": "write certificates for mutual TLS",
+        "status": "what do the services of a run report?",
     },
 }
 """Subcommands by group, with their lines in the help; the module is ``wyner.cli.NAME``. Services
@@ -46,7 +42,7 @@ bring theirs. Neighbours of one line share it."""
 
 
 def groups() -> dict[str, dict[str, str]]:
-    """Every subcommand and its line in the help, by group; a registered service's are run."""
+    """Every subcommand and its line in the help, by group; a service's own are run."""
     ours = {name for group in COMMANDS.values() for name in group}
     added = {n: SERVICES[n].summary for n in SERVICES if SERVICES[n].command and n not in ours}
     return {name: group | added if name == "run" else group for name, group in COMMANDS.items()}
@@ -85,9 +81,6 @@ def _add_parser(name: str, text: str, subparsers: "argparse._SubParsersAction[Pa
     """Add a subcommand with its options; what is here of a service's goes before its own."""
     here = importlib.util.find_spec(f"wyner.cli.{name}") is not None
     module = importlib.import_module(f"wyner.cli.{name}" if here else SERVICES[name].command)
-    if name == "bench":  # it hands its arguments on, and makes a parser that takes any
-        module.add_parser(subparsers)
-        return
     parser = subparsers.add_parser(name, description=None if here else text)
     module.add_arguments(parser)
     parser.set_defaults(run=module.run)

@@ -2,49 +2,17 @@
 
 import argparse
 import re
-import tomllib
-from collections.abc import Iterator
 from pathlib import Path
 from re import fullmatch
-from typing import TYPE_CHECKING, Any, Final
+from typing import Final
 
 from runtime.errors import DONE, Failure, UsageError
-
-if TYPE_CHECKING:
-    from protocol.arrays import Array
-    from protocol.scenario import Scenario
 
 EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
 """A mass that is pushed: A, B and the period where none are given; continuous."""
 
-HORIZONS: Final = {
-    (1, 1): 50,
-    (1, 2): 50,
-    (2, 1): 50,
-    (2, 2): 50,
-    (3, 1): 30,
-    (3, 2): 10,
-    (4, 1): 8,
-    (4, 2): 4,
-}
-"""By states and inputs: sets that a design computes in seconds. No other size has a design."""
-
 NUMBER: Final = r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 ROW: Final = rf"{NUMBER}(?:\s*,\s*{NUMBER}|\s+{NUMBER})*"
-
-SHARES: Final = (0.05, 0.02, 0.01, 0.005, 0.002, 0.001)
-"""Half-width of D, as a share of what the largest inputs move each state by in a step: the first
-for which there is a terminal set."""
-
-WEIGHTS: Final = (1.0, 0.1, 0.01, 10.0)
-"""Weights of the inputs, each in units of its bound, in the order in which they are tried. Beside
-them each state has a weight of one in units of its reach."""
-
-REACH_STEPS: Final = 10
-"""A state's reach is as far as the inputs take it in so many steps."""
-
-WIDER: Final = 1.2
-"""D_c over D, the ratio of the paper's example."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -81,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
     """Write the file, once it has been read back."""
     from protocol.scenario import ScenarioError
     from protocol.scenario.reading import LARGEST_NUMBER
+    from wyner.fit.first_scenario import HORIZONS, FirstScenario
 
     given = (args.A, args.B, args.period)
     if any(v is not None for v in given) and None in given:
@@ -117,7 +86,10 @@ def run(args: argparse.Namespace) -> int:
             )
     path = Path(args.output or f"{args.name}.toml")
     try:
-        text, starts = _first_that_starts(args, A, B, period, path)
+        widths = None if args.disturbance is None else [args.disturbance] * len(A)
+        text, starts = FirstScenario(
+            args.name, A, B, period, [args.input] * len(B[0]), widths
+        ).text()
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     try:
@@ -130,103 +102,6 @@ def run(args: argparse.Namespace) -> int:
     says = "says what it gives" if starts else "says why it has no terminal set yet"
     print(f"{path}: {_sizes(A, B)}; `wyner design {path}` {says}")
     return DONE
-
-
-def _first_that_starts(
-    args: argparse.Namespace,
-    A: list[list[float]],
-    B: list[list[float]],
-    period_s: float,
-    path: Path,
-) -> tuple[str, bool]:
-    """The file's text, and whether there is a terminal set for it.
-
-    First a regulator's weights are tried for each width of D; then, for the widest D that has one,
-    a gain.
-    """
-    from controller_service.sets.gains import find_gain
-
-    pushes = pushed(A, B, args.input)
-    weights = state_weights(pushes)
-    m = len(B[0])
-
-    def written(widths: list[float], gain: str) -> str:
-        return scenario_text(args.name, A, B, period_s, args.input, widths, weights, gain)
-
-    def regulator(weight: float) -> str:
-        inputs = [weight / args.input**2] * m
-        return BY_WEIGHTS.format(next_state=_list(weights), input=_list(inputs))
-
-    all_widths = list(widths_of(pushes, args.disturbance))
-    first = written(all_widths[0], regulator(WEIGHTS[0]))
-    for widths in all_widths:
-        for weight in WEIGHTS:
-            text = written(widths, regulator(weight))
-            if _starts(text, path):
-                return text, True
-    for widths in all_widths:
-        found = find_gain(_parsed(written(widths, regulator(1.0)), path), shares=(1.0,))
-        if found is not None:
-            text = written(widths, BY_GAIN.format(gain=found.written(), decay=found.decay))
-            if _starts(text, path):
-                return text, True
-    return first, False
-
-
-def pushed(A: list[list[float]], B: list[list[float]], bound: float) -> "Array":
-    """How far the largest inputs push each state k steps later, shape (REACH_STEPS, n).
-
-    In other units of a state its column alone changes, by their ratio. A state that no input moves
-    is counted in what it takes of it to push another as far as the inputs do.
-    """
-    import numpy as np
-
-    M = np.array(A)
-    push = np.array(B) * bound
-    out = []
-    for _ in range(REACH_STEPS):
-        out.append(np.abs(push).sum(axis=1))
-        push = M @ push
-    rows = np.array(out)
-    for j in np.flatnonzero(~rows.any(axis=0)):
-        column = np.abs(M[:, j])
-        moves = rows[0][column > 0] / column[column > 0]
-        rows[:, j] = min(moves[moves > 0], default=bound)
-    return rows
-
-
-def state_weights(pushes: "Array") -> list[float]:
-    """One over the square of each state's reach."""
-    return [float(v) for v in pushes.sum(axis=0) ** -2.0]
-
-
-def widths_of(pushes: "Array", disturbance: float | None) -> Iterator[list[float]]:
-    """Half-widths of D to be tried, the widest first: shares of the first push of each state."""
-    if disturbance is not None:
-        yield [disturbance] * pushes.shape[1]
-        return
-    first = [float(next(v for v in column if v > 0)) for column in pushes.T]
-    for share in SHARES:
-        yield [share * push for push in first]
-
-
-def _starts(text: str, path: Path) -> bool:
-    """Whether the scenario has a terminal set, so that a design can begin."""
-    from controller_service.sets.design import stated_start
-    from controller_service.sets.terminal import SynthesisError
-
-    scenario = _parsed(text, path)
-    try:
-        stated_start(scenario)
-    except (SynthesisError, NotImplementedError, ValueError):
-        return False
-    return True
-
-
-def _parsed(text: str, path: Path) -> "Scenario":
-    from protocol.scenario import parse_scenario
-
-    return parse_scenario(tomllib.loads(text), str(path))
 
 
 def _short(text: str) -> str:
@@ -267,101 +142,9 @@ def sampled(
     return step[:n, :n].tolist(), step[:n, n:].tolist()
 
 
-def scenario_text(
-    name: str,
-    A: list[list[float]],
-    B: list[list[float]],
-    period_s: float,
-    bound: float,
-    widths: list[float],
-    weights: list[float],
-    gain: str,
-) -> str:
-    """The file, each field with a line that says why."""
-    n, m = len(A), len(B[0])
-    values: dict[str, Any] = {
-        "name": name,
-        "A": _rows(A),
-        "B": _rows(B),
-        "period_s": f"{period_s:g}",
-        "start": _list([0.0] * n),
-        "D": _list(widths),
-        "D_c": _list([WIDER * w for w in widths]),
-        "weights": _list(weights),
-        "horizon": HORIZONS[n, m],
-        "gain": gain,
-        "U": _list([bound] * m),
-    }
-    return TEMPLATE.format(**values)
-
-
 def _sizes(A: list[list[float]], B: list[list[float]]) -> str:
     return f"{_counted(len(A), 'state')}, {_counted(len(B[0]), 'input')}"
 
 
 def _counted(number: int, what: str) -> str:
     return f"{number} {what}" + ("" if number == 1 else "s")
-
-
-def _list(values: list[float]) -> str:
-    return "[" + ", ".join(f"{float(f'{v:.6g}')!r}" for v in values) + "]"
-
-
-def _rows(matrix: list[list[float]]) -> str:
-    return (
-        "[" + ", ".join("[" + ", ".join(repr(float(v)) for v in row) + "]" for row in matrix) + "]"
-    )
-
-
-BY_WEIGHTS: Final = """\
-[control.regulator]              # weights of u = K x near the origin; a larger input weight makes
-next_state = {next_state:<19} # a softer K, a wider T_0, and more room between the candidates
-input = {input}
-"""
-
-BY_GAIN: Final = """\
-# u = K x near the origin. Plain weights gave no terminal set; this is a regulator's gain that was
-# made to decay by {decay:g} a step at least (docs/control.md).
-gain = {gain}
-"""
-
-TEMPLATE: Final = """\
-# {name}: a scenario of wyner. docs/scenario-reference.md has every field.
-#   wyner design {name}.toml     its sets, its rate, and why it is what it is
-#   wyner up --scenario {name}.toml --pace x10
-name = "{name}"
-description = ""
-
-[plant]                          # x+ = A x + B u + d, every period_s seconds
-A = {A}
-B = {B}
-period_s = {period_s}
-initial_state = {start}
-
-[plant.disturbance]              # D, what the simulated plant suffers, in units of the state
-kind = "uniform"                 # or corners, truncated-gaussian, gaussian, constant, sinusoid
-half_widths = {D}
-
-[defender.disturbance]           # D_c contains D; both ends know it, she does not
-half_widths = {D_c}
-
-[control]
-law = "sustained"                # or paper (quiet inside T_0), packed (predictions kept apart)
-horizon = {horizon:<22} # sets T_1 to T_N: more states to start from, more time to compute
-
-{gain}
-[control.inputs]                 # U: no input leaves it
-half_widths = {U}
-
-[[control.costs]]                # candidate 0 goes home fast; each state counts in units of
-next_state = {weights:<19} # what the inputs move it by in ten steps
-input = 0.0
-
-[[control.costs]]                # candidate 1 spares the input
-next_state = 0.0
-input = 1.0
-
-[secrecy]
-alpha = 8.0                      # D_e = alpha D_c, the set that she is said to know
-scheme = "switched"              # the paper's; or pipelined, or your own: FILE.py:CLASS
-"""

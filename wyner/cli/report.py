@@ -1,4 +1,4 @@
-"""``wyner report``: a run on one page of HTML."""
+"""``wyner report``: a run on one page of HTML, or as data for other tools."""
 
 import argparse
 import json
@@ -12,17 +12,47 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Write one self-contained HTML page of a run: what counts as secret by the paper's rule "
         "against the truth, what was sent and recovered, states and inputs, keys against "
-        "taps over time, and the checks. The page's path goes to standard output."
+        "taps over time, and the checks. The page's path goes to standard output. With --to, write "
+        "what the tap captured in a format that other tools open."
     )
-    parser.add_argument("run_dir", type=Path, metavar="RUN_DIR", help="the run's folder")
     parser.add_argument(
-        "--output", "-o", type=Path, metavar="FILE", help="the page (default: RUN_DIR/report.html)"
+        "run_dir", type=Path, metavar="RUN", help="the run's folder; with --to, or a capture"
+    )
+    parser.add_argument(
+        "--to",
+        choices=("html", "csv", "parquet", "mcap"),
+        default="html",
+        help="a page (default), or the capture, a row or record a message",
+    )
+    parser.add_argument(
+        "--steps",
+        action="store_true",
+        help="one row a step, one column a number (CSV, Parquet), instead of a row a message",
+    )
+    parser.add_argument(
+        "--truth",
+        action="store_true",
+        help="with --steps of a run: what the plant knows beside it (coin, key, gauges)",
+    )
+    parser.add_argument(
+        "--output",
+        "-o",
+        type=Path,
+        metavar="FILE",
+        help="default: RUN/report.html; CSV to standard output; capture.mcap or .parquet here",
     )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the page."""
+    """Write the page, or the capture."""
+    if args.to != "html":
+        from wyner.cli.export import export
+
+        return export(args.run_dir, args.to, args.output, steps=args.steps, truth=args.truth)
+    if args.steps or args.truth:
+        option = "--steps" if args.steps else "--truth"
+        raise UsageError(f"{option}: expected together with --to csv or --to parquet")
     from protocol.scenario import ScenarioError
     from runtime.recording import TraceError
     from wyner.runs.page import write_report

@@ -1,42 +1,18 @@
-"""``wyner scenarios``: what is shipped."""
+"""The scenarios that are shipped, and what an eavesdropper is told of one."""
 
-import argparse
 import json
 from pathlib import Path
 
-from runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, Failure
 from runtime.files import PUBLIC_FILE, write_atomically
+from runtime.scenario_file import load_scenario, scenario_of
+from runtime.shipped import SCENARIOS
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the command's options."""
-    parser.description = (
-        "List the scenarios that can be named instead of a file. With --knowledge, write as JSON "
-        "what the paper's eavesdropper knows of one: f_c and D_e, and neither D_c nor alpha. A tap "
-        "on a machine of its own needs this file and no scenario (wyner tap --knowledge FILE)."
-    )
-    parser.add_argument("scenario", nargs="?", metavar="SCENARIO", help="file or shipped name")
-    parser.add_argument(
-        "--knowledge",
-        nargs="?",
-        const="",
-        metavar="FILE",
-        help="write what the eavesdropper of SCENARIO is told (default: standard output)",
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-
-
-def run(args: argparse.Namespace) -> int:
-    """Print a line a scenario, or write one's public part."""
-    if args.knowledge is not None:
-        return _write_knowledge(args.scenario, args.knowledge)
-    if args.scenario is not None:
-        raise UsageError("SCENARIO: expected --knowledge [FILE] with it")
-    from runtime.scenario_file import load_scenario
-    from runtime.shipped import SCENARIOS
-
+def list_scenarios(*, as_json: bool) -> int:
+    """Print a line for each shipped scenario, or one JSON object; return the exit code."""
     found = [load_scenario(path) for path in sorted(SCENARIOS.glob("*.toml"))]
-    if args.json:
+    if as_json:
         about = {
             s.name: {
                 "description": s.description,
@@ -62,11 +38,14 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _write_knowledge(scenario: str | None, file: str) -> int:
-    from runtime.scenario_file import scenario_of
+def write_knowledge(scenario: str, file: str) -> int:
+    """Write as JSON what Eve is told of a scenario; to standard output where ``file`` is empty.
 
-    if scenario is None:
-        raise UsageError("--knowledge: expected SCENARIO as well")
+    Raises
+    ------
+    Failure
+        When the file cannot be written.
+    """
     text = scenario_of(scenario).knowledge().model_dump_json(indent=2) + "\n"
     if not file:
         print(text, end="")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from protocol.messages import SendCommand, SendReply
 from protocol.text import printable
 from protocol.topics import key_of
-from runtime.bus_options import BusOptions, add_endpoint_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
 from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
@@ -54,7 +54,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
     add_run_argument(parser)
-    add_endpoint_arguments(parser, "operator")
+    add_service_arguments(parser, "operator")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -79,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     told = picked(BusOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout)
     _check_own(run, told, args.run_name)
-    loop = loop_of(buses)
+    loop = loop_of(buses.loop)
     ends = endpoints_of(buses, "operator", "management")
     until = time.monotonic() + args.timeout
     try:

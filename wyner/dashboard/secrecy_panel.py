@@ -93,6 +93,9 @@ def distilled(state: State, width: int) -> list[Row]:
     made_and_held = line(made)
     hers, style = held(state, room - cell_len(made))
     made_and_held.append(hers, style=STYLES[style])
+    digits = f"; {count(plant.digits_left)} digits left"
+    if plant.digits_left and made_and_held.cell_len + cell_len(digits) <= room:
+        made_and_held.append(digits)
     keys: Row = "distilled keys", made_and_held
     against = [*contradictions(state)]
     if plant.keys_stopped:

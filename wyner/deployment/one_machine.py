@@ -13,6 +13,7 @@ from protocol.scenario import Scenario
 from protocol.topics import DEFAULT_LOOP
 from runtime.addresses import free_endpoints
 from runtime.files import read_regular, write_atomically
+from runtime.options import MessageOptions, option
 from runtime.run_folder import (
     CONTROLLER_TRACE,
     KNOWLEDGE,
@@ -27,38 +28,29 @@ from wyner.deployment.running import RunningLoop
 from wyner.deployment.supervisor import Child, Supervisor
 
 
-@dataclass(frozen=True, slots=True)
-class RunOptions:
-    """What a run on this machine is asked to be: the options of ``wyner up``.
+@dataclass(frozen=True, kw_only=True)
+class RunOptions(MessageOptions):
+    """What a run on this machine is asked to be: the options of ``wyner up``."""
 
-    Parameters
-    ----------
-    scenario : str
-        A file or a shipped name.
-    message, message_file, eavesdropper, attack, run_dir : str, optional
-        As they are typed.
-    pace : str
-        ``realtime``, ``xN`` or ``fast``.
-    steps, seed : int, optional
-    until_delivered : bool
-        End when the plant has the message.
-    headless, json, story : bool
-        Lines in place of a screen; one object at the end; pauses with captions.
-    """
-
-    scenario: str = "sustained"
-    message: str | None = None
-    message_file: str | None = None
-    eavesdropper: str | None = None
-    attack: str | None = None
-    run_dir: str | None = None
-    pace: str = "realtime"
-    steps: int | None = None
-    seed: int | None = None
-    until_delivered: bool = False
-    headless: bool = False
-    json: bool = False
-    story: bool = False
+    scenario: str = option("file or shipped name", "S", "sustained")
+    pace: str = option("realtime, xN, or fast (lock-step)", "P", "realtime")
+    steps: int | None = option("end at step N", "N", least=1)
+    until_delivered: bool = option(
+        "end when the plant has the message, and each that was sent meanwhile", default=False
+    )
+    eavesdropper: str | None = option(
+        "who listens besides those of the scenario, by name or as path/to/file.py:Name",
+        "NAME[,NAME...]",
+    )
+    story: bool = option("pause at what matters, with a caption each time", default=False)
+    headless: bool = option("lines instead of a screen", default=False)
+    json: bool = option("end with one JSON object on stdout", default=False)
+    attack: str | None = option(
+        "attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
+        "KIND@STEP",
+    )
+    run_dir: str | None = option("default: a new folder below runs/", "D")
+    seed: int | None = option("for experiments: predictable draws", "N", least=0)
 
 
 KEYED_COIN: Final = """
@@ -83,7 +75,7 @@ def text_of(options: RunOptions) -> str:
     return f"{text.rstrip()}\n{KEYED_COIN}" if implied and not stated else text
 
 
-def option(name: str, value: object) -> str:
+def said(name: str, value: object) -> str:
     """An option of a child in one word: a value may begin with a dash, as a folder's name may."""
     return f"--{name}={value}"
 
@@ -139,14 +131,14 @@ def lay_out(
     )
     plant_side, controller_side = ends[6:]
     on_bus = attack is not None and attack.attack["at"] == "bus"
-    common = [option("run-dir", run_dir)]
-    seed = [] if options.seed is None else [option("seed", options.seed)]
-    steps = [] if options.steps is None else [option("steps", options.steps)]
-    attacked = [] if options.attack is None else [option("attack", options.attack)]
-    tap = [option("eavesdropper", ",".join(eavesdroppers))] if eavesdroppers else []
+    common = [said("run-dir", run_dir)]
+    seed = [] if options.seed is None else [said("seed", options.seed)]
+    steps = [] if options.steps is None else [said("steps", options.steps)]
+    attacked = [] if options.attack is None else [said("attack", options.attack)]
+    tap = [said("eavesdropper", ",".join(eavesdroppers))] if eavesdroppers else []
     knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
     for name, value in knobs.items():
-        tap.append(option(name.replace("_", "-"), value))
+        tap.append(said(name.replace("_", "-"), value))
     scenario_folder = scenario_file_of(options.scenario).parent.resolve()
     children = [
         Child(
@@ -156,13 +148,13 @@ def lay_out(
                 *seed,
                 *steps,
                 *attacked,
-                option("scenario", scenario_file),
-                option("pace", options.pace),
-                option("plant-folder", scenario_folder),
-                option("listen", f"field={plant_field}"),
-                option("connect", f"field={tap_field}"),
-                *([option("connect", f"field={plant_side}")] if on_bus else []),
-                option("listen", f"management={plant_management}"),
+                said("scenario", scenario_file),
+                said("pace", options.pace),
+                said("plant-folder", scenario_folder),
+                said("listen", f"field={plant_field}"),
+                said("connect", f"field={tap_field}"),
+                *([said("connect", f"field={plant_side}")] if on_bus else []),
+                said("listen", f"management={plant_management}"),
             ],
             run_dir / "plant" / "log",
             trace=run_dir / PLANT_TRACE,
@@ -172,15 +164,15 @@ def lay_out(
             [
                 *common,
                 *seed,
-                option("scenario", scenario_file),
-                option("pace", options.pace),
-                option("message-file", message_file),
-                option("model-folder", scenario_folder),
-                option("listen", f"field={controller_field}"),
-                option("connect", f"field={controller_side if on_bus else plant_field}"),
-                option("connect", f"field={tap_field}"),
-                option("listen", f"management={controller_management}"),
-                option("connect", f"management={plant_management}"),
+                said("scenario", scenario_file),
+                said("pace", options.pace),
+                said("message-file", message_file),
+                said("model-folder", scenario_folder),
+                said("listen", f"field={controller_field}"),
+                said("connect", f"field={controller_side if on_bus else plant_field}"),
+                said("connect", f"field={tap_field}"),
+                said("listen", f"management={controller_management}"),
+                said("connect", f"management={plant_management}"),
             ],
             run_dir / "controller" / "log",
             trace=run_dir / CONTROLLER_TRACE,
@@ -190,16 +182,16 @@ def lay_out(
             [
                 *common,
                 *tap,
-                option("knowledge", knowledge_file),
-                option("listen", f"adversary={adversary}"),
-                option("listen", f"field={tap_field}"),
+                said("knowledge", knowledge_file),
+                said("listen", f"adversary={adversary}"),
+                said("listen", f"field={tap_field}"),
             ],
             run_dir / "tap" / "log",
         ),
     ]
     if on_bus:
-        relay = [*seed, *attacked, option("scenario", scenario_file)]
-        relay += [option("plant-side", plant_side), option("controller-side", controller_side)]
+        relay = [*seed, *attacked, said("scenario", scenario_file)]
+        relay += [said("plant-side", plant_side), said("controller-side", controller_side)]
         log = run_dir / "attacker" / "log"
         children.append(Child("attacker", relay, log, package="attacker_service"))
     return (

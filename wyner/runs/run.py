@@ -11,11 +11,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic_core import from_json
 
 from protocol.link.records import Side
+from protocol.link.session import rules_of
 from protocol.scenario import Scenario
 from runtime.files import read_regular
 from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
@@ -33,6 +34,9 @@ from runtime.run_folder import (
 from runtime.scenario_file import load_scenario
 from tap_service.capture.reading import CaptureReader
 from wyner.runs.resolve import Event, Resolved
+
+if TYPE_CHECKING:
+    from wyner.runs.trace import Trace
 
 TRACES: Final[dict[Side, Path]] = {"plant": PLANT_TRACE, "controller": CONTROLLER_TRACE}
 
@@ -97,6 +101,20 @@ class Run:
     def trace(self, side: Side) -> Path:
         """The first part of an end's trace, also where it is there no more."""
         return self.folder / TRACES[side]
+
+    def read(self, side: Side, pending: dict[str, Any] | None = None) -> "Trace":
+        """An end's trace in columns; ``pending`` is what its journal holds beyond it.
+
+        Raises
+        ------
+        OSError
+            When it cannot be read.
+        """
+
+        from wyner.runs.trace import Trace
+
+        noisy = self.scenario.plant.noise is not None
+        return Trace(side, self.trace(side), rules_of(self.scenario), noisy=noisy, pending=pending)
 
     def has(self, side: Side) -> bool:
         """Whether any part of an end's trace is there."""

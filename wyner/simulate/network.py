@@ -38,12 +38,13 @@ from protocol.scenario import Scenario
 from protocol.secret.blocks import ClosedBlock
 from protocol.secret.extractor import extracted
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SENSOR, SeededSymbols, Stream
+from runtime.chance import seeded_nonces
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.model import load_model
 from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
+from wyner.simulate.engine import Law
 from wyner.simulate.faults import Faults
-from wyner.simulate.single import Law
 
 
 @dataclass
@@ -181,6 +182,7 @@ class Simulation:
         self.scenario = scenario
         self._law = law
         self._seed, self._run = seed, run
+        self._nonces = seeded_nonces(seed, run)
         self._predict = load_model(scenario, folder)
         self._width = len(scenario.plant.disturbance.half_widths)
         self._faults = faults or Faults()
@@ -332,6 +334,7 @@ class Simulation:
             period_s=self.scenario.plant.period_s,
             loaded=self._queue.load(),
             predict=self._predict,
+            nonces=self._nonces,
         )
         return self._controller
 
@@ -351,6 +354,7 @@ class Simulation:
             own=None if self._own is None else self._own(),
             folder=self._folder,
             sensors=Stream(self._seed, SENSOR, width=self.scenario.readings, run=self._run),
+            nonces=self._nonces,
         )
         return self.plant
 

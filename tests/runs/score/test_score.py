@@ -246,7 +246,7 @@ def test_more_than_true_is_said_in_words_and_of_the_rule_not_of_the_paper() -> N
     assert "EXCEEDS" not in blind.verdict()
     assert "tap leaves at most 10.0 of them, no better than chance" in blind.verdict()
     nothing = RunScore("r", Truth(2, {}, {}, (), 50), ())
-    assert "No key was agreed" in report([nothing]).verdict()
+    assert "No key was agreed by the paper's rule" in report([nothing]).verdict()
 
 
 def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest() -> None:

@@ -6,10 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+
 from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array
 from protocol.scenario import ScenarioError
 from protocol.vectors import Vector
 from wyner.runs.run import Run
+from wyner.runs.trace import Rows
 
 
 @dataclass(slots=True)
@@ -84,6 +88,25 @@ def step_cost(weights: tuple[Vector, Vector], x_next: Sequence[float], u: Sequen
     return sum(q * v * v for q, v in zip(state, x_next, strict=False)) + sum(
         r * v * v for r, v in zip(effort, u, strict=False)
     )
+
+
+def costs(weights: tuple[Vector, Vector], rows: Rows) -> Array:
+    """The same of every step of a plant's trace: of the truth, where it is told."""
+    state, effort = weights
+    truth = truth_of(rows)
+    x, u = (rows["x_next"], rows["u"]) if truth is None else (truth, rows["true_u"])
+    if truth is not None:
+        silent = np.isnan(truth[:, :1])
+        u = np.where(silent, rows["u"], u)
+        x = np.where(silent, rows["x_next"], x) if x.shape == rows["x_next"].shape else x
+    found: Array = (x**2 @ np.array(state[: x.shape[1]])) + (u**2 @ np.array(effort[: u.shape[1]]))
+    return found
+
+
+def truth_of(rows: Rows) -> Array | None:
+    """The true states after the steps; None where nobody told them."""
+    told = "true_x" in (rows.dtype.names or ())
+    return rows["true_x"] if told else None
 
 
 def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tuple[bytes, int]]:

@@ -177,7 +177,7 @@ class Report:
         """In words."""
         strongest = self.strongest
         if self.claimed_bits == 0:
-            return "No key was agreed: nothing counts as secret, and nothing can be lost."
+            return "No key was agreed by the paper's rule: nothing counts as secret by it."
         claim = f"by the paper's rule {self.claimed_bits:.0f} bits count as secret"
         if strongest is None or strongest.left is None:
             return f"{claim[0].upper()}{claim[1:]}; {self._nobody()}, so they stand untested."

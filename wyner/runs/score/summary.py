@@ -205,7 +205,12 @@ def render(summary: dict[str, Any]) -> str:
         *_others(summary),
         f"loop       {summary['steps']} steps ({_missed(summary)}), "
         f"{summary['seconds']:.0f} s of plant time",
-        f"agreed     {summary['agreements']} keys, {f'{errors} WRONG' if errors else 'none wrong'}",
+        "agreed     "
+        + (
+            "none by the paper's rule: the message travels under distilled keys"
+            if summary["under_keys"]
+            else f"{summary['agreements']} keys, {f'{errors} WRONG' if errors else 'none wrong'}"
+        ),
         f"carried    {summary['bits']:.0f} message bits, "
         f"{summary['bits_per_second']:.2f} a second of plant time, counted",
         *cost_lines(summary["control_cost"]),
@@ -267,9 +272,7 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
     else:
         lines.append("Eve        was not there.")
     if summary["under_keys"]:
-        lines.append(
-            "Secret     The message travels under distilled keys: it is as secret as they are."
-        )
+        lines.append(f"Secret     {_under_keys(summary['keys'])}")
     else:
         lines.append(
             f"Secret     {summary['claimed_bits']:.0f} bits by the paper's rule. True: "
@@ -282,6 +285,15 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
     if summary["attack"] is not None:
         lines += attack_lines(summary["attack"])
     return lines
+
+
+def _under_keys(keys: dict[str, Any]) -> str:
+    """How secret a message is that travelled under distilled keys."""
+    held, missed = keys["held_by_tap_bits"], keys["missed_by_tap"]
+    if held is None or missed is None:
+        return "The message travels under distilled keys: it is as secret as they are."
+    heard = f"Eve missed {100 * missed:.2g} % of the messages"
+    return f"{heard}, and holds {held} bits of the keys that this one travels under."
 
 
 def true_in_words(summary: dict[str, Any]) -> str:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from protocol.agreement import INSIDE
 from protocol.arrays import Array, Flags, Integers
-from protocol.registry import Classes
+from protocol.plugins import load_class
 
 Words = NDArray[np.uint32]
 Number = TypeVar("Number", int, NDArray[Any])
@@ -344,14 +344,10 @@ class Mac(Defence):
         return tag_of(session[..., 0], step[..., 0].astype(np.uint32), words)
 
 
-DEFENCES: Final[Classes[Defence]] = Classes(
-    "defence",
-    Defence,
-    {
-        kind.name: f"{__name__}:{kind.__name__}"
-        for kind in (Residual, KeyedCoin, Coding, StaticCoding, Mac)
-    },
-)
+DEFENCES: Final = {
+    kind.name: f"{__name__}:{kind.__name__}"
+    for kind in (Residual, KeyedCoin, Coding, StaticCoding, Mac)
+}
 
 
 def make_defence(name: str, states: int, candidates: int) -> Defence:
@@ -362,4 +358,4 @@ def make_defence(name: str, states: int, candidates: int) -> Defence:
     UnknownError
         In one line, when there is none, or it is no defence.
     """
-    return DEFENCES[name](states, candidates)
+    return load_class(name, DEFENCES, Defence)(states, candidates)

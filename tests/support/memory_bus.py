@@ -109,7 +109,7 @@ class MemoryBus(Bus):
         self._closed = False
         self._channels: list[MemoryChannel] = []
 
-    def publisher(self, key: str, *, many: bool = False) -> MemoryPublisher:  # noqa: ARG002
+    def publisher(self, key: str, *, many: bool = False) -> MemoryPublisher:
         """A publisher on one key; every message goes at once."""
         if "*" in key:
             raise TransportError(f"key {key!r}: expected a key without wildcards")
@@ -120,7 +120,7 @@ class MemoryBus(Bus):
         if not self._closed:
             self.hub.put(self, key, payload)
 
-    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:  # noqa: ARG002
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
         """Call ``deliver`` in the publishing thread with every message of others that fits."""
         self.hub.add(self, key_expr, deliver)
 

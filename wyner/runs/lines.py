@@ -7,9 +7,7 @@ from typing import Any, Final, Literal, NamedTuple
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
 
-from protocol.agreement import AgreementResult
 from protocol.link.session import Rules
-from protocol.schemes.base import Carry
 from protocol.vectors import Vector
 from protocol.wrong_fields import expected_of
 
@@ -216,22 +214,6 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
 """What each side may trace: the event, and the type of its line."""
 
 
-class Problem(NamedTuple):
-    """A line that cannot be what it says it is, or stands where it cannot."""
-
-    where: str
-    text: str
-
-
-class Walked(NamedTuple):
-    """A transition, its verdict from the raw numbers, and what the scheme makes of it."""
-
-    t: TracedTransition
-    verdict: AgreementResult
-    carry: Carry
-    s: int
-
-
 class OtherLine(NamedTuple):
     """Another line of a trace.
 
@@ -258,11 +240,13 @@ class Break(NamedTuple):
     ended: bool
 
 
-Item = Walked | MissedLine | OtherLine | Again | Break
+Item = OtherLine | Again | Break
 
+LARGEST: Final = 2**31 - 1
+"""Of a step's number, and every other: what is kept of each has room for no larger one."""
 
-LARGEST_INTEGER: Final = 2**63 - 1
-"""Of a step's number, and a transition's: what is kept of each has room for no larger one."""
+_COUNTS: Final = ("j", "k", "p", "s")
+_SYMBOLS: Final = ("symbol", "key", "message_symbol", "expected", "coin")
 
 
 class Shape(NamedTuple):
@@ -284,8 +268,14 @@ class Shape(NamedTuple):
     def unlike(self, t: TracedTransition, *, plant: bool) -> str:
         """The first field of ``t`` that is not of this shape; empty where all are."""
         n, m, size, hidden = self
-        if abs(t.j) > LARGEST_INTEGER or abs(t.k) > LARGEST_INTEGER:
-            return "j, k: expected numbers of 64 bits"
+        if any(abs(getattr(t, name)) > LARGEST for name in _COUNTS):
+            return "j, k, p, s: expected numbers of 32 bits"
+        for name in _SYMBOLS:
+            value = getattr(t, name)
+            if value is not None and not -1 <= value < size:
+                return f"{name}: got {value}, expected -1 to {size - 1}"
+        if t.digits is not None and not all(0 <= v <= LARGEST for v in t.digits):
+            return f"digits: got {t.digits}, expected a block and a number in it"
         if len(t.x) != n:
             return f"x: got {len(t.x)} numbers, expected {n}"
         if len(t.x_next) != n:
@@ -310,21 +300,31 @@ class Shape(NamedTuple):
             return "true_x_next, true_u: expected in the plant's trace only"
         if plant and (t.u is None or len(t.u) != m):
             return f"u: expected {m} inputs"
-        if plant and (t.coin is None or not 0 <= t.coin < size):
+        if plant and t.coin in (None, -1):
             return f"coin: got {t.coin}, expected 0 to {size - 1}"
+        return self._unlike_truth(t)
+
+    def _unlike_truth(self, step: "TracedTransition | MissedLine") -> str:
+        x, u = step.true_x_next, step.true_u
+        if x is None and u is None:
+            return ""
+        if x is None or u is None or (len(x), len(u)) != (self.hidden or self.n, self.m):
+            return f"true_x_next, true_u: expected {self.hidden or self.n} states, {self.m} inputs"
         return ""
 
     def unlike_missed(self, step: MissedLine) -> str:
         """The same of a missed step."""
-        if not abs(step.k) <= LARGEST_INTEGER:
-            return "k: expected a number of 64 bits"
+        if not abs(step.k) <= LARGEST:
+            return "k: expected a number of 32 bits"
         if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
             return f"expected {self.n} states and {self.m} inputs"
         if step.event == "missed" and (step.candidates or step.coin != -1):
             return "candidates, coin: expected of an interrupted step only"
-        if step.candidates and not 0 <= step.coin < len(step.candidates):
-            return f"coin: got {step.coin}, expected 0 to {len(step.candidates) - 1}"
-        return ""
+        if step.candidates and list(map(len, step.candidates)) != [self.m] * self.size:
+            return f"candidates: expected {self.size} of {self.m} inputs"
+        if step.candidates and not 0 <= step.coin < self.size:
+            return f"coin: got {step.coin}, expected 0 to {self.size - 1}"
+        return self._unlike_truth(step)
 
 
 def wrong(error: ValidationError) -> str:

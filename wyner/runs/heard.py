@@ -10,8 +10,7 @@ from pydantic_core import from_json, to_json
 
 from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
 from tap_service.capture.recording import CAPTURE_VERSION
-from wyner.runs.check.records import Problem
-from wyner.runs.check.sides import HEADS, Segments
+from wyner.runs.marks import HEADS, Problem, Segments
 
 SHOWN: Final = 60
 """Bytes of a malformed message that are shown."""

@@ -1,13 +1,17 @@
-"""What the laws read of ``[control]``, and what of it the tap is granted; loads no numerics."""
+"""What the shipped laws read of ``[control]``, and what of it the tap is granted."""
 
 from collections.abc import Iterator
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Final
 
 from pydantic import Field
 
-from controller_service.sets.spacing import CERTAIN
 from protocol.knowledge import Policy
-from protocol.scenario import Control, Cost, ScenarioTable, Secrecy
+from protocol.scenario.control import Control, Cost
+from protocol.scenario.parts import ScenarioTable
+from protocol.scenario.secrecy import Secrecy
+
+CERTAIN: Final = 2.0
+"""Spacing, in half-lengths of D_c along the input, from which an agreement is certain."""
 
 
 class PaperControl(Control):
@@ -51,14 +55,13 @@ class PackedControl(Control):
         if len(self.costs) != 1:
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
 
-    def coin_problems(self) -> Iterator[str]:
+    def why_unseen(self) -> Iterator[str]:
         """Whether candidates are so close that a spoofed sensor may stay unseen."""
         spacing = self.alphabet.spacing
         if spacing < CERTAIN:
             yield (
-                f"defence.coin: got 'keys' beside control.alphabet.spacing = {spacing:g}, "
-                f"expected a spacing of {CERTAIN:g} or more: closer candidates are not told apart "
-                "in every step"
+                f"control.alphabet.spacing = {spacing:g} does not tell candidates apart in every "
+                f"step, expected {CERTAIN:g} or more"
             )
 
     def policy(self, n: int, m: int) -> Policy:

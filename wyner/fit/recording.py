@@ -1,0 +1,305 @@
+"""A, B and D_c from a recording of a plant: a table with a column for each state and input.
+
+The recording is cut into three parts in the order of time. The first identifies A and B. The second
+scales D_c by split conformal prediction, and the third, which nothing was fitted to, says how often
+a step leaves it.
+"""
+
+import csv
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from protocol.arrays import Array
+from runtime.files import read_regular
+from wyner.fit.conformal import conformal_scale, template, violation_bound
+from wyner.fit.identification import (
+    WITHIN,
+    FitError,
+    FittedModel,
+    identify,
+    inputs_without_effect,
+)
+
+PARTS: Final = (0.5, 0.75)
+"""Where the recording is cut: half of it identifies, a quarter scales, a quarter is held out."""
+
+DEPENDENT: Final = 0.999
+"""Share of an input's variance from which on the states and other inputs are said to explain it."""
+
+OFFSET: Final = 0.2
+"""Half-widths of D_c that zero states move by, from which on it is said."""
+
+ALIKE: Final = 0.2
+"""Correlation of neighbouring scores from which on it is said that they are not independent."""
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Rows of a recording, in the order of time.
+
+    Parameters
+    ----------
+    states, inputs : tuple of str
+        Names of the columns.
+    x : array, shape (T, n)
+        Not a number where a value is missing; the recording is then taken as interrupted.
+    u : array, shape (T, m)
+        The input that was applied from row t to row t + 1.
+    """
+
+    states: tuple[str, ...]
+    inputs: tuple[str, ...]
+    x: Array
+    u: Array
+
+    def transitions(self) -> tuple[Array, Array, Array]:
+        """x, u and the next x of each step that was recorded whole."""
+        whole = np.isfinite(self.x[:-1]).all(axis=1) & np.isfinite(self.x[1:]).all(axis=1)
+        whole &= np.isfinite(self.u[:-1]).all(axis=1)
+        return self.x[:-1][whole], self.u[:-1][whole], self.x[1:][whole]
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedFit:
+    """What a recording says of its plant.
+
+    Parameters
+    ----------
+    model : FittedModel
+    half_widths : array, shape (n,)
+        D_c, a box.
+    steps : tuple of int
+        Steps that identified, scaled, and were held out.
+    exceeded : int
+        Steps held out that left D_c.
+    violation : float
+        Upper bound of the probability that a step leaves D_c, if the steps held out are
+        independent and alike to those to come.
+    confidence : float
+        Of that bound.
+    alike : float
+        Correlation of the scores of neighbouring steps that were held out.
+    offset : float
+        Where zero states go in a step under zero inputs, in half-widths of D_c.
+    bounds : array, shape (m,)
+        Largest recorded value of each input.
+    """
+
+    model: FittedModel
+    half_widths: Array
+    steps: tuple[int, int, int]
+    exceeded: int
+    violation: float
+    confidence: float
+    alike: float
+    offset: float
+    bounds: Array
+
+    def warnings(self) -> list[str]:
+        """What weakens the bound."""
+        found = []
+        if self.alike > ALIKE:
+            found.append(
+                f"what the model leaves of neighbouring steps is alike (correlation "
+                f"{self.alike:.2f}), so fewer steps are independent than the bound counts"
+            )
+        if self.offset > OFFSET:
+            found.append(
+                f"under zero inputs zero states move by {self.offset:.2f} half-widths of D_c a "
+                "step: subtract the operating point from the columns"
+            )
+        return found
+
+
+def read_recording(path: Path, states: Sequence[str], inputs: Sequence[str]) -> Recording:
+    """Read a CSV file with a line of names, or a MATLAB file (.mat) of vectors.
+
+    Parameters
+    ----------
+    path : Path
+        Columns may be separated by commas, semicolons or tabs. Lines that begin with # are left
+        out. An empty cell, or NaN, interrupts the recording. In a MATLAB file a matrix ``x`` of
+        k columns is the columns ``x_1`` to ``x_k``.
+    states, inputs : sequence of str
+        Names of the columns.
+
+    Raises
+    ------
+    FitError
+        With a line that names what is wrong, and where.
+    """
+    wanted = [*states, *inputs]
+    for name in wanted:
+        if wanted.count(name) > 1:
+            raise FitError(f"--states, --inputs: {name!r} is named twice")
+    matlab = path.suffix.lower() == ".mat"
+    columns = _matlab_columns(path) if matlab else _csv_columns(path, wanted)
+    missing = [name for name in wanted if name not in columns]
+    if missing:
+        raise FitError(
+            f"{path}: has no column {missing[0]!r}, expected one of: {', '.join(columns)}"
+        )
+    lengths = {len(columns[name]) for name in wanted}
+    if len(lengths) > 1:
+        raise FitError(f"{path}: columns have {sorted(lengths)} rows, expected one length")
+    return Recording(
+        tuple(states),
+        tuple(inputs),
+        np.column_stack([columns[name] for name in states]),
+        np.column_stack([columns[name] for name in inputs]),
+    )
+
+
+def _csv_columns(path: Path, wanted: Sequence[str]) -> dict[str, Array]:
+    try:
+        text = read_regular(path).decode("utf-8-sig")
+    except OSError as error:
+        raise FitError(f"{path}: cannot be read: {error.strerror}") from None
+    except UnicodeDecodeError:
+        raise FitError(f"{path}: not UTF-8 text, expected CSV or a MATLAB file (.mat)") from None
+    lines = [(i, line) for i, line in enumerate(text.splitlines(), 1) if line.strip()]
+    lines = [(i, line) for i, line in lines if not line.startswith("#")]
+    if len(lines) < 2:
+        raise FitError(f"{path}: expected a line of names, and a line of numbers for each step")
+    separator = max(",;\t", key=lines[0][1].count)
+    rows = csv.reader((line for _, line in lines), delimiter=separator)
+    names = [name.strip() for name in next(rows)]
+    for name in names:
+        if name in wanted and names.count(name) > 1:
+            raise FitError(f"{path}: has two columns {name!r}")
+    places = [i for i, name in enumerate(names) if name in wanted]
+    values: list[list[float]] = []
+    for (number, _), row in zip(lines[1:], rows, strict=True):
+        values.append(list(_numbers(row, places, names, f"{path}: line {number}")))
+    found = np.array(values)
+    columns = {name: np.empty(0) for name in names}
+    columns |= {names[place]: found[:, i] for i, place in enumerate(places)}
+    return columns
+
+
+def _numbers(
+    row: Sequence[str], places: Sequence[int], names: Sequence[str], where: str
+) -> Iterator[float]:
+    for place in places:
+        if place >= len(row):
+            raise FitError(f"{where}: got {len(row)} columns, expected {len(names)}")
+        cell = row[place].strip()
+        try:
+            yield float(cell) if cell else math.nan
+        except ValueError:
+            raise FitError(f"{where}: {names[place]}: got {cell!r}, expected a number") from None
+
+
+def _matlab_columns(path: Path) -> dict[str, Array]:
+    from scipy.io import loadmat
+
+    try:
+        found: dict[str, Any] = loadmat(str(path))
+    except OSError as error:
+        raise FitError(f"{path}: cannot be read: {error.strerror or error}") from None
+    except (NotImplementedError, ValueError, TypeError) as error:
+        why = str(error).splitlines()[0]
+        raise FitError(f"{path}: not a MATLAB file before version 7.3: {why}") from None
+    columns: dict[str, Array] = {}
+    for name, value in found.items():
+        if name.startswith("__") or not np.issubdtype(np.asarray(value).dtype, np.number):
+            continue
+        table = np.atleast_2d(np.asarray(value, dtype=float))
+        if table.shape[0] == 1:
+            table = table.T
+        if table.shape[1] == 1:
+            columns[name] = table[:, 0]
+        else:
+            columns |= {f"{name}_{i + 1}": table[:, i] for i in range(table.shape[1])}
+    return columns
+
+
+def fit_recording(recording: Recording, *, violation: float, confidence: float) -> RecordedFit:
+    """Identify A and B, scale D_c, and count the steps held out that leave it.
+
+    Parameters
+    ----------
+    recording : Recording
+    violation : float
+        Share of the steps that may leave D_c, for its scale.
+    confidence : float
+        Of the bound on that share.
+
+    Raises
+    ------
+    FitError
+        When the recording is too short, does not excite the plant, or shows no disturbance.
+    """
+    x, u, after = recording.transitions()
+    first, second = (int(share * len(x)) for share in PARTS)
+    _check_excited(recording, x[:first], u[:first])
+    model = identify(x[:first], u[:first], after[:first])
+    for j in inputs_without_effect(model, x[:first], u[:first]):
+        raise FitError(
+            f"input {recording.inputs[j]} has no effect: B's column is within its error; leave it "
+            "out of --inputs, or record the plant while that input changes more"
+        )
+    residuals = after - x @ model.A.T - u @ model.B.T
+    shape = template(residuals[:first])
+    if not shape.all():
+        j = int((shape == 0).argmax())
+        raise FitError(f"state {recording.states[j]} shows no disturbance: D_c would have width 0")
+    scores = np.abs(residuals / shape).max(axis=1)
+    try:
+        scale = conformal_scale(scores[first:second].tolist(), violation)
+    except ValueError as error:
+        problem = str(error).replace("sessions", "steps")
+        raise FitError(f"to scale D_c {problem}; record more, or raise --violation") from None
+    held_out = scores[second:]
+    exceeded = int((held_out > scale).sum())
+    alike = 0.0
+    if len(held_out) > 2 and held_out.std() > 0:
+        alike = float(np.corrcoef(held_out[:-1], held_out[1:])[0, 1])
+    return RecordedFit(
+        model=model,
+        half_widths=shape * scale,
+        steps=(first, second - first, len(held_out)),
+        exceeded=exceeded,
+        violation=violation_bound(len(held_out), exceeded, confidence),
+        confidence=confidence,
+        alike=alike,
+        offset=_offset(x[:first], u[:first], after[:first], shape * scale),
+        bounds=np.abs(u).max(axis=0),
+    )
+
+
+def _offset(x: Array, u: Array, after: Array, half_widths: Array) -> float:
+    """Largest constant part of the next state that is more than its error, in half-widths."""
+    model = identify(x, np.column_stack([u, np.ones(len(u))]), after)
+    constant, errors = np.abs(model.B[:, -1]), model.errors[:, -1]
+    return float((np.where(constant > WITHIN * errors, constant, 0.0) / half_widths).max())
+
+
+def _check_excited(recording: Recording, x: Array, u: Array) -> None:
+    """Refuse a recording in which an input follows from what else was recorded.
+
+    Under a control law u = K x and nothing else, the data fit every A + B K, and B is not among
+    what they say.
+    """
+    n, m = x.shape[1], u.shape[1]
+    if len(x) <= n + m:
+        raise FitError(
+            f"got {len(x)} steps to identify A and B, expected more than {n + m}; record more"
+        )
+    for j, name in enumerate(recording.inputs):
+        if np.ptp(u[:, j]) == 0:
+            raise FitError(f"input {name} is {u[0, j]:g} throughout: the plant was not excited")
+        others = np.column_stack([x, np.delete(u, j, axis=1), np.ones(len(x))])
+        fitted = others @ np.linalg.lstsq(others, u[:, j], rcond=None)[0]
+        left = float(np.var(u[:, j] - fitted) / np.var(u[:, j]))
+        if left < 1 - DEPENDENT:
+            raise FitError(
+                f"input {name} follows from the states and other inputs ({100 * left:.2g} % of its "
+                "variance does not): the recording cannot tell A from B; record the plant while a "
+                "random part is added to that input"
+            )

@@ -1,0 +1,167 @@
+"""Agreements: what two records of one thing must have alike, joined by session and number."""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from protocol.agreement import NO_SYMBOL
+from protocol.secret.blocks import Schedule
+from wyner.runs.check.evidence import Evidence, Finding, Findings, Indices
+from wyner.runs.lines import BlockLine
+from wyner.runs.trace import AT_ONCE, TRANSITION, Rows, Trace
+
+OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
+"""What one end alone knows, or numbers by itself."""
+
+WRITTEN: Final = ("x", "candidates", "x_next", "gauges", "predictions")
+"""What an attack on the bus has a say in."""
+
+DIGITS_OF_A_KEY: Final = 8 * 32
+"""At most: a key is 256 bits."""
+
+
+def in_step(e: Evidence) -> Findings:
+    """Both ends agree on every transition; the controller's may lack the last of a session."""
+    if e.plant is None or e.controller is None:
+        return
+    plant, controller = e.plant, e.controller
+    names = {name: i for i, name in enumerate(plant.sessions)}
+    beyond = {name: len(names) + i for i, name in enumerate(controller.sessions)}
+    numbers = [names.get(name, beyond[name]) for name in controller.sessions]
+    mine, here = _numbered(plant.rows, np.arange(len(plant.sessions)))
+    other, there = _numbered(controller.rows, np.array(numbers, int))
+    _, a, b = np.intersect1d(mine, other, return_indices=True)
+    begin = (0, 0)
+    if plant.gone or controller.gone:
+        begin = (a.min(), b.min()) if len(a) else (len(mine), len(other))
+    last = np.append(plant.rows["session"][here][1:] != plant.rows["session"][here][:-1], True)
+    alone = np.setdiff1d(np.arange(begin[0], len(mine)), a)
+    for i in here[alone[~last[: len(here)][alone]]]:
+        text = "the controller has not counted this one, but the plant goes on"
+        yield Finding("in-step", *plant.where(plant.rows[i]), text)
+    for i in there[np.setdiff1d(np.arange(begin[1], len(other)), b)]:
+        text = "the plant's trace does not have this transition"
+        yield Finding("in-step", *controller.where(controller.rows[i]), text)
+    for first in range(0, len(a), AT_ONCE):
+        p = plant.rows[here[a[first : first + AT_ONCE]]]
+        c = controller.rows[there[b[first : first + AT_ONCE]]]
+        yield from _compared(e, plant, p, c)
+
+
+def _numbered(rows: Rows, sessions: Indices) -> tuple[Indices, Indices]:
+    """Session and j of each transition as one number, and the row that it stands in."""
+    here = np.flatnonzero(rows["kind"] == TRANSITION)
+    number = (
+        rows["j"][here]
+        if len(sessions) == 0
+        else rows["j"][here] + (sessions[rows["session"][here]] << 32)
+    )
+    return number, here
+
+
+def _compared(e: Evidence, plant: Trace, p: Rows, c: Rows) -> Findings:
+    written = ~np.asarray(e.rewrites(p["k"]))
+    for name in p.dtype.names or ():
+        if name in OWN:
+            continue
+        unlike: Any = p[name] != c[name]
+        if unlike.ndim > 1:
+            unlike = unlike.any(axis=tuple(range(1, unlike.ndim)))
+        if name in WRITTEN:
+            unlike &= written
+        for i in np.flatnonzero(unlike):
+            text = f"{name}: the plant has {p[name][i].tolist()}, "
+            text += f"the controller {c[name][i].tolist()}"
+            yield Finding("in-step", *plant.where(p[i]), text)
+    keyed = e.rules.keyed and p["keyed"] & (c["expected"] != NO_SYMBOL)
+    for i in np.flatnonzero(keyed & (c["expected"] != p["coin"])):
+        text = f"the plant's coin was {p['coin'][i]}, the controller expected {c['expected'][i]}"
+        yield Finding("same-keys", *plant.where(p[i]), text)
+
+
+def once(e: Evidence) -> Findings:
+    """Digits of confirmed blocks serve in order, and none twice."""
+    trace, digits = e.plant, e.rules.digits
+    if trace is None or not digits:
+        return
+    known = not trace.gone and not trace.behind
+    made = {(b.session, b.number): b.keys for b in ended(trace) if b.what == "confirmed"}
+    after, session = (-1, 0), -1
+    for rows in trace.chunks(TRANSITION):
+        names = ("session", "k", "message", "keyed", "block", "at")
+        for number, k, message, keyed, block, at in zip(
+            *(rows[name].tolist() for name in names), strict=True
+        ):
+            name, text = trace.sessions[number], ""
+            if number != session:
+                session, after = number, (-1, 0)
+            keys = made.get((name, block))
+            if e.rules.scheme.from_stream and message != keyed:
+                text = "a message symbol without digits, or digits without one"
+            elif block < 0:
+                text = "keyed, and the offer named no digits" if keyed else ""
+            elif (block, at) < after:
+                text = f"position {(block, at)} is not beyond {after}"
+            elif keys is None and known:
+                text = f"position {(block, at)}: block {block} was not confirmed"
+            elif keys is not None and at + digits > keys * DIGITS_OF_A_KEY:
+                text = f"position {(block, at)}: block {block} has no such digit"
+            if block >= 0 and (block, at) >= after:
+                after = block, at + digits
+            if text:
+                yield Finding("once", name, k, text)
+
+
+def ended(trace: Trace) -> Iterator[BlockLine]:
+    """The blocks of which an end has keys, or had too few copies for any."""
+    for told in trace.told("block"):
+        if isinstance(told.line, BlockLine) and told.line.what != "unequal":
+            yield told.line
+
+
+# --- blocks ---------------------------------------------------------------------------------------
+
+
+def blocks(e: Evidence) -> Findings:
+    """A block makes as many keys as its transitions allow, at both ends; without a claim, none."""
+    schedule = e.rules.schedule
+    made: dict[str, dict[tuple[str, int], int]] = {}
+    for trace in e.ends():
+        if schedule is None:
+            for i in np.flatnonzero(trace.rows["counts"]):
+                text = f"the {trace.side} counts copies, and no key is claimed"
+                yield Finding("blocks", *trace.where(trace.rows[i]), text)
+            continue
+        mine = {(line.session, line.number): line.keys for line in ended(trace)}
+        made[trace.side] = mine
+        for (session, number), keys in mine.items():
+            cut = trace.cut
+            if cut and session == cut.session and number <= schedule.block_of(cut.j + 1):
+                continue  # it began before what is left
+            expected = keys_of(schedule, trace, session, number)
+            if keys != expected:
+                text = f"the {trace.side} made {keys} keys of block {number}, expected {expected}"
+                yield Finding("blocks", session, -1, text)
+    for at, keys in made.get("plant", {}).items():
+        other = made.get("controller", {}).get(at, keys)
+        if keys != other:
+            text = f"block {at[1]}: {keys} keys at the plant, {other} at the controller"
+            yield Finding("blocks", at[0], -1, text)
+
+
+def keys_of(schedule: Schedule, trace: Trace, session: str, number: int) -> int | None:
+    """How many keys a block must have made; None where it is not whole."""
+    rows = trace.rows
+    which = trace.sessions.index(session) if session in trace.sessions else -1
+    begin, end = np.searchsorted(rows["session"], [which, which + 1])
+    rows = rows[begin:end]
+    rows = rows[["j", "k", "counts"]][rows["kind"] == TRANSITION]
+    first, length = schedule.begins(number), schedule.length(number)
+    at, after = np.searchsorted(rows["j"], [first, first + length])
+    if after - at != length or at == 0:
+        return None
+    assumption = schedule.assumption
+    counted = [assumption.counting(n).bit_count() for n in rows["counts"][at:after].tolist()]
+    steps = int(rows["k"][after - 1] - rows["k"][at - 1])
+    return max(0, assumption.rows(length, steps, sum(counted)) - 1)
