@@ -407,13 +407,13 @@ class ControllerCore:
                 following = record._replace(state=counted.state)
             else:
                 following = self.outgoing.following(record, counted.state, decided)
-        estimate = None if counted is None else counted.verdict.estimate
-        following = following._replace(
-            failed=test.failed,
-            unwatched=test.unwatched,
-            halted=test.halted,
-            estimate=record.estimate if estimate is None else estimate,
-        )
+        kept = (record.failed, record.unwatched, record.halted)
+        if (test.failed, test.unwatched, test.halted) != kept:
+            following = following._replace(
+                failed=test.failed, unwatched=test.unwatched, halted=test.halted
+            )
+        if counted is not None and counted.verdict.estimate is not None:
+            following = following._replace(estimate=counted.verdict.estimate)
         return _Reported(following, counted, test)
 
     def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
@@ -452,20 +452,26 @@ class ControllerCore:
             transition = self._transition(before, measurement, counted, test.expected, delivered)
             if self._telemetry is not None:
                 self._telemetry.counted(transition)
-            following = following._replace(
-                applied_k=before.offer.k,
-                transitions=before.transitions + 1,
-                agreements=before.agreements + (transition.symbol != NO_SYMBOL),
-                p=transition.p,
-            )
         if test.reason:
             alarm = alarm_of(self.rules, measurement, transition, before.offer, test.reason)
             if self._telemetry is not None:
                 self._telemetry.alarmed(alarm)
+        said, nonce = offer or before, before.nonce
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
-            following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
-        self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
+        self.record = following._replace(
+            k=measurement.k,
+            x=measurement.x,
+            offer=offer,
+            applied_k=before.applied_k if transition is None else transition.k,
+            transitions=before.transitions + (transition is not None),
+            agreements=before.agreements
+            + (transition is not None and transition.symbol != NO_SYMBOL),
+            p=before.p if transition is None else transition.p,
+            nonce=nonce,
+            block=said.block,
+            tag=said.tag,
+        )
         if before.offer is not None:
             self.keys.used(before.offer.position, self.rules.digits)
         ended = self.keys.ended()

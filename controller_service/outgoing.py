@@ -21,7 +21,7 @@ class Outgoing:
     """
 
     def __init__(self, rules: Rules, messages: MessageQueue, fresh: SymbolSource) -> None:
-        self._scheme, self._size = rules.scheme, rules.size
+        self._rules = rules
         self._messages = messages
         self._fresh = fresh
         self._frame: tuple[int, bytes] = (-1, b"")
@@ -52,7 +52,7 @@ class Outgoing:
         Under the key stream the message symbol is decided, and each offer encrypts it anew
         (:meth:`cipher`). ``decided`` is the symbol of an answer that was given before.
         """
-        size, scheme = self._size, self._scheme
+        size, scheme = self._rules.size, self._rules.scheme
         pad = scheme.pad(state)
         fresh = 0
         if decided is not None:
@@ -84,11 +84,12 @@ class Outgoing:
 
     def cipher(self, record: SenderRecord, digits: tuple[int, ...] | None) -> int:
         """The cipher symbol of an offer that has these digits of the key stream, or none."""
-        if not self._scheme.from_stream:
+        size = self._rules.size
+        if not self._rules.scheme.from_stream:
             return record.cipher
         if digits is None:
-            return self._fresh.symbol(record.transitions, self._size)
-        return encrypt(record.message_symbol, digits[-1], self._size)
+            return self._fresh.symbol(record.transitions, size)
+        return encrypt(record.message_symbol, digits[-1], size)
 
     def _frame_of(self, message: int) -> bytes:
         """The frame of a queued message, or nothing while there is none."""
@@ -97,6 +98,6 @@ class Outgoing:
             payload = self._messages.payload(message)
             if payload is None:
                 return b""
-            symbols = encode_frame(payload, self._size)
+            symbols = encode_frame(payload, self._rules.size)
             self._frame = (message, symbols)
         return symbols

@@ -20,6 +20,7 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Final, Generic, Self
@@ -59,6 +60,10 @@ _STEP: Final = (
     " measurement = excluded.measurement, check_ = excluded.check_"
 )
 """Writes over the row, which takes a third of the time of a new one in its place."""
+
+
+Statement = tuple[str, tuple[Any, ...]]
+"""An SQL statement, and its values."""
 
 
 class JournalError(Failure):
@@ -150,11 +155,10 @@ class Journal(ABC, Generic[R]):
 
     # --- rows -------------------------------------------------------------------------------------
 
-    def _put(self, table: str, *values: Any) -> None:
-        """Write a row, with its check."""
+    def _row(self, table: str, *values: Any) -> Statement:
+        """The statement that writes a row, with its check."""
         marks = ", ".join("?" * (len(values) + 1))
-        statement = f"INSERT OR REPLACE INTO {table} VALUES ({marks})"
-        self.db.execute(statement, (*values, check_of(*values)))
+        return f"INSERT OR REPLACE INTO {table} VALUES ({marks})", (*values, check_of(*values))
 
     def _get(self, table: str, where: str = "TRUE", *values: Any) -> list[list[Any]]:
         """The rows of a table for which ``where`` holds, in order of their first column.
@@ -207,9 +211,15 @@ class Journal(ABC, Generic[R]):
         try:
             if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            execute("BEGIN IMMEDIATE")
-            self._write(save)
-            execute("COMMIT")
+            step = (0, self.adapter.dump_json(save.record), *_columns(save.step))
+            beside = [*self._rows(save), *self._more(save)]
+            if beside:
+                execute("BEGIN IMMEDIATE")
+            execute(_STEP, (*step, check_of(*step)))  # by itself it is a transaction
+            for statement, values in beside:
+                execute(statement, values)
+            if beside:
+                execute("COMMIT")
             if save.durable:
                 execute("PRAGMA synchronous=NORMAL")
         except sqlite3.Error as error:
@@ -218,28 +228,25 @@ class Journal(ABC, Generic[R]):
             raise JournalError(f"{self.path}: {error}") from None
         self._saved = save.record  # type: ignore[assignment]
 
-    def _write(self, save: Save) -> None:
-        """Within a transaction."""
-        step = (0, self.adapter.dump_json(save.record), *_columns(save.step))
-        self.db.execute(_STEP, (*step, check_of(*step)))
+    def _rows(self, save: Save) -> Iterator[Statement]:
+        """What is written of key blocks and of the key stream."""
         if self._saved is None or save.record.session != self._saved.session:
             for table in self.of_session:
-                self.db.execute(f"DELETE FROM {table}")
+                yield f"DELETE FROM {table}", ()
         for row in save.rows.contributions:
-            self._put("row", *row)
+            yield self._row("row", *row)
         for over in save.rows.obsolete_rows:
-            self.db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
+            yield "DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop)
         for part in save.rows.parts:
             place = part.block * KEYS_AT_MOST + part.number
             if part.digits:
-                self._put("stream", place, *part)
+                yield self._row("stream", place, *part)
             else:
-                self.db.execute("DELETE FROM stream WHERE place = ?", (place,))
-        self._write_more(save)
+                yield "DELETE FROM stream WHERE place = ?", (place,)
 
     @abstractmethod
-    def _write_more(self, save: Save) -> None:
-        """Write what comes along in this side's own tables, within a transaction."""
+    def _more(self, save: Save) -> Iterable[Statement]:
+        """What is written in this side's own tables."""
 
     def forget(self) -> None:
         """Lose all that was saved; for simulations."""
@@ -288,23 +295,26 @@ class ControllerJournal(Journal[SenderRecord]):
         self.queued = last[0][0] + 1 if last else 0
         return super().load()
 
-    def _write_more(self, save: Save) -> None:
+    def _more(self, save: Save) -> Iterator[Statement]:
         record = save.record
         assert isinstance(record, SenderRecord)
         if save.queued is not None:
-            self.enqueue(save.queued)
+            yield self._queue(save.queued)
         delivered = 0 if self._saved is None else self._saved.message
         for number in range(delivered, record.message):
             for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
-                self._put("outbox", number, identifier, crc, None)
-            self.db.execute(
-                "DELETE FROM outbox WHERE number = ? AND id <> ?", (number - REMEMBERED, INITIAL_ID)
-            )
+                yield self._row("outbox", number, identifier, crc, None)
+            old = (number - REMEMBERED, INITIAL_ID)
+            yield "DELETE FROM outbox WHERE number = ? AND id <> ?", old
 
     def enqueue(self, command: SendCommand) -> None:
         """Add a message to the queue."""
-        self._put("outbox", self.queued, command.id, crc32(command.payload), command.payload)
+        self.db.execute(*self._queue(command))
+
+    def _queue(self, command: SendCommand) -> Statement:
         self.queued += 1
+        payload = command.payload
+        return self._row("outbox", self.queued - 1, command.id, crc32(payload), payload)
 
     def crc_of(self, identifier: str) -> int | None:
         """The CRC-32 of the message that was queued under this identifier, or None."""
@@ -348,15 +358,15 @@ class PlantJournal(Journal[ReceiverRecord]):
     def _symbols(self) -> str:
         return "".join(symbols for _, symbols in self._get("frame"))
 
-    def _write_more(self, save: Save) -> None:
+    def _more(self, save: Save) -> Iterator[Statement]:
         record = save.record
         assert isinstance(record, ReceiverRecord)
         if self._saved is not None and record.stored < self._saved.stored:
-            self.db.execute("DELETE FROM frame")
+            yield "DELETE FROM frame", ()
         if save.symbols:
-            self._put("frame", record.stored, save.symbols)
+            yield self._row("frame", record.stored, save.symbols)
         if save.received is not None:
-            self._put("inbox", 0, save.received)
+            yield self._row("inbox", 0, save.received)
 
     def last_message(self) -> bytes | None:
         """The message that was received last, or None."""

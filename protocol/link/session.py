@@ -1,6 +1,6 @@
 """Exactly once over a network that loses, repeats, delays and reorders, with processes that die.
 
-Both ends are sans I/O: what was heard goes in, actions come out, and nothing is sent before it is
+Both ends are sans I/O: what was heard goes in, effects come out, and nothing is sent before it is
 saved. The controller's is ``controller_service/core.py``, the plant's ``plant_service/core.py``.
 Here is what they share. The rules are those of docs/protocol.md, numbered there and here:
 
