@@ -23,7 +23,14 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.controller_session import ControllerSession
 from protocol.link.distiller import Distiller
 from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
-from protocol.link.events import FELL_BACK, SessionBegan
+from protocol.link.events import (
+    BLOCKS_DIFFER,
+    DOES_NOT_FOLLOW,
+    ELSEWHERE,
+    FELL_BACK,
+    MET,
+    SessionBegan,
+)
 from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.records import INITIAL_ID, Loaded, SenderRecord
@@ -490,8 +497,7 @@ class ControllerCore:
             yield Notice(alarm.sentence(), "error", "alarms")
         yield from block_notices(self.keys, ended)
         if any(block.what == "unequal" for block in ended):
-            why = "a key block differs from the plant's; session ended"
-            yield from self._end_session("blocks differ", why)
+            yield from self._end_session("blocks differ", BLOCKS_DIFFER)
 
     def _transition(
         self,
@@ -575,7 +581,7 @@ class ControllerCore:
         known = (session.plant, self.record.session)
         if hello.session != self.record.session:
             self._adopt(hello.session)
-            yield Tell(SessionBegan(hello.session, "the plant began it"))
+            yield Tell(SessionBegan(hello.session, MET))
             yield self._save()
         session.plant = hello.instance
         yield Publish(session.hello(self.record, "accepted", hello))
@@ -613,19 +619,21 @@ class ControllerCore:
         self.keys.begin("")
         self._set_phase("greeting", self._detail)
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Effects:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ"], why: str, said: str = ""
+    ) -> Effects:
         """One of the two ends went back in time: end the session, and greet."""
         self.session.on(what)
         self._drop_session()
         yield Tell(SessionBegan(None, why))
         yield self._save()
         yield from self._remind()
-        yield self._refusal(why)
+        yield self._refusal(said or f"{why}; session ended")
 
     def _diverged(self, measurement: Measurement) -> Effects:
         """The plant reports what this journal rules out."""
         text = f"measurement {measurement.k} does not follow from the journal; session ended"
-        return self._end_session("does not follow", text)
+        return self._end_session("does not follow", DOES_NOT_FOLLOW, text)
 
     def _step_back(self, hello: PlantHello, *, ends: bool) -> Effects:
         """The plant asks another controller, or is with one: offer nothing in that session."""
@@ -635,7 +643,7 @@ class ControllerCore:
         self._set_phase("greeting", self._detail)
         if ends:
             self._drop_session()
-            yield Tell(SessionBegan(None, why))
+            yield Tell(SessionBegan(None, ELSEWHERE))
             yield self._save()
         yield self._refusal(why)
 

@@ -25,8 +25,11 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import Distiller
 from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
 from protocol.link.events import (
+    BLOCKS_DIFFER,
     FELL_BACK,
     NEW_JOURNAL,
+    RESUMED,
+    UNKNOWN_THERE,
     AttackBegan,
     Interrupted,
     Missed,
@@ -208,7 +211,7 @@ class PlantCore:
         """
         self.now = now
         self._watchdog.begin(now, moved=self._moved)
-        reason = NEW_JOURNAL if self._fresh else "resumed from the journal"
+        reason = NEW_JOURNAL if self._fresh else RESUMED
         yield Tell(SessionBegan(self.record.session, reason))
         if self._attack is not None:
             yield Tell(self._attack)
@@ -555,8 +558,7 @@ class PlantCore:
         if any(block.what == "unequal" for block in ended):
             self.session.on("blocks differ")
             self._begin_session()
-            text = "a key block differs from the controller's"
-            yield from self._anew(text, f"{text}; new session", "error")
+            yield from self._anew(BLOCKS_DIFFER, f"{BLOCKS_DIFFER}; new session", "error")
 
     def _frame_ended(self, transition: CountedTransition) -> Notice:
         """What is told of a frame that is whole, or failed its check."""
@@ -668,8 +670,7 @@ class PlantCore:
                 yield Publish(session.hello(self.record))
             case "begin anew" | "begin and ask":
                 self._begin_session()
-                why = "the controller does not know the session before"
-                yield from self._anew(why, "session ended; new session", "warning")
+                yield from self._anew(UNKNOWN_THERE, "session ended; new session", "warning")
             case "work":
                 self._set_phase("running")
                 if session.took_up(self.record.session):

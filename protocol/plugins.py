@@ -58,7 +58,17 @@ def load_class(name: str, shipped: Mapping[str, str], base: type[T]) -> type[T]:
         When there is none, it does not extend ``base``, it lacks methods, or its class attribute
         ``name`` is none.
     """
-    found = load(name, shipped)
+    return checked_class(load(name, shipped), name, base)
+
+
+def checked_class(found: object, name: str, base: type[T]) -> type[T]:
+    """``found``, where it is such a class, and ``name`` what it is called in a line.
+
+    Raises
+    ------
+    UnknownError
+        When it does not extend ``base``, lacks methods, or its class attribute ``name`` is none.
+    """
     if not (isinstance(found, type) and issubclass(found, base)):
         what = f"{base.__module__}.{base.__name__}"
         class_name = name.rpartition(":")[2]

@@ -12,7 +12,6 @@ the service: these bounds are for mistakes, and no wall against malice.
 import ctypes
 import json
 import os
-import resource
 import signal
 import subprocess
 import sys
@@ -22,7 +21,7 @@ from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, Final
 
-from runtime.errors import Failure
+from runtime.errors import GuestError
 
 END_S: Final = 5.0
 """Seconds that a child has to end by itself once its line is closed, if not told otherwise."""
@@ -97,20 +96,6 @@ def _end(process: "subprocess.Popen[bytes]", line: Any, within_s: float) -> int:
         with suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
         return process.wait()
-
-
-class GuestError(Failure):
-    """A guest did not answer as it should; the text says how.
-
-    Attributes
-    ----------
-    kind : str
-        What the guest said it was; ``ended`` where it is at its end.
-    """
-
-    def __init__(self, text: str, kind: str = "ended") -> None:
-        super().__init__(text)
-        self.kind = kind
 
 
 class Guest:
@@ -190,6 +175,8 @@ def die_with(parent: int) -> None:
 
 def leave_no_image() -> None:
     """Leave no core file, and let no process of this user look into this one's memory."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
@@ -197,6 +184,8 @@ def leave_no_image() -> None:
 
 def limit_memory(size: int) -> None:
     """Allow so many bytes of address space, and no core file."""
+    import resource
+
     resource.setrlimit(resource.RLIMIT_AS, (size, size))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 

@@ -1,13 +1,11 @@
 """What `text` makes of every plant that is shipped, and of each way of hearing it.
 
 Keys that she knows, up to one relabelling for all steps, and whole messages. The same captures
-before each tap. ``python -m studies eavesdroppers`` measures them, and
-``python -m studies.eavesdroppers`` puts the table of the data on the page.
+before each tap.
 """
 
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final, NamedTuple
 
 from controller_service.laws.registry import cached_design, make_law
@@ -17,7 +15,7 @@ from protocol.statistics import share_over_runs
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from studies.outputs import heard_by
-from studies.pages import between_marks, markdown_table
+from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import offline
 from tap_service.capture.channel import View
@@ -25,7 +23,6 @@ from tap_service.eavesdroppers import named
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.code import ROOT
 
 RUNS, SEED = 20, 43
 TAPS: Final = ("text", "smoother")
@@ -94,12 +91,10 @@ CONDITIONS: Final = (
 )
 """What is heard of what: each plant's readings alone first."""
 
-PAGE: Final = ROOT / "docs" / "findings.md"
-
 COLUMNS: Final = (
-    "condition", "tap", "runs", "steps", "seed", "keys_of", "keys", "keys_low", "keys_high",
-    "delivered", "read", "read_low", "read_high", "seconds",
-)  # fmt: skip
+    "condition tap runs steps seed keys_of keys keys_low keys_high delivered read read_low "
+    "read_high seconds"
+)
 
 
 class Counted(NamedTuple):
@@ -148,41 +143,32 @@ def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[
     return out
 
 
+@study("eavesdroppers", COLUMNS, lambda: CONDITIONS)
 def rows(
-    count: int = RUNS, only: str = "", jobs: int | None = None, taps: Sequence[str] = TAPS
+    one: Condition, count: int = RUNS, taps: Sequence[str] = TAPS
 ) -> Iterator[tuple[Any, ...]]:
-    """One row a condition and tap."""
-    wanted = [one for one in CONDITIONS if only in one.name]
-    with ProcessPoolExecutor(jobs) as pool:
-        found = [[pool.submit(made_of, one, run, taps) for run in range(count)] for one in wanted]
-        for one, waiting in zip(wanted, found, strict=True):
-            by_tap = zip(*(run.result() for run in waiting), strict=True)
-            for tap, counts in zip(taps, by_tap, strict=True):
-                keys = share_over_runs((c.known, c.keys) for c in counts)
-                read = share_over_runs((c.read, c.delivered) for c in counts)
-                keys_of, delivered = sum(c.keys for c in counts), sum(c.delivered for c in counts)
-                seconds = round(sum(c.seconds for c in counts) / count, 1)
-                yield (
-                    one.name, tap, count, one.steps, SEED, keys_of, *keys, delivered, *read,
-                    seconds,
-                )  # fmt: skip
+    """One row a tap."""
+    by_tap = zip(*(made_of(one, run, taps) for run in range(count)), strict=True)
+    for tap, counts in zip(taps, by_tap, strict=True):
+        keys = share_over_runs((c.known, c.keys) for c in counts)
+        read = share_over_runs((c.read, c.delivered) for c in counts)
+        keys_of, delivered = sum(c.keys for c in counts), sum(c.delivered for c in counts)
+        seconds = round(sum(c.seconds for c in counts) / count, 1)
+        yield (
+            one.name, tap, count, one.steps, SEED, keys_of, *keys, delivered, *read, seconds,
+        )  # fmt: skip
 
 
-def written(text: str, found: Sequence[dict[str, str]]) -> str:
-    """The page with the table between its marks."""
-    return between_marks(text, "eavesdroppers", table(found))
-
-
-def table(found: Sequence[dict[str, str]]) -> str:
+@table("eavesdroppers", "findings", "eavesdroppers")
+def shown(found: Sequence[Row]) -> Lines:
     """A line a condition, taps across: keys in %, messages read, seconds of a core."""
     taps = list(dict.fromkeys(row["tap"] for row in found))
     cells = {(row["condition"], row["tap"]): row for row in found}
-    lines = [("heard", *(f"`{tap}`" for tap in taps), "code")]
+    lines = [("heard", *(f"`{tap}`" for tap in taps))]
     for name in dict.fromkeys(row["condition"] for row in found):
         mine = [cells[name, tap] for tap in taps if (name, tap) in cells]
-        code = mine[0]["version"].partition("+")[2]
-        lines.append((name, *(_told(row) for row in mine), code))
-    return markdown_table(lines)
+        lines.append((name, *(_told(row) for row in mine)))
+    return lines
 
 
 def _told(row: dict[str, str]) -> str:

@@ -2,12 +2,9 @@
 
 Every draw of d and n is a corner of what both ends assume. All listen to the same runs: as they
 are, over a network that loses, through noise of her own, and where she misses messages.
-``python -m studies.outputs`` puts the table of the data on the page.
 """
 
-import csv
 from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -17,9 +14,8 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import wilson
-from studies import DATA
 from studies.corners import at_the_corners
-from studies.pages import between_marks, markdown_table
+from studies.registry import Lines, Row, study, table
 from studies.secrecy.study import offline
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
@@ -27,7 +23,6 @@ from tap_service.eavesdroppers import named
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.code import ROOT
 
 RUNS, STEPS, SEED = 10, 700, 11
 SESSION: Final = "0" * 16
@@ -36,8 +31,6 @@ TAPS: Final = (
     "set-membership", "nearest-centre", "list-decoder", "fitted-box", "learning", "smoother",
     "text",
 )  # fmt: skip
-
-PAGE: Final = ROOT / "docs" / "control.md"
 
 CONDITIONS: Final[dict[str, tuple[float, View]]] = {
     "clear": (0.0, View()),
@@ -49,10 +42,9 @@ CONDITIONS: Final[dict[str, tuple[float, View]]] = {
 """What the network loses each way, and what she hears, by name."""
 
 COLUMNS: Final = (
-    "condition", "tap", "runs", "steps", "seed", "keys_of", "at_once", "at_once_low",
-    "at_once_high", "later", "later_low", "later_high", "delivered", "read", "read_low",
-    "read_high",
-)  # fmt: skip
+    "condition tap runs steps seed keys_of at_once at_once_low at_once_high later later_low "
+    "later_high delivered read read_low read_high"
+)
 
 
 def over(scenario: Scenario, loss: float) -> Scenario:
@@ -94,25 +86,6 @@ def _messages(transitions: Sequence[Transition]) -> Iterator[FieldMessage]:
         applied, after = t.k, t.x_next
     assert after is not None
     yield Measurement(session=SESSION, k=applied + 1, x=after, applied_k=applied, x_after=after)
-
-
-def output_rows() -> Iterator[tuple[Any, ...]]:
-    """One row a condition and eavesdropper."""
-    with ProcessPoolExecutor() as pool:
-        found = {
-            condition: [pool.submit(_counts, condition, place) for place in range(RUNS)]
-            for condition in CONDITIONS
-        }
-        for condition, runs in found.items():
-            totals = np.sum([run.result() for run in runs], axis=0)
-            for name, (of, at_once, later, delivered, read) in zip(
-                TAPS, totals.tolist(), strict=True
-            ):
-                yield (
-                    condition, name, RUNS, STEPS, SEED, of,
-                    *(v for count in (at_once, later) for v in _told(count, of)),
-                    delivered, *_told(read, delivered),
-                )  # fmt: skip
 
 
 class Counts(NamedTuple):
@@ -168,7 +141,20 @@ def counted(
     return out
 
 
-def table(rows: Sequence[dict[str, str]]) -> str:
+@study("outputs", COLUMNS, lambda: CONDITIONS)
+def output_rows(condition: str) -> Iterator[tuple[Any, ...]]:
+    """One row an eavesdropper."""
+    totals = np.sum([_counts(condition, place) for place in range(RUNS)], axis=0)
+    for name, (of, at_once, later, delivered, read) in zip(TAPS, totals.tolist(), strict=True):
+        yield (
+            condition, name, RUNS, STEPS, SEED, of,
+            *(v for count in (at_once, later) for v in _told(count, of)),
+            delivered, *_told(read, delivered),
+        )  # fmt: skip
+
+
+@table("outputs", "control", "outputs")
+def shown(rows: Sequence[Row]) -> Lines:
     """The table of docs/control.md: eavesdroppers down, conditions across."""
     cells = {(row["condition"], row["tap"]): row for row in rows}
     of = {row["condition"]: row["keys_of"] for row in rows}
@@ -178,18 +164,7 @@ def table(rows: Sequence[dict[str, str]]) -> str:
         lines.append(
             (f"`{tap}`", *(f"{row['later']}; {row['read']} of {row['delivered']}" for row in mine))
         )
-    return markdown_table(lines)
-
-
-def written(text: str, rows: Sequence[dict[str, str]]) -> str:
-    """The page with the table between its marks."""
-    return between_marks(text, "outputs", table(rows))
-
-
-def recorded() -> list[dict[str, str]]:
-    """The rows of the data file."""
-    with (DATA / "outputs.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
+    return lines
 
 
 def _told(count: int, of: int) -> tuple[float, float, float]:
@@ -197,7 +172,3 @@ def _told(count: int, of: int) -> tuple[float, float, float]:
         return (0, 0.0, 1.0)
     share = wilson(count, of)
     return (count, share.low, share.high)
-
-
-if __name__ == "__main__":
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")

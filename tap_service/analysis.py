@@ -18,9 +18,10 @@ from typing import Any, Final
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
 from runtime.child import ignore_signals, line_of_child
+from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
-from tap_service.capture.recording import Limits, RotatingLog
+from tap_service.capture.recording import RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess
 from tap_service.sandboxed import sandboxed
@@ -47,7 +48,7 @@ class Assignment:
     run_dir: Path
     names: tuple[str, ...]
     knowledge: dict[str, Knowledge]
-    limits: Limits
+    limits: Bounds
     header: dict[str, Any]
 
 

@@ -73,6 +73,6 @@ class PackedControl(Control):
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
         """The alphabet depends on M and D_e too."""
         key = super().design_key(secrecy)
-        hers = secrecy.disturbance
-        shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        wider = secrecy.disturbance
+        shape = {} if wider is None else {"D_e": wider.model_dump(exclude_none=True)}
         return {**key, **shape, "candidates": secrecy.candidates, "alpha": secrecy.alpha}

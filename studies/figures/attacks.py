@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from protocol.statistics import wilson
-from studies.figures.rows import plain_rows
+from studies.figures.rows import figure, plain_rows
 from wyner.drawing.style import COLOURS, MARKERS
 
 SHOWN_STEPS = 12
@@ -18,6 +18,7 @@ LINES = {
 }
 
 
+@figure("undetected", "attacks", size=(6.4, 3.8))
 def draw_undetected(figure: Figure, data: Path) -> str:
     """Share of attacked runs without an alarm, by steps since the onset."""
     rows = plain_rows(data / "attacks.csv")
@@ -59,6 +60,7 @@ def draw_undetected(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("dither-price", "dither-price", size=(6.4, 3.8))
 def draw_dither(figure: Figure, data: Path) -> str:
     """What a dither costs against how often one who does not know it passes."""
     rows = plain_rows(data / "dither-price.csv")

@@ -5,10 +5,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from protocol.statistics import wilson
-from studies.figures.rows import plain_rows
+from studies.figures.rows import figure, plain_rows
 from wyner.drawing.style import COLOURS
 
 
+@figure("key-controls", "key-controls", size=(7.4, 4.6))
 def draw_controls(figure: Figure, data: Path) -> str:
     """Blocks that she breaks, with each rule broken and kept."""
     rows = plain_rows(data / "key-controls.csv")

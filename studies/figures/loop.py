@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from protocol.statistics import Interval, normal_mean, wilson
-from studies.figures.rows import FigureError, plain_rows
+from studies.figures.rows import FigureError, figure, plain_rows
 from studies.loops import BURN_IN
 from wyner.drawing.style import COLOURS, MARKERS
 from wyner.sweeps.grid import SweepError
@@ -89,6 +89,7 @@ def curve(
     axes.plot(alphas, value, color=colour, label=label, lw=1.4)
 
 
+@figure("rate-paper", "fig7-paper", "fig7-paper-20", size=(6.4, 4.2))
 def draw_paper(figure: Figure, data: Path) -> str:
     """Fig. 7: the rate under the paper's law."""
     many, printed = summaries(data, "fig7-paper"), summaries(data, "fig7-paper-20")
@@ -105,6 +106,7 @@ def draw_paper(figure: Figure, data: Path) -> str:
     return note_of([*many, *printed])
 
 
+@figure("rate-sustained", "fig7-sustained", "sustained-long", size=(6.4, 4.2))
 def draw_sustained(figure: Figure, data: Path) -> str:
     """The rate under the law that keeps talking, with both ceilings."""
     short, long = summaries(data, "fig7-sustained"), summaries(data, "sustained-long")
@@ -130,6 +132,7 @@ def draw_sustained(figure: Figure, data: Path) -> str:
     return note_of([*short, *long])
 
 
+@figure("distance", "distance", size=(6.4, 4.0))
 def draw_distance(figure: Figure, data: Path) -> str:
     """Probability of Diff against the candidates' distance, closed form beside simulation."""
     rows = [r for r in plain_rows(data / "distance.csv") if r["transitions"] >= FEWEST]
@@ -167,6 +170,7 @@ def draw_distance(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("disturbances", "disturbances", "taps", size=(9.0, 4.2))
 def draw_disturbances(figure: Figure, data: Path) -> str:
     """Rate, wrongly decoded coins, and what the taps get, by kind of disturbance."""
     points = summaries(data, "disturbances")
@@ -231,6 +235,7 @@ def _bars(axes: Axes, y: Sequence[int], values: Sequence[Interval], place: int, 
     )
 
 
+@figure("price", "price", size=(8.0, 3.8))
 def draw_price(figure: Figure, data: Path) -> str:
     """State cost and input effort of each law."""
     points = summaries(data, "price")
@@ -264,6 +269,7 @@ def draw_price(figure: Figure, data: Path) -> str:
     return note_of(points) + "; of costs: normal intervals"
 
 
+@figure("plants", "settled", "widths", size=(8.0, 3.8))
 def draw_plants(figure: Figure, data: Path) -> str:
     """The channel of other plants, and how far apart their candidates are."""
     settled = [row for row in plain_rows(data / "settled.csv") if row["group"] == "plant"]
@@ -308,6 +314,7 @@ def draw_plants(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("sets", "sets", size=(9.0, 4.4))
 def draw_sets(figure: Figure, data: Path) -> str:
     """Some T_i with trajectories through them; Fig. 4 for one step."""
     rows = plain_rows(data / "sets.csv")

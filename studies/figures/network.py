@@ -4,7 +4,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from studies.figures.rows import plain_rows
+from studies.figures.rows import figure, plain_rows
 from wyner.drawing.style import COLOURS, MARKERS
 
 SHOWN = (
@@ -13,6 +13,7 @@ SHOWN = (
 )
 
 
+@figure("network", "network", size=(7.4, 5.0))
 def draw_network(figure: Figure, data: Path) -> str:
     """Cost above, rate below; losses on the left, delays on the right."""
     rows = plain_rows(data / "network.csv")

@@ -5,10 +5,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from protocol.statistics import normal
-from studies.figures.rows import plain_rows
+from studies.figures.rows import figure, plain_rows
 from wyner.drawing.style import COLOURS, MARKERS
 
 
+@figure("noise-bound", "noise-bound", size=(8.0, 4.0))
 def draw_bound(figure: Figure, data: Path) -> str:
     """Bits left of a coin against her noise: bound, taps and claim; and the law as a lever."""
     rows = plain_rows(data / "noise-bound.csv")

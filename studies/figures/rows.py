@@ -1,12 +1,40 @@
-"""The rows of a figure's data file."""
+"""The registry of figures, and the rows of their data files."""
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
+
+from matplotlib.figure import Figure
 
 from wyner.sweeps.grid import Row, SweepError
 from wyner.sweeps.results import read_table
 
 Rows = list[Row]
+
+
+Draw = Callable[[Figure, Path], str]
+
+
+class Kind(NamedTuple):
+    """One figure: how it is drawn, from which data files, and its size in inches."""
+
+    draw: Draw
+    data: tuple[str, ...]
+    size: tuple[float, float]
+
+
+FIGURES: Final[dict[str, Kind]] = {}
+"""The figures."""
+
+
+def figure(name: str, *data: str, size: tuple[float, float]) -> Callable[[Draw], Draw]:
+    """Register a function that draws from the folder of the data, and returns the note."""
+
+    def register(draw: Draw) -> Draw:
+        FIGURES[name] = Kind(draw, data, size)
+        return draw
+
+    return register
 
 
 class FigureError(Exception):

@@ -7,12 +7,13 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from studies.figures.loop import alpha_of, summaries
-from studies.figures.rows import plain_rows
+from studies.figures.rows import figure, plain_rows
 from wyner.drawing.style import COLOURS, MARKERS
 
 PAPERS_START = "[4.0,-2.0]"
 
 
+@figure("signalling-rates", "signalling-rates", "fig7-paper", size=(7.4, 4.6))
 def draw_rates(figure: Figure, data: Path) -> str:
     """Bits a step over alpha: the two laws of Fig. 7, either scheme, packed, and the best bet."""
     rows = plain_rows(data / "signalling-rates.csv")
@@ -68,6 +69,7 @@ def _points(rows: list[dict[str, Any]], **where: str) -> list[tuple[float, float
     return [(r["alpha"], r["bits_per_step"]) for r in found]
 
 
+@figure("signalling-price", "signalling-price", size=(8.0, 3.8))
 def draw_price(figure: Figure, data: Path) -> str:
     """State cost and actuator travel against the bits that count by the paper's rule."""
     rows = plain_rows(data / "signalling-price.csv")
@@ -107,6 +109,7 @@ def draw_price(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("two-step", "two-step", size=(6.4, 3.8))
 def draw_codes(figure: Figure, data: Path) -> str:
     """Keys of one step and of two, beside the volume bound."""
     rows = plain_rows(data / "two-step.csv")
@@ -130,6 +133,7 @@ def draw_codes(figure: Figure, data: Path) -> str:
     return "Codes by exact clique search on grids of a quarter and of a third of D_c's half-length"
 
 
+@figure("block-codes", "block-codes", size=(6.8, 4.2))
 def draw_blocks(figure: Figure, data: Path) -> str:
     """The chained code over more and more steps, up to the volume bound, and the void beyond."""
     rows = plain_rows(data / "block-codes.csv")

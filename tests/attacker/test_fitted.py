@@ -10,7 +10,7 @@ from protocol.scenario import Attack, Scenario, parse_scenario
 from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE
 from runtime.scenario_file import scenario_of
-from tests.campaigns.attacked import run
+from tests.attacker.live_runs import run
 from wyner.runs.resolve import Resolved
 
 pytestmark = pytest.mark.slow

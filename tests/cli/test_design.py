@@ -70,7 +70,7 @@ def scenario(folder: Path, text: str = PLANAR, **fields: Any) -> str:
 
 
 def designs(folder: Path) -> list[Path]:
-    return list((folder / "cache").rglob("*.design"))
+    return list((folder / "cache").rglob("*.npz"))
 
 
 def test_the_text_shows_sets_gain_and_rate(tmp_path: Path, capsys: Any) -> None:

@@ -216,31 +216,6 @@ REPRODUCED = re.findall(
 )
 
 
-def test_the_site_begins_with_how_to_install_and_to_start() -> None:
-    """It had neither: a reader of the site had to find the checkout's README first."""
-    said = {
-        name: re.search(r"```sh\n(.*?)```", (ROOT / name).read_text(encoding="utf-8"), re.DOTALL)
-        for name in ("README.md", "docs/index.md")
-    }
-    commands = {}
-    for name, block in said.items():
-        assert block is not None, name
-        commands[name] = [line.partition("#")[0].split() for line in block[1].splitlines()]
-    first = commands["docs/index.md"]
-    assert first[0] == commands["README.md"][0] == ["make", "demo"]
-    assert ["examples/paper_scheme.py"] in [line[1:] for line in first]
-
-
-def test_what_takes_minutes_says_what_it_does_before_it_does_it() -> None:
-    """`make docs` was silent for minutes."""
-    recipe = re.search(r"^docs:.*\n((?:\t.*\n)+)", (ROOT / "Makefile").read_text(), re.MULTILINE)
-    assert recipe is not None
-    first, *_, last = recipe[1].splitlines()
-    assert first.startswith("\t@echo ")
-    assert "minutes" in first
-    assert last == '\t@echo "build/docs/index.html"'
-
-
 def test_every_row_of_the_page_for_reviewers_has_a_command() -> None:
     text = (ROOT / "docs" / "reproduce.md").read_text(encoding="utf-8")
     rows = [line for line in text.splitlines() if re.match(r"\| (?!claim)[^-]", line)]

@@ -312,7 +312,7 @@ def test_a_difference_of_key_blocks_ends_the_session() -> None:
     assert ended._replace(blocks=(), transition=None) == Done(
         save=True,
         reply=GREETING,
-        refusal="a key block differs from the plant's; session ended",
+        refusal="a key block differs from the other end's; session ended",
     )
     assert sender.record == OVER
     assert sender.keys.stream.left == 0, "no key of it serves"

@@ -20,7 +20,6 @@ from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import StateTable, advance_many
-from runtime.addresses import Addresses
 from runtime.run_folder import BELIEFS, SCENARIO
 from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
@@ -378,8 +377,6 @@ def test_three_live_services_follow_it(
     config = TapConfig(
         tmp_path,
         scenario.knowledge(),
-        Addresses(),
-        Addresses(),
         names=("nearest-centre", "list-decoder", f"{__file__}:Last"),
         finish_s=PATIENCE_S,
     )

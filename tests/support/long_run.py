@@ -12,10 +12,11 @@ from protocol.link.events import lines
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
 from runtime.pace import Pace
 from runtime.perform import perform
+from runtime.recording import Bounds
 from runtime.run_folder import CAPTURE, SCENARIO
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from tap_service.capture.recording import Limits, RotatingLog
+from tap_service.capture.recording import RotatingLog
 
 if TYPE_CHECKING:
     from protocol.link.effects import Notice, Save
@@ -72,7 +73,7 @@ def make_run(folder: Path, steps: int, name: str = "sustained") -> None:
     (folder / SCENARIO).write_bytes((SCENARIOS / f"{name}.toml").read_bytes())
     scenario = load_scenario(folder / SCENARIO)
     view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-    limits = Limits(total_bytes=2**40, free_bytes=0)
+    limits = Bounds(total_bytes=2**40, free_bytes=0)
     tap = RotatingLog(folder / CAPTURE, {"view": view}, limits, logging.getLogger("tap"))
     law = make_law(scenario, cached_design(scenario))
     controller, controller_files = open_controller(

@@ -74,6 +74,8 @@ class RecordedLoop(TwoEnds):
     message : bytes
         The controller's first.
     name, more : str
+    change : tuple of str
+        A piece of the shipped scenario, and what stands there instead.
     pace : str
         ``realtime``: a step takes its period. ``fast``: lock-step.
     attack : Attack, optional
@@ -94,6 +96,7 @@ class RecordedLoop(TwoEnds):
         *,
         pace: str = "fast",
         attack: Attack | None = None,
+        change: tuple[str, str] = ("", ""),
     ) -> None:
         super().__init__()
         self._pace = Pace(pace)
@@ -102,7 +105,7 @@ class RecordedLoop(TwoEnds):
         self.folder = folder
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
-        text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8") + more
+        text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8").replace(*change) + more
         self.scenario = parse_scenario(tomllib.loads(text), name)
         self._law = law_of(name)[1]
         folder.mkdir(parents=True, exist_ok=True)
@@ -187,7 +190,7 @@ class RecordedLoop(TwoEnds):
             self._one_cipher(Offer.model_validate_json(message.payload))
         if message.kind in FIELD:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
-            self._capture.lines.append(line)
+            self._capture.put(line)
             message = self._attacked(message)
         super().said(side, message)
 

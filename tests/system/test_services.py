@@ -592,6 +592,7 @@ def test_a_full_disk_ends_the_service_and_no_event_is_lost(
     trace = system.run_dir / (PLANT_TRACE if side == "plant" else CONTROLLER_TRACE)
     with system.controller(b"one") as controller, system.plant() as plant:
         service: PlantService | ControllerService = plant if side == "plant" else controller
+        assert service.trace.lines is not None
         service.trace.lines.disk = Full(room)
         system.wait(lambda: side in system.errors)
     error = system.errors[side]

@@ -12,7 +12,6 @@ import tap_service.service
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.addresses import Addresses
 from runtime.errors import UsageError
 from runtime.fleet import FleetLoop, read_fleet
 from runtime.run_folder import CAPTURE
@@ -38,8 +37,6 @@ def config_of(sustained: Scenario, tmp_path: Path) -> Callable[[FleetLoop], TapC
         return TapConfig(
             run_dir=tmp_path / loop.id,
             knowledge=sustained.knowledge().model_copy(update={"alpha": None}),
-            field=Addresses(),
-            adversary=Addresses(),
             names=("set-membership",),
             loop=loop.id,
         )

@@ -105,15 +105,14 @@ def _show_design(args: argparse.Namespace) -> int:
     result["network"] = expected_misses(scenario, folder)
     result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
-    if args.plot is not None:
-        _plot(args.plot, scenario, design, law)
+    drawn = [] if args.plot is None else [str(_plot(args.plot, scenario, design, law))]
     if args.json:
         print(json.dumps(result))
     else:
         first = [] if found is None else found.lines()
         rates = _rate_lines(rate, linear=linear) if carries is None else [_sealed_line(carries)]
         shown = [*first, render(result), *rates]
-        print("\n".join([*shown, *(() if reasons is None else reasons.lines())]))
+        print("\n".join([*shown, *(() if reasons is None else reasons.lines()), *drawn]))
     return FAILED if linear and rate is None else DONE
 
 
@@ -197,7 +196,7 @@ def _rate(
     return rate, why(scenario, runs), found
 
 
-def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> None:
+def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> "Path":
     from wyner.cli.drawing import drawn_to
 
     def draw(figure: "Figure") -> str:
@@ -209,7 +208,7 @@ def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw"
         except SimulationError as error:
             raise Failure(f"--plot: {error}") from None
 
-    drawn_to("--plot", text, (9.0, 4.2), draw)
+    return drawn_to("--plot", text, (9.0, 4.2), draw)
 
 
 def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dict[str, Any]:

@@ -38,7 +38,7 @@ KINDS: Final = (
     FileKind("controller/trace*.jsonl", True, _BOTH),
     FileKind("plant/journal.sqlite3*", True, "whole, messages; the seal"),
     FileKind("controller/journal.sqlite3*", True, "whole, messages; the seal"),
-    FileKind("tap/capture*.jsonl", True, "bus, wire, once, same-keys, its end marks, the seal"),
+    FileKind("tap/capture*.jsonl", True, "bus, wire, once, same-keys, end marks, the seal"),
     FileKind("tap/guesses*.jsonl", True, "whole: its end marks; the seal"),
     FileKind("tap/analysis*.jsonl", True, "whole: its end marks; the seal"),
     FileKind("tap/status.json", True, "whole: its count of the capture; the seal"),

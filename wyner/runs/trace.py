@@ -14,6 +14,7 @@ import numpy as np
 from pydantic import ValidationError
 from pydantic_core import to_json
 
+from protocol.link.events import MET, REASONS, RESUMED
 from protocol.link.records import Side
 from protocol.link.session import Rules
 from runtime.recording import (
@@ -326,11 +327,24 @@ class Trace:
     def _began(self, number: int, line: SessionLine) -> None:
         if not self._announce and line.session is not None and line.session == self._session:
             self._problem(number, "session: announced already")
+        if line.reason not in REASONS[self.side]:
+            self._problem(number, f"reason: got {line.reason!r}, expected one that there is")
+        elif unlike := self._unlike(line):
+            self._problem(number, f"reason: got {line.reason!r}, {unlike}")
         self._announce = False
         self._session = line.session
         self._resolver.session(line.session)
         if line.session is not None:
             self.announced.add(line.session)
+
+    def _unlike(self, line: SessionLine) -> str:
+        """What of a session's line cannot be for its reason."""
+        if self.side == "controller":
+            return "" if (line.reason == MET) == (line.session is not None) else "of no session"
+        known = line.session in self.announced or line.session in self.transitions
+        if line.reason == RESUMED:
+            return "" if known or self._seeking else "and the session is a new one"
+        return "and the session was there before" if known else ""
 
     def _unannounced(self, number: int) -> None:
         self._problem(number, "a plant that begins must name its session first")

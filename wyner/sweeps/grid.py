@@ -19,9 +19,10 @@ from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_sc
 from runtime.errors import UsageError
 from runtime.files import read_regular
 from runtime.network import check_delays, measured_delays
-from runtime.scenario_file import load_scenario
+from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS
 from wyner.simulate import UNATTACKED
+from wyner.sweeps import SWEEPS
 from wyner.sweeps.code import LOOP, code_version
 
 ALPHA: Final = "secrecy.alpha"
@@ -152,10 +153,18 @@ def load_sweep(path: Path) -> Sweep:
     """
     try:
         data = tomllib.loads(read_regular(path).decode())
+    except FileNotFoundError:
+        others = others_than(str(path), SWEEPS, "sweep")
+        raise SweepError(f"{path}: no such file{others}") from None
     except OSError as error:
         raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise SweepError(f"{path}: not TOML: {error}") from None
+    if "plant" in data and "scenario" not in data:
+        raise SweepError(
+            f"{path}: this is a scenario, expected a sweep: a file with scenario, runs, steps, "
+            "seed and a grid over the scenario's fields (docs/guides.md)"
+        )
     try:
         return Sweep.model_validate(data)
     except ValidationError as error:

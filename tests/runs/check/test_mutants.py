@@ -60,6 +60,7 @@ NAMED: dict[tuple[str, str], set[str]] = {
     ("delivered", "id"): {"messages", "traces"},
     ("delivered", "payload"): {"messages", "traces"},
     ("recovered", "payload"): {"messages", "traces"},
+    ("session", "reason"): {"traces"},
     ("header", "vantage"): {"whole"},
     ("header", "scenario"): {"whole"},
     ("header", "fingerprint"): {"whole"},
@@ -93,8 +94,6 @@ def only_marked(m: Mutant) -> bool:
     """What nothing else recorded depends on: the end mark's digest alone protects it."""
     if (m.kind, m.how) == ("sent", "swapped"):
         return True  # with what came before anything was sent
-    if m.field == "reason":
-        return m.how in ("small", "large")
     if m.kind == "header":
         if m.file != CAPTURE and m.how == "deleted":
             return m.field in ("part", "oldest")  # 0 without them

@@ -12,11 +12,11 @@ from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from runtime.chance import fresh_nonce
 from runtime.logs import logger
-from runtime.recording import TraceWriter
+from runtime.recording import Bounds, TraceWriter
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from tap_service.capture.recording import Limits, RotatingLog, mirror_line
+from tap_service.capture.recording import RotatingLog, mirror_line
 from tap_service.inference.miss_rate import ALL
 from wyner.runs.run import Run
 from wyner.runs.score.keys import Copies, HeardCopies, KeyAudit, audit_keys, key_lines
@@ -66,7 +66,7 @@ def audited(
     controller.close()
     for life in lives:
         tap = {"vantage": "tap", "appearances": 1}
-        capture = RotatingLog(run_dir / CAPTURE, tap, Limits(free_bytes=0), logger("tap"))
+        capture = RotatingLog(run_dir / CAPTURE, tap, Bounds(free_bytes=0), logger("tap"))
         for k in life:
             for topic in ("measurement", "offer"):
                 if heard(topic, k):

@@ -12,7 +12,7 @@ from protocol.brief import Brief
 from protocol.link.records import Side
 from protocol.link.session import Rules, rules_of
 from protocol.scenario import Scenario
-from runtime.options import refuse_running
+from runtime.locks import refuse_running
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from wyner.runs.heard import CaptureLines

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from runtime.files import read_regular
-from runtime.recording import CONTINUED, END, HEADER, decode, parts_of, raw_lines
+from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
     CAPTURE,
@@ -80,6 +80,26 @@ def _recorded(e: Evidence) -> Iterator[str]:
     parts += [_segments_of(p) for s in (GUESSES, ANALYSIS_GUESSES) for p in parts_of(e.folder / s)]
     for marks in parts:
         yield from (f"{where}: {text}" for where, text in marks.problems)
+    yield from _told_alike(e)
+
+
+def _told_alike(e: Evidence) -> Iterator[str]:
+    """The tap began what Eve heard and what she guessed with one header: told what, how well."""
+    captured, guessed = (_header(e.folder / name) for name in (CAPTURE, GUESSES))
+    for field in sorted(captured.keys() & guessed.keys() - {"started_ns"}):
+        if captured[field] != guessed[field]:
+            yield f"{CAPTURE} and {GUESSES}: their headers differ in {field}"
+    for field in sorted(captured.keys() ^ guessed.keys()) if captured and guessed else ():
+        yield f"{CAPTURE} and {GUESSES}: only one header has {field}"
+
+
+def _header(recording: Path) -> dict[str, Any]:
+    """The header of a recording's first part; empty where it is gone."""
+    first = next(iter(parts_of(recording)), None)
+    if first is None or number_of(first):
+        return {}
+    line = next(raw_lines(first), None)
+    return (decode(line[1]) if line is not None else None) or {}
 
 
 def _segments_of(path: Path) -> Segments:

@@ -289,6 +289,8 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
 
 def _under_keys(keys: dict[str, Any]) -> str:
     """How secret a message is that travelled under distilled keys."""
+    if not keys["made"]:
+        return "No key was made, and so nothing of the message was sent."
     held, missed = keys["held_by_tap_bits"], keys["missed_by_tap"]
     if held is None or missed is None:
         return "The message travels under distilled keys: it is as secret as they are."

@@ -14,7 +14,7 @@ from protocol.secret.nonces import NONCE_BYTES
 from protocol.vectors import Vector
 from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, named
+from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, sound
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
@@ -165,7 +165,7 @@ def listen(
         When one raises, or gives an answer that is none.
     """
     scenario = runs.scenario
-    classes = [named(name) if isinstance(name, str) else name for name in names]
+    classes = [sound(name) for name in names]
     shown = [name if isinstance(name, str) else name.name for name in names]
     taps = []
     for name, kind in zip(shown, classes, strict=True):

@@ -1,18 +1,16 @@
 """Keys over a lossy medium, one to three receivers, and a passive radio that hears every datagram.
 
-``python -m tests.campaigns.medium`` runs plant, controller and taps in network namespaces on a
-medium in user space (`tests.support.medium`), once for each row of a table: the field bus over UDP,
-a datagram for each receiver, or over a multicast group, one for all; and the claim as it is stated.
+Plant, controller and taps run in network namespaces on a medium in user space
+(`tests.support.medium`): the field bus over UDP, a datagram for each receiver, or over a multicast
+group, one for all; and the claim as it is stated.
 The radio misses a share of the *datagrams*. What it then holds of the keys is computed as an audit
 computes it, from all that it heard.
 """
 
-import argparse
 import json
 import shutil
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -21,11 +19,12 @@ from typing import Any, Final, NamedTuple
 from pydantic_core import to_json
 
 from runtime.logs import logger
+from runtime.recording import Bounds
 from runtime.run_folder import CAPTURE, PLANT_STATUS
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from tap_service.capture.recording import CAPTURE_VERSION, Limits, RotatingLog, mirror_line
-from tests.support.medium import Medium, NoNamespaces, Radio, Station, medium
+from tap_service.capture.recording import CAPTURE_VERSION, RotatingLog, mirror_line
+from tests.support.medium import Medium, Radio, Station, medium
 from wyner.runs.run import Run
 from wyner.runs.score.keys import KeyAudit, audit_keys
 from wyner.runs.score.summary import summarise
@@ -43,18 +42,6 @@ class Case(NamedTuple):
     steps: int
     loss: float = 0.3
     tap_loss: float = 0.3
-
-
-CASES: Final = (
-    *(Case("multicast", n, 0.3, 1, 320) for n in (1, 2, 3)),
-    Case("udp", 1, 0.3, 1, 320),
-    *(Case("udp", n, 0.3, 1, 200) for n in (2, 3)),
-    Case("udp", 2, 0.5, 2, 400, loss=0.5),
-    Case("udp", 3, 0.5, 3, 370, loss=0.5),
-    # claimed of each copy is then what the radio misses of each datagram: it must break
-    Case("udp", 2, 0.71, 2, 250, loss=0.5),
-    Case("udp", 3, 0.8, 3, 250, loss=0.5),
-)
 
 
 class Result(NamedTuple):
@@ -106,8 +93,7 @@ def _loop(case: Case, air: Medium, folder: Path) -> None:
     plant, controller, *taps = air.stations
     wyner = [sys.executable, "-m", "wyner"]
     knowledge = folder / "knowledge.json"
-    told = [*wyner, "design", str(scenario), "--knowledge", str(knowledge)]
-    subprocess.run(told, check=True, capture_output=True)
+    knowledge.write_text(load_scenario(scenario).knowledge().model_dump_json())
     common = ["--scenario", str(scenario), "--run-dir", str(run_dir)]
 
     def at(station: Station, bus: int) -> str:
@@ -202,51 +188,10 @@ def _audit(radio: Radio, case: Case, folder: Path) -> KeyAudit:
         "capture_version": CAPTURE_VERSION,
         "appearances": case.receivers if case.transport == "udp" else 1,
     }
-    capture = RotatingLog(hers / CAPTURE, header, Limits(free_bytes=0), logger("radio"))
+    capture = RotatingLog(hers / CAPTURE, header, Bounds(free_bytes=0), logger("radio"))
     for t_ns, topic, fields in radio.heard:
         capture.write(mirror_line(t_ns, topic, to_json(fields)))
     capture.close()
     audit = audit_keys(Run.load(hers), load_scenario(folder / "keys.toml"))
     assert audit is not None
     return audit
-
-
-def _row(case: Case, seed: int) -> dict[str, Any]:
-    with tempfile.TemporaryDirectory(prefix="wyner-medium-") as folder:
-        result = run(case, seed, Path(folder))
-    blocks = [block for block in result.radio.blocks if block.keys]
-    return {
-        **case._asdict(),
-        "seed": seed,
-        "left": max(result.appearances),
-        "keys": result.keys,
-        "blocks": len(blocks),
-        "missed": result.radio.missed,
-        "held_bits": result.radio.held_bits,
-        "broken": sum(bool(block.held_bits) for block in blocks),
-        "stopped": result.stopped,
-        "warnings": list(result.radio.warnings),
-    }
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the table; a line of JSON a run. Exit 1 where a true claim was broken."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--cases", type=int, nargs="*", help="rows of the table, all by default")
-    args = parser.parse_args(arguments)
-    broken = False
-    for i in args.cases if args.cases else range(len(CASES)):
-        case = CASES[i]
-        try:
-            row = _row(case, args.seed)
-        except NoNamespaces as error:
-            print(f"skipped: {error}", file=sys.stderr)
-            return 0
-        print(json.dumps(row), flush=True)
-        broken |= bool(row["held_bits"]) and case.eps_E <= case.loss
-    return int(broken)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,4 +1,4 @@
-"""Live attacked runs in lock-step: ``python -m tests.campaigns.attacked``, and ``--table`` of them.
+"""Live attacked runs in lock-step: ``python -m tests.attacker.live_runs``, and ``--table`` of them.
 
 A run is both services with their journals and traces on disk, on a bus in memory, and
 the ghost with her eavesdropper in a process of her own. M is 2, 3 and 4 in turn, or ``--sizes``. Of
