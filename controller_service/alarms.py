@@ -34,29 +34,23 @@ def tested(rules: Rules, record: SenderRecord, offer: Offer, counted: Counted) -
     expected = counted.digits[0] if counted.digits and rules.keyed else NO_SYMBOL
     failure = _failure(rules, offer, counted, expected)
     alarm, failed = rules.alarm_rule.test(record.failed, failed=failure != "")
-    unwatched, too_many = _watched(rules, record, watched=expected != NO_SYMBOL)
+    unwatched, too_many = record.unwatched, False
+    if rules.keyed:
+        unwatched, too_many = rules.watch.after(unwatched, watched=expected != NO_SYMBOL)
     reason: Reason = failure if alarm else "unwatched" if too_many else ""
     halted = record.halted or (reason != "" and rules.halts)
     return Tested(expected, reason, failed, unwatched, halted)
 
 
 def first(rules: Rules, record: SenderRecord) -> Tested:
-    """A session's first measurement: of the last step of the session before nobody has heard.
+    """A session's first measurement: no transition, and an alarm if too many had no digit.
 
-    It counts as unwatched. Otherwise whoever ends each session at its first step would have all of
-    them unwatched, and none counted.
+    Whoever ends each session at its first step would otherwise have all of them unwatched, and none
+    counted.
     """
-    unwatched, too_many = _watched(rules, record, watched=False)
-    reason: Reason = "unwatched" if too_many else ""
-    halted = record.halted or (too_many and rules.halts)
-    return Tested(NO_SYMBOL, reason, record.failed, unwatched, halted)
-
-
-def _watched(rules: Rules, record: SenderRecord, *, watched: bool) -> tuple[float, bool]:
-    """The sum of unwatched steps after one more, and whether it makes an alarm."""
-    if not rules.keyed:
-        return record.unwatched, False
-    return rules.watch.after(record.unwatched, watched=watched)
+    if not (rules.keyed and record.unwatched > rules.watch.burst):
+        return Tested(NO_SYMBOL, "", record.failed, record.unwatched, record.halted)
+    return Tested(NO_SYMBOL, "unwatched", record.failed, 0.0, record.halted or rules.halts)
 
 
 def _failure(rules: Rules, offer: Offer, counted: Counted, expected: int) -> Reason:

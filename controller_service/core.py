@@ -591,7 +591,10 @@ class ControllerCore:
 
     def _adopt(self, session: str) -> None:
         """Begin a session; the frame under way starts again."""
-        record = self._no_session()._replace(session=session)
+        unwatched = self.record.unwatched
+        if self.rules.keyed:  # of the last step of the session before nobody has heard
+            unwatched = self.rules.watch.unheard(unwatched)
+        record = self._no_session()._replace(session=session, unwatched=unwatched)
         self.record = self.outgoing.decide(record, record.state, 0, record.message, 0)
         self._stale = 0
         self.keys.begin(session)

@@ -43,7 +43,7 @@ class TapStatus(Message):
         Entropy of the message given all that she heard, in bits, by her own account. None: this
         kind does not compute it.
     given : str
-        What she expects of a message, as ``English sentences``: that entropy is given it too.
+        Which kind of text she takes the message for, as ``German``: that entropy is given it too.
     failed : str
         Why she does not guess at present; empty: she does. The other fields then keep her last
         words.

@@ -23,7 +23,7 @@ from tap_service.capture.channel import View
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
 from tap_service.eavesdroppers.text import Text
-from tap_service.inference.english import AnyBytes
+from tap_service.inference.expectation import any_bytes
 from wyner.runs.score.score import score
 
 RUNS: Final = 30
@@ -146,7 +146,7 @@ def measure(reading: Reading) -> Iterator[dict[str, object]]:
     knowledge = reading.view.knowledge(run.scenario.knowledge())
     begun = time.process_time()
     if reading.tap == ANY_BYTES:
-        tap: Eavesdropper = Text(knowledge, AnyBytes(), live=False)
+        tap: Eavesdropper = Text(knowledge, any_bytes(), live=False)
     else:
         tap = offline(named(reading.tap), knowledge)
     said = output_about(tap, heard_by(run, reading.view))

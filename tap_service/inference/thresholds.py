@@ -67,7 +67,7 @@ class Run:
     made: Array
 
 
-def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -> list[Interval]:
+def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -> list[Cell]:
     """The intervals of thresholds that remain, in order, :data:`MOST` at most.
 
     Parameters
@@ -80,7 +80,7 @@ def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -
     """
     low, high = among
     if high < SAME * low:
-        return [among]
+        return [(*among, 1.0)]
     for _ in range(ROUNDS):
         edges = np.linspace(low, high, CELLS + 1)
         verdicts = [_verdicts(run.steps, edges, table.scheme.alphabet) for run in runs]
@@ -105,7 +105,8 @@ def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -
     while len(cells) > most:
         i = int(np.argmin([a[2] + b[2] for a, b in pairwise(cells)]))
         cells[i : i + 2] = [_joined(cells[i], cells[i + 1])]
-    return [(low, high) for low, high, _ in cells]
+    whole = sum(share for _, _, share in cells)
+    return [(low, high, share / whole) for low, high, share in cells]
 
 
 def _joined(a: Cell, b: Cell) -> Cell:
