@@ -8,11 +8,12 @@ import numpy as np
 
 from protocol.arrays import Array
 from protocol.link.events import AttackBegan
+from protocol.link.records import Side
 from protocol.scenario import Scenario
 from protocol.statistics import GIVEN
 from runtime.recording import TraceError
 from wyner.runs.lines import AlarmLine
-from wyner.runs.run import TRACES, Run
+from wyner.runs.run import Run
 from wyner.runs.score.counts import parted, truth_of
 from wyner.runs.trace import Places, Rows, Trace
 
@@ -130,21 +131,29 @@ class AttackCounts:
 
 
 def attacked(run: Run) -> AttackCounts:
-    """Read it from a run's traces; one that is damaged, or not there, is named in ``unread``."""
-    counts, traces = AttackCounts(), []
-    for side in TRACES:
-        try:
-            traces.append(run.columns(side))
-        except TraceError as error:
-            counts.unread.append(str(error))
-        else:
-            unread = traces[-1].unread
-            counts.unread += [f"{run.trace(side)}: {unread}"] if unread else []
-    if traces and traces[0].side == "plant":
-        counts.plant(traces[0], run.scenario)
-        if len(traces) > 1:
-            counts.controller(traces[1], traces[0])
+    """Read it from a run's traces; one that is damaged, or not there, is named in ``unread``.
+
+    The controller's is read where the plant's names an attack.
+    """
+    counts = AttackCounts()
+    plant = _columns(run, "plant", counts)
+    if plant is not None:
+        counts.plant(plant, run.scenario)
+    controller = None if counts.attack is None else _columns(run, "controller", counts)
+    if plant is not None and controller is not None:
+        counts.controller(controller, plant)
     return counts
+
+
+def _columns(run: Run, side: Side, counts: AttackCounts) -> Trace | None:
+    try:
+        trace = run.columns(side)
+    except TraceError as error:
+        counts.unread.append(str(error))
+        return None
+    if trace.unread:
+        counts.unread.append(f"{run.trace(side)}: {trace.unread}")
+    return trace
 
 
 def _steps(number: int) -> str:
