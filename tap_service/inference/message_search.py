@@ -10,7 +10,7 @@ she claims for what she found.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -127,32 +127,23 @@ class Found:
         return self.plain + float(np.log(max(1 - self.kept, TINY)))
 
 
-class Opened:
-    """What is known of messages that the transcript does not hold to their end."""
+class Opened(NamedTuple):
+    """Messages of which the transcript does not hold the last symbols.
 
-    def __init__(self) -> None:
-        self.best = self.total = -np.inf
-        self.text = b""
-        self.missing: dict[int, float] = {}  # symbols, and the log weight of the likeliest
-        self.unsent = 0.0
+    Parameters
+    ----------
+    total, best : float
+        Log weight of all of them, and of the likeliest.
+    text : bytes
+        What is known of that one.
+    missing : int
+        Symbols that they lack.
+    """
 
-    def add(self, total: float, best: float, text: bytes, unsent: float) -> None:
-        """Add some of log weight ``total``, the likeliest of them ``text``, of log weight ``best``.
-
-        Of that one ``unsent`` bits are not in the transcript.
-        """
-        self.total = float(np.logaddexp(self.total, total))
-        if best > self.best:
-            self.best, self.text, self.unsent = best, text, unsent
-
-    def lack(self, symbols: int, weight: float) -> None:
-        """The likeliest that lacks so many symbols has this log weight."""
-        self.missing[symbols] = max(self.missing.get(symbols, -np.inf), weight)
-
-    def soonest(self) -> int:
-        """Symbols that those lack which are nearly the likeliest, at least; -1 where none is."""
-        likely = [n for n, weight in self.missing.items() if weight > self.best - NEARLY]
-        return min(likely, default=-1) if np.isfinite(self.best) else -1
+    total: float
+    best: float
+    text: bytes
+    missing: int
 
 
 class Ended:
@@ -331,12 +322,12 @@ class MessageSearch:
         hypotheses.score = self._weights(alphas, level, plan.total, low)
         likely = hypotheses.score.copy()
         growth.expect(hypotheses, np.arange(len(lengths)))
-        kept, opened, ended = 0.0, Opened(), Ended()
+        kept, ended = 0.0, Ended()
+        opened: list[Opened] = []
         graph = Graph()
         graph.begin(hypotheses)
         for j in range(int(plan.total.max())):
-            sizes = lengths[hypotheses.length]
-            self._open(opened, hypotheses, sizes, plan.total[hypotheses.length] - j, low)
+            opened += self._open(hypotheses, lengths, plan.total[hypotheses.length] - j, low)
             count = hypotheses.alpha.shape[1] // self._lattice.states + self._lattice.wait
             ahead = self._rows(np.maximum(plan.total - 1 - j, 0), low + 1, count)
             moved = growth.symbol(hypotheses, ahead, j, low)
@@ -380,7 +371,7 @@ class MessageSearch:
         return over
 
     def _drawn(
-        self, ended: "Ended", opened: "Opened", graph: Graph, beam: Beam, over: Flags, low: int
+        self, ended: "Ended", opened: list[Opened], graph: Graph, beam: Beam, over: Flags, low: int
     ) -> None:
         """Draw messages that are over but for their check, and judge them by it."""
         rows = np.flatnonzero(over)
@@ -410,7 +401,7 @@ class MessageSearch:
             ended.add(texts[i].tobytes(), float(plain[i] + gain[i]), float(plain[i]), alpha[i], low)
 
     def _checked(
-        self, opened: "Opened", beam: Beam, rows: Indices, low: int, best: tuple[float, bytes]
+        self, opened: list[Opened], beam: Beam, rows: Indices, low: int, best: tuple[float, bytes]
     ) -> float:
         """Log share of texts in ``rows`` whose check the transcript holds to its end.
 
@@ -429,9 +420,9 @@ class MessageSearch:
         under_way = float(np.logaddexp.reduce(weights))
         if under_way == -np.inf:
             return 0.0
-        opened.add(under_way, under_way + best[0], best[1], 0.0)
         for j in np.flatnonzero(np.isfinite(weights)).tolist():
-            opened.lack(total - j, float(weights[j]) + best[0])
+            weight = float(weights[j])
+            opened.append(Opened(weight, weight + best[0], best[1], total - j))
         share = np.exp(under_way - float(np.logaddexp.reduce(beam.score[rows])))
         return float(np.log(max(1.0 - share, LEAST_CHECKED)))
 
@@ -476,10 +467,8 @@ class MessageSearch:
         said = float((symbols * np.log2(np.maximum(self._size * symbols, TINY))).sum())
         return texts, first.scores[a] + second.scores[b], ends[b], mass, said
 
-    def _open(
-        self, opened: "Opened", beam: Beam, sizes: Indices, missing: Indices, low: int
-    ) -> None:
-        """Count the hypotheses of which the transcript holds no further symbol."""
+    def _open(self, beam: Beam, lengths: Indices, missing: Indices, low: int) -> Iterator[Opened]:
+        """The hypotheses of which the transcript holds no further symbol, by what they lack."""
         E = self._lattice.states
         left = np.zeros((beam.alpha.shape[1] // E, E))
         have = self._lattice.left[low : low + len(left)]
@@ -488,16 +477,18 @@ class MessageSearch:
             return
         with np.errstate(divide="ignore"):
             weight = beam.level + beam.said + np.log(beam.alpha @ left.ravel())
-        row = int(weight.argmax())
-        payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
-        text = beam.text[row, : min(beam.count[row], sizes[row])].tobytes()
-        unsent = payload * float(np.log2(self._size))
-        opened.add(float(np.logaddexp.reduce(weight)), float(weight[row]), text, unsent)
         for symbols in np.unique(missing).tolist():
-            opened.lack(symbols, float(weight[missing == symbols].max()))
+            rows = np.flatnonzero(missing == symbols)
+            row = rows[weight[rows].argmax()]
+            text = beam.text[row, : min(beam.count[row], lengths[beam.length[row]])].tobytes()
+            total = float(np.logaddexp.reduce(weight[rows]))
+            yield Opened(total, float(weight[row]), text, symbols)
 
-    def _found(self, ended: "Ended", kept: float, opened: "Opened", longest: float) -> Found:
+    def _found(self, ended: "Ended", kept: float, opened: list[Opened], longest: float) -> Found:
         """What a search gives back, with ``kept`` the log of what was not dropped."""
+        under_way = max(opened, key=lambda one: one.best, default=Opened(-np.inf, -np.inf, b"", 0))
+        lacking = min((o.missing for o in opened if o.best > under_way.best - NEARLY), default=-1)
+        unsent = max(under_way.missing - digits_of(CHECK_BYTES, self._size), 0)
         ends = self._nodes(np.zeros(0), 0)
         found = sorted(ended.list, key=lambda e: -e[0])[:KEPT]
         surprise = 0.0
@@ -522,10 +513,10 @@ class MessageSearch:
             float(np.exp(min(listed - ended.total, 0.0) + kept)) if followed else 0.0,
             surprise - kept / float(np.log(2)),
             ends,
-            opened.text,
-            opened.total,
-            -1 if (symbols := opened.soonest()) < 0 else int(symbols / self._lattice.rate),
-            opened.unsent,
+            under_way.text,
+            float(np.logaddexp.reduce([o.total for o in opened], initial=-np.inf)),
+            -1 if lacking < 0 else int(lacking / self._lattice.rate),
+            unsent * float(np.log2(self._size)),
             ended.check,
             longest,
             ended.unchecked[1],

@@ -19,7 +19,8 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service import service
 from plant_service.service import run_plants
-from protocol.link.peer import NOTHING_TO_DO, Actions, Peer
+from protocol.link.effects import Effects
+from protocol.link.peer import Peer
 from protocol.messages import (
     LATENCY_BOUNDS_S,
     ControllerStatus,
@@ -326,23 +327,23 @@ class Overloaded:
     def __init__(self) -> None:
         self.commands = self.wakes = 0
 
-    def start(self, _now: float) -> Actions:
-        return NOTHING_TO_DO
+    def start(self, _now: float) -> Effects:
+        return ()
 
     def wake_at(self) -> float:
         return -inf
 
-    def wake(self, _now: float) -> Actions:
+    def wake(self, _now: float) -> Effects:
         self.wakes += 1
         time.sleep(0.001)
-        return NOTHING_TO_DO
+        return ()
 
-    def receive(self, *_: object) -> Actions:
+    def receive(self, *_: object) -> Effects:
         self.commands += 1
-        return NOTHING_TO_DO
+        return ()
 
-    def stop(self, _now: float) -> Actions:
-        return NOTHING_TO_DO
+    def stop(self, _now: float) -> Effects:
+        return ()
 
 
 def test_an_end_that_is_always_due_is_told_of_commands_and_stops() -> None:

@@ -236,6 +236,26 @@ def test_a_message_in_any_alphabet_is_read_through_missed_symbols(
     assert message.bits_left < 1
 
 
+@pytest.mark.parametrize(
+    ("payload", "kind"),
+    [
+        (b"SEND THE SPARE KEYS BY NOON", "English in capitals"),
+        (b"Wir treffen uns morgen vor dem Rathaus.", "German"),
+        (b"40.7128, -74.0060", "digits and signs"),
+        (b"d41d8cd98f00b204", "hexadecimal"),
+        (bytes(range(130, 140)), "any bytes"),
+    ],
+)
+def test_a_message_of_any_kind_is_read_and_its_kind_is_named(payload: bytes, kind: str) -> None:
+    """Version 1.0.0 expected English sentences, and read none in capitals."""
+    steps = stretch(payload, 4, "pipelined", 1, missed=0.15, agree=1.0)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
+    (message,) = reader.read(steps, (0.0, 1.0), {})
+    assert (message.payload, message.whole, message.kind) == (payload, True, kind)
+    assert message.probability > 0.9
+    assert message.bits_left < 1
+
+
 def with_missed_steps(steps: Sequence[InferredStep], seed: int) -> list[InferredStep]:
     """One step in twenty is missed by the plant; of three in ten she does not hear if it was."""
     rng, out, k = random.Random(seed), list[InferredStep](), 0
