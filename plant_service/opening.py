@@ -21,6 +21,7 @@ from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
+from protocol.link.step import Read
 from protocol.scenario import Attack, Scenario
 from protocol.secret.nonces import NonceSource
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
@@ -96,8 +97,7 @@ def open_core(
         When a device is to run at another pace than its own, or the attack cannot be made.
     """
     loaded = journal.load()
-    record, offer, report = loaded.record, loaded.offer, loaded.measurement
-    u = () if offer is None else offer.candidates[loaded.coin]
+    record, step = loaded.record, loaded.step
     attacker = None if attack is None else _attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
@@ -125,13 +125,18 @@ def open_core(
     try:
         draws = sensors or Stream(sensor_seed, SENSOR, width=scenario.readings)
         at_plant = None if attacker is None or attacker.at == "bus" else attacker
-        last = None if report is None else (report, u)
+        last = None
+        if isinstance(step, Read):
+            last = (step.report, step.offer.candidates[step.coin])
         plant, x = sensed(plant, scenario, at_plant, draws, x, record, last)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
-        first = record or first_record(scenario, new_id(), x)._replace(
-            sensor_seed=sensor_seed if spec is not None or observer is not None else 0
-        )
+        first = None
+        if record is None:
+            seeded = spec is not None or observer is not None
+            first = first_record(scenario, new_id(), x)._replace(
+                sensor_seed=sensor_seed if seeded else 0
+            )
         return PlantCore(
             rules_of(scenario),
             plant,
@@ -141,16 +146,9 @@ def open_core(
             new_id,
             now,
             instance=new_id(),
-            record=first,
-            symbols=loaded.symbols,
-            contributions=loaded.rows,
-            parts=loaded.parts,
-            offer=offer,
-            tossed=loaded.coin,
-            report=report,
+            loaded=loaded,
+            first=first,
             back=x if plant.acts and record is not None else None,
-            fresh=record is None,
-            fell_back=loaded.fell_back,
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,

@@ -350,6 +350,7 @@ class Recording:
         self.paused = False
         self.lines: LineWriter | None = None
         self._path, self._header, self._bounds, self._log = path, header, bounds, log
+        self._most = bounds.of_a_part - END_BYTES
         self._held: list[bytes] = []
         self._held_bytes = 0
         make_folder(path.parent)
@@ -367,23 +368,26 @@ class Recording:
         Where there is a log they are handed to the operating system by the next :meth:`flush`,
         which `HELD_BYTES` of lines bring about by themselves; else at once, in one piece.
         """
-        if self._log is not None:
-            self._look(time.monotonic())
-        else:
-            assert self.lines is not None, "the recording is closed"
         length = sum(map(len, lines)) + len(lines)
-        if self.lines is not None:
-            size = self.lines.size + self._held_bytes
-            if size + length > self._bounds.of_a_part - END_BYTES and self._fits(length):
-                self.flush()
-                self._end(next=self.number + 1)
-                self._begin(self.number + 1, length)
-        if self.lines is None or not self._fits(length):
+        if self._log is None:
+            assert self.lines is not None, "the recording is closed"
+            if self.lines.size + length > self._most:
+                self._turn(length)
+            self.lines.append(*lines)
+            self.written += len(lines)
+            return
+        self._look(time.monotonic())
+        if length + 2 * END_BYTES > self._bounds.total_bytes:
+            self.dropped += len(lines)
+            return
+        if self.lines is not None and self.lines.size + self._held_bytes + length > self._most:
+            self._turn(length)
+        if self.lines is None:
             self.dropped += len(lines)
             return
         self._held += lines
         self._held_bytes += length
-        if self._log is None or self._held_bytes >= HELD_BYTES:
+        if self._held_bytes >= HELD_BYTES:
             self.flush()
 
     def flush(self) -> None:
@@ -395,8 +399,6 @@ class Recording:
         try:
             self.lines.append(*held)
         except OSError as error:
-            if self._log is None:
-                raise
             whole = self.lines.count - before
             self.written += whole
             self.dropped += len(held) - whole
@@ -415,9 +417,11 @@ class Recording:
         self.flush()
         self._end(last=True)
 
-    def _fits(self, length: int) -> bool:
-        """Whether a part with so much in it stays within the bound; one that may not fail does."""
-        return self._log is None or length + 2 * END_BYTES <= self._bounds.total_bytes
+    def _turn(self, length: int) -> None:
+        """End the part in use, and begin the next with room for a line of ``length`` bytes."""
+        self.flush()
+        self._end(next=self.number + 1)
+        self._begin(self.number + 1, length)
 
     def _end(self, **told: Any) -> None:
         if self.lines is not None:

@@ -13,7 +13,6 @@ from protocol.statistics import Interval, normal_mean
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from studies.registry import study
-from wyner.advice.missed_share import expected_missed_share
 from wyner.simulate.engine import simulate_runs, transfer
 
 RUNS, STEPS = 100, 500
@@ -26,11 +25,8 @@ LOSSES: Final = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7)
 ROUND_TRIPS: Final = (0.2, 0.6, 0.8, 1.0, 1.2)
 """Mean round trip in periods; each way takes half of it, with half of that as its deviation."""
 
-DIGITS: Final = 12
-"""Of the computed share: those beyond are the machine's algebra's."""
-
 COLUMNS: Final = (
-    "part value fallback runs steps seed expected_missed missed missed_low missed_high "
+    "part value fallback runs steps seed missed missed_low missed_high "
     "cost cost_low cost_high bits_per_second bits_per_second_low bits_per_second_high"
 )
 
@@ -77,7 +73,6 @@ def network_rows(point: tuple[str, float, int]) -> Iterator[tuple[Any, ...]]:
             RUNS,
             STEPS,
             seed,
-            round(expected_missed_share(scenario) or 0.0, DIGITS),
             *_mean(runs.missed_share),
             *_mean(runs.mean_cost),
             *_mean(rate),

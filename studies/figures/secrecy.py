@@ -3,12 +3,12 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from matplotlib.figure import Figure
 
 from protocol.statistics import Interval
-from studies.figures.rows import FigureError, figure, plain_rows
+from studies.figures.rows import FigureError, bars, figure, intervals, plain_rows
 from studies.registry import Row, recorded
 from studies.secrecy.tables import share_of
 from wyner.drawing.style import COLOURS, MARKERS
@@ -159,18 +159,20 @@ def draw_shapes(figure: Figure, data: Path) -> str:
     axes = figure.subplots()
     for place, tap in enumerate(dict.fromkeys(r["tap"] for r in rows)):
         mine = [r for r in rows if r["tap"] == tap]
-        axes.errorbar(
-            [r["width_1"] for r in mine],
-            [r["right"] for r in mine],
-            yerr=[
-                [r["right"] - r["right_low"] for r in mine],
-                [r["right_high"] - r["right"] for r in mine],
-            ],
+        mine_at = [r["width_1"] for r in mine]
+        style: dict[str, Any] = {
+            "fmt": "-",
+            "marker": MARKERS[place],
+            "mfc": "none" if place else None,
+        }
+        bars(
+            axes,
+            mine_at,
+            intervals(mine, "right"),
+            place,
             marker=MARKERS[place],
-            color=COLOURS[place],
-            mfc="none" if place else None,
-            capsize=2,
             label=tap,
+            **style,
         )
     axes.axhline(0.5, color="0.6", ls=":", lw=1)
     axes.set_xlabel(r"half-width of $\mathcal{D}_e$ in $x_1$ ($x_2$: 0.96; $\mathcal{D}_c$: 0.12)")

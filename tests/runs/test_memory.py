@@ -1,4 +1,4 @@
-"""Who looks at a run holds some bytes a step of it, and never the run."""
+"""Who looks at a run holds some bytes a step of it: 400 MB for a million steps, with keys."""
 
 import json
 import subprocess
@@ -18,6 +18,9 @@ SHORT, LONG = 4_000, 10_000
 GROWN = 6 * 2**20
 """Bytes that 6,000 steps more may take: the lines of a trace, as Python has them, would be 15 MB.
 What is bounded (points of a chart, a part of each file) is filling up meanwhile."""
+
+FEW, MANY = 4_000, 30_000
+MOST = 400 * 2**20
 
 SUMMARY = """
 from wyner.runs.run import Run
@@ -54,9 +57,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return guessed(folder / "short", SHORT), guessed(folder / "long", LONG)
 
 
-def guessed(folder: Path, steps: int) -> Path:
+def guessed(folder: Path, steps: int, scenario: str = "sustained") -> Path:
     """A run with an eavesdropper who guesses each step."""
-    make_run(folder, steps)
+    make_run(folder, steps, scenario)
     events: list[dict[str, object]] = []
     Run.load(folder).feed("plant", events.append)
     made = [e for e in events if e["event"] == "transition"]
@@ -80,6 +83,19 @@ def peak(name: str, folder: Path) -> int:
         [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True
     )
     return 1024 * int(done.stderr.split()[-2])
+
+
+@pytest.fixture(scope="module")
+def keyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("keyed")
+    return guessed(folder / "few", FEW, "keys"), guessed(folder / "many", MANY, "keys")
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_million_steps_with_keys_take_400_mb_at_most(keyed: tuple[Path, Path], name: str) -> None:
+    """By what each step more takes."""
+    least, most = (peak(name, folder) for folder in keyed)
+    assert least + (most - least) / (MANY - FEW) * 1_000_000 <= MOST
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -131,15 +131,6 @@ def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers
     assert large["offer_resolved"] == 0
 
 
-def test_the_share_computed_lies_in_the_interval_of_each_point_on_record() -> None:
-    """33 rows: six losses and five delays under three fallbacks, 100 runs of 500 steps each."""
-    rows = recorded("network")
-    assert len(rows) == 33
-    for row in rows:
-        low, high = float(row["missed_low"]), float(row["missed_high"])
-        assert low <= float(row["expected_missed"]) <= high, row
-
-
 @pytest.mark.long
 def test_a_point_of_the_network_measured_now_is_the_one_on_record() -> None:
     """Losses of 0.4 each way: cost, rate and missed steps under the three fallbacks."""

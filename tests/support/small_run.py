@@ -19,9 +19,9 @@ from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
 from protocol.link.events import MET, NEW_JOURNAL, RESUMED, UNKNOWN_THERE, SessionBegan, lines
 from protocol.link.fallback import Fallback
-from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
+from protocol.link.step import IDLE, Step
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
@@ -176,7 +176,7 @@ class SmallRun:
             self._counted()
             step = self.receiver.step
             assert step is not None
-            self.receiver = self._new_plant(record, RESUMED, step)
+            self.receiver = self._new_plant(record, RESUMED, step.step)
             self._counted(saved=True)
             self._meet()
             return
@@ -248,9 +248,7 @@ class SmallRun:
             fresh=SeededSymbols(self._seed, CIPHER, run=self._lives),
         )
 
-    def _new_plant(
-        self, record: ReceiverRecord, reason: str, step: Actions = NOTHING_TO_DO
-    ) -> PlantInHand:
+    def _new_plant(self, record: ReceiverRecord, reason: str, step: Step = IDLE) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)
             self._plant_trace = self._writer("plant")
@@ -263,9 +261,7 @@ class SmallRun:
             f"{self._lives:016x}",
             record,
             self._symbols,
-            offer=step.offer,
-            tossed=step.coin,
-            report=step.measurement,
+            step=step,
             plant=LinearModel(self.scenario, Disturbances(self.scenario, noise)),
             coin=Coin(coins, self.scenario.secrecy.candidates),
             fallback=Fallback.of(self.scenario).input,

@@ -4,7 +4,6 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from protocol.statistics import COMPUTED
 from runtime.errors import DONE, FAILED, Failure, UsageError
 
 if TYPE_CHECKING:
@@ -262,27 +261,18 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
 def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | None:
     """The share of missed steps to expect of the scenario's network; None where it has none.
 
-    Computed from the distributions. Only where messages with jitter keep their order is it counted
-    over simulated messages, for there each waits for all before it.
+    Counted over simulated messages.
     """
     from protocol.statistics import share_over_runs
-    from wyner.advice.missed_share import expected_missed_share
     from wyner.advice.rate import RUNS, SEED, STEPS
     from wyner.simulate.missed import missed_steps
 
-    network = scenario.network
-    if network is None:
-        return None
-    ways = (network.to_plant, network.to_controller)
-    if all(way.reordering or way.delay == "constant" for way in ways):
-        share_of_all = expected_missed_share(scenario, folder)
-        return {"missed_share": share_of_all, "computed": True, "no_interval": COMPUTED}
     missed = missed_steps(scenario, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
-    assert missed is not None
+    if missed is None:
+        return None
     share = share_over_runs([(int(m), STEPS) for m in missed.sum(axis=0)]).as_json()
     return {
         "missed_share": share["value"],
-        "computed": False,
         "interval_95": [share["low"], share["high"]],
         "runs": RUNS,
         "steps": STEPS,
@@ -295,12 +285,10 @@ def network_lines(found: dict[str, Any] | None) -> list[str]:
     if found is None:
         return []
     share = f"network: {100 * found['missed_share']:.3g} % of steps missed"
-    if found["computed"]:
-        return [f"{share}, computed from its distributions; none in lock-step"]
     low, high = (100 * limit for limit in found["interval_95"])
     return [
-        f"{share} [{low:.3g}, {high:.3g}], counted over messages that keep their order "
-        f"({found['runs']} runs of {found['steps']} steps, seed {found['seed']}); none in lock-step"
+        f"{share} [{low:.3g}, {high:.3g}] in {found['runs']} runs of {found['steps']} steps, seed "
+        f"{found['seed']}; none in lock-step"
     ]
 
 

@@ -6,9 +6,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
 from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
+from tap_service.capture.channel import View
 from tap_service.capture.recording import CAPTURE_VERSION
 from wyner.runs.marks import HEADS, Problem, Segments
 
@@ -16,6 +18,11 @@ SHOWN: Final = 60
 """Bytes of a malformed message that are shown."""
 
 CAPTURE_HEADS: Final = {**HEADS, "vantage": "tap", "capture_version": CAPTURE_VERSION}
+
+TOLD: Final = frozenset(
+    ("event", "part", "oldest", "started_ns", "loop", "knowledge", "view", "eavesdroppers")
+) | {"appearances", "wyner_version"}
+"""What else a capture's header may hold."""
 
 _LINE: Final = re.compile(
     rb'\{"event":"field","t_ns":(?P<t>\d+),"topic":"(?P<topic>[a-z]+)","message":(?P<message>.*)\}'
@@ -118,6 +125,8 @@ class CaptureLines:
                     expected = {**CAPTURE_HEADS, "part": number_of(part)}
                     for name in [n for n, v in expected.items() if value.get(n) != v]:
                         marks.problem(number, f"{name}: got {value.get(name)!r}")
+                    if unlike := _unlike_header(value):
+                        marks.problem(number, unlike)
                 marks.mark(number, raw, value)
                 return None
             message, topic = value.get("message"), str(value.get("topic"))
@@ -143,6 +152,18 @@ class CaptureLines:
             k if isinstance(k, int) else -1,
             message,
         )
+
+
+def _unlike_header(header: dict[str, Any]) -> str:
+    """What no tap says of itself; empty where all may be."""
+    strange = sorted(header.keys() - CAPTURE_HEADS.keys() - TOLD)
+    if strange or header.get("oldest", 0) != 0:
+        return f"{(*strange, 'oldest')[0]}: not in a capture's header"
+    try:
+        View.model_validate(header.get("view"), strict=True)
+    except ValidationError as error:
+        return f"view: {error.error_count()} fields are not as expected"
+    return ""
 
 
 def _malformed(line: dict[str, Any]) -> str:

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import Any
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.incoming import Incoming
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.session import CountedTransition, Rules, reports
+from protocol.link.step import Answered, Read
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import decrypt
-from protocol.schemes.framing import Deframer, frame_length
+from protocol.schemes.framing import frame_length
 from protocol.secret.nonces import contribution_of
 from protocol.secret.stream import Part, Stream
 from protocol.vectors import Vector
@@ -72,10 +74,9 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
     def read(path: Path) -> JournalState:
         with ControllerJournal(path, rules.fingerprint) as journal:
             loaded = journal.load()
-            record, answered, t = loaded.record or SenderRecord(), loaded.measurement, None
-            applied = None if loaded.offer is None else record.offer
-            if applied and answered and answered.applied_k != record.applied_k:
-                t = _by_controller(rules, record, applied, answered, loaded.parts)
+            record, step, t = loaded.record or SenderRecord(), loaded.step, None
+            if isinstance(step, Answered) and reports(record, step.measurement):
+                t = _by_controller(rules, record, step.measurement, loaded.parts)
             delivered = record.message + (t is not None and _ends_frame(t, record, journal))
             for number in range(delivered, journal.queued):
                 journal.identifier(number)  # one that is missing is named
@@ -106,13 +107,11 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
         record, t, received = loaded.record, None, None
         if record is None:
             return None
-        if loaded.offer is not None and loaded.measurement is not None:
-            t = _by_plant(
-                rules, record, loaded.offer, loaded.measurement, loaded.coin, loaded.parts
-            )
+        if isinstance(loaded.step, Read):
+            t = _by_plant(rules, record, loaded.step, loaded.parts)
             if t.message_symbol != NO_SYMBOL:
-                under_way = _deframer(loaded.symbols + record.partial, rules.size)
-                received = under_way.push(t.message_symbol)
+                under_way = Incoming(rules.size, loaded.symbols + record.partial)
+                received = under_way.deframer.push(t.message_symbol)
         return JournalState(
             session=record.session,
             transitions=record.transitions + (t is not None),
@@ -130,13 +129,14 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
 def _by_controller(
     rules: Rules,
     record: SenderRecord,
-    offer: Offer,
     answered: Measurement,
     parts: tuple[Part, ...],
 ) -> CountedTransition:
     """The transition that the measurement it has answered reports."""
+    offer = record.offer
+    assert offer is not None
     digits = _digits(rules, offer, answered, parts)
-    t = _counted(rules, record, offer, answered.x_after, digits, record.k, answered.applied_copy)
+    t = _counted(rules, record, offer, answered.x_after, digits, answered.applied_copy)
     carried = t.role == "message"
     expected = digits[0] if digits and rules.keyed else NO_SYMBOL
     return t._replace(
@@ -147,14 +147,13 @@ def _by_controller(
 def _by_plant(
     rules: Rules,
     record: ReceiverRecord,
-    offer: Offer,
-    report: Measurement,
-    coin: int,
+    step: Read,
     parts: tuple[Part, ...],
 ) -> CountedTransition:
     """The transition that it has saved, with what it will report of it."""
+    offer, coin, report = step
     digits = _digits(rules, offer, report, parts)
-    t = _counted(rules, record, offer, report.x, digits, record.k, offer.copy_number)
+    t = _counted(rules, record, offer, report.x, digits, offer.copy_number)
     symbol = NO_SYMBOL if t.role == "test" else decrypt(offer.cipher, t.key, rules.size)
     return t._replace(message_symbol=symbol, coin=coin, u=offer.candidates[coin])
 
@@ -174,16 +173,11 @@ def _counted(
     offer: Offer,
     x_next: Vector,
     digits: tuple[int, ...],
-    k: int,
     copy: int,
 ) -> CountedTransition:
     """What the pure functions make of an applied offer after ``record``."""
-    box = rules.box(record.estimate, k - record.applied_k - 1, record.x)
-    verdict = rules.judge(record.x, offer.candidates, offer.predictions, x_next, box)
-    state = rules.scheme.restore(record.state)
-    after, carry = rules.scheme.advance(state, verdict.symbol)
-    if rules.scheme.from_stream and digits:
-        carry = carry._replace(pad=digits[-1])
+    record = record._replace(state=rules.scheme.restore(record.state))
+    counted = rules.count(record, offer, x_next, digits)
     row = None
     if rules.schedule is not None and record.transitions:
         row = contribution_of(
@@ -194,18 +188,7 @@ def _counted(
             measurement=record.nonce,
             heard=offer.heard,
         )
-    return CountedTransition.of(
-        rules.scheme,
-        record._replace(state=state),
-        offer,
-        x_next,
-        verdict,
-        after,
-        carry,
-        NO_SYMBOL,
-        row,
-        keyed=bool(digits),
-    )
+    return CountedTransition.of(rules.scheme, record, offer, x_next, counted, NO_SYMBOL, row)
 
 
 def _ends_frame(t: CountedTransition, record: SenderRecord, journal: ControllerJournal) -> bool:
@@ -214,14 +197,6 @@ def _ends_frame(t: CountedTransition, record: SenderRecord, journal: ControllerJ
         return False
     payload = journal.payload(record.message)
     return payload is not None and record.offset == frame_length(len(payload), len(t.candidates))
-
-
-def _deframer(symbols: str, size: int) -> Deframer:
-    """The frame under way, from its symbols in hexadecimal digits."""
-    deframer, width = Deframer(size), len(f"{size - 1:x}")
-    for at in range(0, len(symbols), width):
-        deframer.push(int(symbols[at : at + width], 16))
-    return deframer
 
 
 def _from_copy(

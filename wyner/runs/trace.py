@@ -53,6 +53,10 @@ TRANSITION, MISSED, INTERRUPTED = range(3)
 AT_ONCE: Final = 4096
 """Rows that are looked at, or filed, at a time."""
 
+HEADER_FIELDS: Final = frozenset(
+    ("event", "part", "oldest", "format", "version", "vantage", "scenario", "fingerprint", "loop")
+)
+
 _BEGINS: Final = b'{"event":"transition",'
 
 
@@ -63,25 +67,28 @@ class Note(NamedTuple):
     item: Item
 
 
-def columns(side: Side, shape: Shape, *, predicted: bool, truth: bool) -> np.dtype[np.void]:
+def columns(side: Side, rules: Rules, *, truth: bool) -> np.dtype[np.void]:
     """The columns of one end's trace.
 
-    ``session`` is a number in :attr:`Trace.sessions`; ``block`` and ``at`` are the position in the
-    key stream, -1 and 0 where there is none. Of a missed step ``j`` is -1. Truth that nobody told
-    is not a number.
+    ``session`` is a number in :attr:`Trace.sessions`. Of a missed step ``j`` is -1. Where the key
+    stream is used ``block`` and ``at`` are a position in it, -1 and 0 where there is none. Truth
+    that nobody told is not a number.
     """
-    n, m, size, hidden = shape
-    small = ("cipher", "symbol", "key", "message_symbol", "expected", "coin")
+    n, m, size, hidden = Shape.of(rules)
+    symbol = np.min_scalar_type(-size)
+    chosen = "coin" if side == "plant" else "expected"
     fields: list[Any] = [("kind", "i1"), ("session", "i4"), ("j", "i4"), ("k", "i4")]
     fields += [("x", "f8", (n,)), ("candidates", "f8", (size, m)), ("x_next", "f8", (n,))]
-    fields += [("gauges", "f8", (size,)), *((name, "i2") for name in small)]
-    fields += [("p", "i4"), ("s", "i4"), ("counts", "i1"), ("message", "?"), ("keyed", "?")]
-    fields += [("block", "i4"), ("at", "i4")]
+    fields += [("gauges", "f8", (size,)), ("p", "i4"), ("s", "i4"), ("counts", "i1")]
+    fields += [(name, symbol) for name in ("cipher", "symbol", "key", "message_symbol", chosen)]
+    fields += [("message", "?"), ("keyed", "?")]
+    if rules.digits:
+        fields += [("block", "i4"), ("at", "i4")]
     if side == "plant":
         fields.append(("u", "f8", (m,)))
     if truth:
         fields += [("true_x", "f8", (hidden or n,)), ("true_u", "f8", (m,))]
-    if predicted:
+    if rules.predicted:
         fields.append(("predictions", "f8", (size, n)))
     if hidden:
         fields.append(("box", "f8", (2, hidden)))
@@ -166,7 +173,7 @@ class Trace:
         self._part, self._kept = path, 0
         self._session: str | None = None
         self._resolver = Resolver()
-        self._announce = side == "plant" and not self._seeking
+        self._announce, self._killed = side == "plant" and not self._seeking, False
         self._held: MissedLine | None = None
         self._dtype: np.dtype[np.void] | None = None
         self._filed, self._numbers = bytearray(), dict[str, int]()
@@ -227,6 +234,10 @@ class Trace:
             if isinstance(item, OtherLine) and not item.again and item.line.event in events:
                 yield item
 
+    def let_go(self) -> None:
+        """Give the room of all rows back; only the rest is asked for from now on."""
+        self.rows, self._filed = self.rows[:0].copy(), bytearray()
+
     # --- reading ----------------------------------------------------------------------------------
 
     def _read(self, path: Path) -> None:
@@ -280,7 +291,7 @@ class Trace:
         elif value["event"] == CONTINUED:
             self._note(Break(ended))
             self._resolver.restart()
-            self._announce, self.of_last = self.side == "plant", 0
+            self._announce, self.of_last, self._killed = self.side == "plant", 0, not ended
 
     def _other(self, number: int, line: EventLine | MissedLine) -> None:
         if isinstance(line, MissedLine):
@@ -319,6 +330,8 @@ class Trace:
                 short = isinstance(got, int | str) and isinstance(due, int | str)
                 said = f"got {got!r}, expected {due!r}" if short else "not as the first part's"
                 self._problem(number, f"{name}: {said}")
+        if strange := sorted(header.keys() - HEADER_FIELDS):
+            self._problem(number, f"{strange[0]}: not in a trace's header")
         if not isinstance(oldest, int) or not 0 <= oldest <= part:
             self._problem(number, f"oldest: got {oldest!r}, expected 0 to {part}")
             oldest = 0
@@ -343,7 +356,8 @@ class Trace:
             return "" if (line.reason == MET) == (line.session is not None) else "of no session"
         known = line.session in self.announced or line.session in self.transitions
         if line.reason == RESUMED:
-            return "" if known or self._seeking else "and the session is a new one"
+            untold = self._killed and self._announce  # saved, and killed before it was traced
+            return "" if known or untold or self._seeking else "and the session is a new one"
         return "and the session was there before" if known else ""
 
     def _unannounced(self, number: int) -> None:
@@ -377,6 +391,8 @@ class Trace:
             self._problem(number, f"transition: {wrong(error)}")
             return
         unlike = self._shape.unlike(t, plant=self.side == "plant") or self._unlabelled(t)
+        if not unlike and bool(t.digits) > bool(self._rules.digits):
+            unlike = "digits: expected none, as the key stream is not used"
         if not unlike and (t.predictions or self._rules.predicted):
             unlike = self._rules.malformed_predictions(t.predictions).removeprefix("offer.")
         if unlike:
@@ -449,8 +465,7 @@ class Trace:
     def _file(self) -> np.dtype[np.void]:
         """Put the steps that wait into rows; returns their columns."""
         if self._dtype is None:
-            predicted, truth = self._rules.predicted, self._truth
-            self._dtype = columns(self.side, self._shape, predicted=predicted, truth=truth)
+            self._dtype = columns(self.side, self._rules, truth=self._truth)
         rows = np.array([self._row(step) for step in self._batch], self._dtype)
         self._filed += rows.tobytes()
         self._batch.clear()
@@ -466,16 +481,19 @@ class Trace:
             kind = INTERRUPTED if step.interrupted else MISSED
             row: tuple[Any, ...] = (
                 kind, session, -1, step.k, step.x, step.candidates or nowhere, step.x_next,
-                (_NAN,) * size, -1, -1, -1, -1, -1, step.coin, 0, 0, 0, False, False, -1, 0, step.u,
+                (_NAN,) * size, 0, 0, 0, -1, -1, -1, -1, step.coin, False, False,
             )  # fmt: skip
         else:
-            coin, at = -1 if step.coin is None else step.coin, step.digits or (-1, 0)
             row = (
                 TRANSITION, session, step.j, step.k, step.x, step.candidates, step.x_next,
-                step.gauges, step.cipher, step.symbol, step.key, step.message_symbol, step.expected,
-                coin, step.p, step.s, step.counts, step.role == "message", step.keyed, *at,
+                step.gauges, step.p, step.s, step.counts, step.cipher, step.symbol, step.key,
+                step.message_symbol, step.expected if step.coin is None else step.coin,
+                step.role == "message", step.keyed,
             )  # fmt: skip
-            row = row if step.u is None else (*row, step.u)
+        if self._rules.digits:
+            row = (*row, *((isinstance(step, TracedTransition) and step.digits) or (-1, 0)))
+        if step.u is not None:
+            row = (*row, step.u)
         if self._truth:
             row = (*row, step.true_x_next or (_NAN,) * (hidden or n), step.true_u or (_NAN,) * m)
         if self._rules.predicted:

@@ -17,7 +17,17 @@ from typing import Any, Final, Literal
 
 import numpy as np
 
-from wyner.runs.check import agreements, alarms, bus, files, messages, opinion, plant, replay
+from wyner.runs.check import (
+    agreements,
+    alarms,
+    bus,
+    evidence,
+    files,
+    messages,
+    opinion,
+    plant,
+    replay,
+)
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 
 MOST: Final = 100
@@ -121,6 +131,7 @@ TELLERS: Final[tuple[Callable[[Evidence], Findings], ...]] = (
     agreements.in_step,
     agreements.once,
     agreements.blocks,
+    evidence.let_go,
     bus.bus,
     files.whole,
 )
@@ -186,10 +197,11 @@ class Result:
 
 def judge(e: Evidence) -> list[Result]:
     """Every rule, and how it came out."""
+    skipped = {rule: rule.skipped(e) for rule in RULES}
     found = check(e)
     return [
-        Result(rule, [f for f in found if f.rule == rule.name], rule.skipped(e), e.cut)
-        for rule in RULES
+        Result(rule, [f for f in found if f.rule == rule.name], why, e.cut)
+        for rule, why in skipped.items()
     ]
 
 

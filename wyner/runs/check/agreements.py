@@ -7,9 +7,9 @@ import numpy as np
 
 from protocol.agreement import NO_SYMBOL
 from protocol.secret.blocks import Schedule
-from wyner.runs.check.evidence import Evidence, Finding, Findings, Indices
+from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.lines import BlockLine
-from wyner.runs.trace import AT_ONCE, TRANSITION, Rows, Trace
+from wyner.runs.trace import TRANSITION, Rows, Trace
 
 OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
 """What one end alone knows, or numbers by itself."""
@@ -26,38 +26,32 @@ def in_step(e: Evidence) -> Findings:
     if e.plant is None or e.controller is None:
         return
     plant, controller = e.plant, e.controller
+    here = np.flatnonzero(plant.rows["kind"] == TRANSITION).astype(np.int32)
+    rows = plant.rows
+    numbers = (rows["session"][here].astype(np.int64) << 32) + rows["j"][here]
+    order = np.argsort(numbers, kind="stable").astype(np.int32)
+    numbers, here = numbers[order], here[order]
     names = {name: i for i, name in enumerate(plant.sessions)}
-    beyond = {name: len(names) + i for i, name in enumerate(controller.sessions)}
-    numbers = [names.get(name, beyond[name]) for name in controller.sessions]
-    mine, here = _numbered(plant.rows, np.arange(len(plant.sessions)))
-    other, there = _numbered(controller.rows, np.array(numbers, int))
-    _, a, b = np.intersect1d(mine, other, return_indices=True)
-    begin = (0, 0)
-    if plant.gone or controller.gone:
-        begin = (a.min(), b.min()) if len(a) else (len(mine), len(other))
-    last = np.append(plant.rows["session"][here][1:] != plant.rows["session"][here][:-1], True)
-    alone = np.setdiff1d(np.arange(begin[0], len(mine)), a)
-    for i in here[alone[~last[: len(here)][alone]]]:
+    known = np.array([names.get(name, len(names)) for name in controller.sessions], int)
+    met = np.zeros(len(here), bool)
+    begun = not (plant.gone or controller.gone)  # else they are compared from where they meet
+    for theirs in controller.chunks(TRANSITION):
+        wanted = (known[theirs["session"]] << 32) + theirs["j"]
+        at = np.searchsorted(numbers, wanted)
+        there = at < len(numbers)
+        there[there] = numbers[at[there]] == wanted[there]
+        for i in np.flatnonzero(~there) if begun else ():
+            text = "the plant's trace does not have this transition"
+            yield Finding("in-step", *controller.where(theirs[i]), text)
+        if not begun and there.any():
+            met[: at[there][0]] = begun = True
+        met[at[there]] = True
+        yield from _compared(e, plant, rows[here[at[there]]], theirs[there])
+    sessions = numbers >> 32
+    last = np.append(sessions[1:] != sessions[:-1], True)[: len(met)]
+    for i in here[~met & ~last] if begun else ():
         text = "the controller has not counted this one, but the plant goes on"
-        yield Finding("in-step", *plant.where(plant.rows[i]), text)
-    for i in there[np.setdiff1d(np.arange(begin[1], len(other)), b)]:
-        text = "the plant's trace does not have this transition"
-        yield Finding("in-step", *controller.where(controller.rows[i]), text)
-    for first in range(0, len(a), AT_ONCE):
-        p = plant.rows[here[a[first : first + AT_ONCE]]]
-        c = controller.rows[there[b[first : first + AT_ONCE]]]
-        yield from _compared(e, plant, p, c)
-
-
-def _numbered(rows: Rows, sessions: Indices) -> tuple[Indices, Indices]:
-    """Session and j of each transition as one number, and the row that it stands in."""
-    here = np.flatnonzero(rows["kind"] == TRANSITION)
-    number = (
-        rows["j"][here]
-        if len(sessions) == 0
-        else rows["j"][here] + (sessions[rows["session"][here]] << 32)
-    )
-    return number, here
+        yield Finding("in-step", *plant.where(rows[i]), text)
 
 
 def _compared(e: Evidence, plant: Trace, p: Rows, c: Rows) -> Findings:
@@ -155,13 +149,12 @@ def keys_of(schedule: Schedule, trace: Trace, session: str, number: int) -> int 
     rows = trace.rows
     which = trace.sessions.index(session) if session in trace.sessions else -1
     begin, end = np.searchsorted(rows["session"], [which, which + 1])
-    rows = rows[begin:end]
-    rows = rows[["j", "k", "counts"]][rows["kind"] == TRANSITION]
+    here = begin + np.flatnonzero(rows["kind"][begin:end] == TRANSITION)
     first, length = schedule.begins(number), schedule.length(number)
-    at, after = np.searchsorted(rows["j"], [first, first + length])
+    at, after = np.searchsorted(rows["j"][here], [first, first + length])
     if after - at != length or at == 0:
         return None
     assumption = schedule.assumption
-    counted = [assumption.counting(n).bit_count() for n in rows["counts"][at:after].tolist()]
-    steps = int(rows["k"][after - 1] - rows["k"][at - 1])
+    counted = [assumption.counting(n).bit_count() for n in rows["counts"][here[at:after]].tolist()]
+    steps = int(rows["k"][here[after - 1]] - rows["k"][here[at - 1]])
     return max(0, assumption.rows(length, steps, sum(counted)) - 1)

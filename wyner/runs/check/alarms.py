@@ -8,7 +8,7 @@ import numpy as np
 
 from protocol.agreement import NO_SYMBOL
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
-from wyner.runs.lines import AlarmLine, OtherLine
+from wyner.runs.lines import AlarmLine, OtherLine, SessionLine
 
 PREDICTED: Final = 1e-9
 """Relative: an expected state is a sum of products in an order of its own."""
@@ -25,10 +25,10 @@ class Tested(NamedTuple):
     gauges: Numbers
     expected: int
     keyed: bool
-    block: int
     x: Numbers
     candidates: list[Numbers]
     x_next: Numbers
+    block: int = -1
     box: list[Numbers] | None = None
     predictions: list[Numbers] | None = None
 
@@ -52,10 +52,21 @@ def alarms(e: Evidence) -> Findings:
             if t.expected != NO_SYMBOL and not t.keyed:
                 text = f"expected: got {t.expected}, and no digits served"
                 yield Finding("alarms", trace.sessions[t.session], t.k, text)
+            if test.over and known:
+                text = "too many steps had no digit before, and no alarm is told"
+                yield Finding("alarms", trace.sessions[t.session], t.k, text)
             if reason := test.failed(t):
                 due[trace.sessions[t.session], t.j] = t, reason, known
+        elif isinstance(item, OtherLine) and isinstance(item.line, SessionLine):
+            test.began(item.line.session)
         elif isinstance(item, OtherLine) and isinstance(item.line, AlarmLine):
             line = item.line
+            if line.j < 0:
+                told = line.reason == "unwatched" and (test.over or item.again)
+                if not told and known and not trace.behind:
+                    yield Finding("alarms", line.session, line.k, "an alarm before its time")
+                test.total = 0.0
+                continue
             tested, reason, _ = due.pop((line.session, line.j), (None, "", False))
             if tested is not None:
                 text = _unlike(e, line, tested, reason)
@@ -78,6 +89,7 @@ class _Test:
     session: int = -1
     tests: "deque[bool]" = field(init=False)
     total: float | None = None
+    newest: str | None = None
 
     def __post_init__(self) -> None:
         self.tests = deque(maxlen=self.e.rules.alarm_rule.window)
@@ -100,6 +112,19 @@ class _Test:
         if rules.keyed and self._unwatched(watched=watched):
             reason = reason or "unwatched"
         return reason
+
+    def began(self, session: str | None) -> None:
+        """A session began: of the last step of the one before nobody has heard."""
+        if session is None or session == self.newest:
+            return
+        self.newest = session
+        if self.e.rules.keyed and self.total is not None:
+            self.total += 1.0 - self.e.rules.watch.share
+
+    @property
+    def over(self) -> bool:
+        """Whether the first reading of a session makes an alarm."""
+        return self.total is not None and self.total > self.e.rules.watch.burst
 
     def _unwatched(self, *, watched: bool) -> bool:
         """Whether too many steps had no digit: their cumulative sum, once there were keys."""

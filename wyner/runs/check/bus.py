@@ -124,15 +124,17 @@ class Steps:
         assert e.plant is not None
         self._e, self._rows = e, rows
         self._sessions = {name: i for i, name in enumerate(e.plant.sessions)}
-        self._keys = rows["session"].astype(np.int64) << 32 | rows["k"]
-        self._sorted = bool((np.diff(self._keys) > 0).all())
+        self._keys = rows["session"].astype(np.int64)
+        self._keys <<= 32
+        self._keys |= rows["k"]
+        self._sorted = bool((self._keys[1:] > self._keys[:-1]).all())
         if not self._sorted:  # another rule says so
             self._order = np.argsort(self._keys, kind="stable")
             self._rows, self._keys = rows[self._order], self._keys[self._order]
         applied = self._rows["kind"] == TRANSITION
         at = np.arange(len(rows), dtype=np.int32)
-        self._newest = np.maximum.accumulate(np.where(applied, at, -1))
-        ahead = np.where(applied, at, len(rows)).astype(np.int32)
+        self._newest = np.maximum.accumulate(np.where(applied, at, np.int32(-1)))
+        ahead = np.where(applied, at, np.int32(len(rows)))
         self._next = np.minimum.accumulate(ahead[::-1])[::-1]
         self._open: dict[str, int] = {}  # the symbol decided after a session's last transition
         first = self._rows["session"] == (self._rows["session"][0] if len(rows) else 0)
@@ -301,23 +303,25 @@ class Seen:
 
     def twice(self) -> Findings:
         """Nonces that travelled twice, and second copies 0."""
-        numbers, nonces = np.array(self._numbers), np.array(self._nonces)
+        numbers: Indices = np.frombuffer(self._numbers, np.int64)
+        nonces: Indices = np.frombuffer(self._nonces, np.int64)
         for values, among, text in (
-            (nonces, np.arange(len(nonces)), "carries a nonce that was there before"),
-            (numbers, np.flatnonzero(numbers & 1), "is a second copy 0"),
+            (nonces, slice(None), "carries a nonce that was there before"),
+            (numbers, (numbers & 1).astype(bool), "is a second copy 0"),
         ):
-            for i in _again(values[among]):
-                number = int(numbers[among[i]])
+            for number in numbers[among][_again(values[among])].tolist():
                 session = list(self._sessions)[number >> 34]
                 topic, k = "offer" if number & 2 else "measurement", number >> 2 & 0xFFFFFFFF
                 yield Finding("once", session, k, f"{topic} {k} {text}")
 
 
-def _again(values: Indices) -> Iterator[int]:
+def _again(values: Indices) -> Indices:
     """Places of values that stood at an earlier place."""
-    order = np.argsort(values, kind="stable")
-    for i in np.flatnonzero(np.diff(values[order]) == 0):
-        yield int(order[i + 1])
+    ordered = np.sort(values)
+    twice = ordered[1:][ordered[1:] == ordered[:-1]]
+    places = np.flatnonzero(np.isin(values, twice)) if len(twice) else np.zeros(0, np.int64)
+    first = np.unique(values[places], return_index=True)[1]
+    return np.delete(places, first)
 
 
 class Stream:

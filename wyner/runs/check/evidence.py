@@ -123,6 +123,13 @@ class Evidence:
         return inf if attack is None or (attack.at == "bus") != bus else attack.onset
 
 
+def let_go(e: Evidence) -> Findings:
+    """Let go of the controller's rows, so that there is room for what a capture takes."""
+    if e.plant is not None and e.controller is not None:
+        e.controller.let_go()
+    yield from ()
+
+
 _CALLED: Final = {
     "plant": "plant trace",
     "controller": "controller trace",

@@ -4,8 +4,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from runtime.files import read_regular
 from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
 from runtime.run_folder import (
@@ -34,16 +32,19 @@ def traces(e: Evidence) -> Findings:
         name = f"{trace.side}'s trace"
         for problem in trace.problems:
             yield Finding("traces", "", -1, f"{name}, {problem.where}: {problem.text}")
-        rows = trace.rows[["session", "j", "k"]][trace.rows["kind"] == TRANSITION]
-        seen = seen or len(rows) > 0
-        j, least = np.zeros(len(rows), int), np.full(len(rows), -1)
-        goes_on = np.flatnonzero(np.diff(rows["session"]) == 0) + 1
-        j[goes_on], least[goes_on] = rows["j"][goes_on - 1] + 1, rows["k"][goes_on - 1]
-        if trace.cut is not None and len(rows) and trace.sessions[0] == trace.cut.session:
-            j[0], least[0] = trace.cut.j + 1, trace.cut.k
-        for i in np.flatnonzero((rows["j"] != j) | (rows["k"] <= least)):
-            text = f"{name}: j = {rows[i]['j']}, expected {j[i]}, and k above {least[i]}"
-            yield Finding("traces", *trace.where(rows[i]), text)
+        place = -1, -1, -1  # session, j and k of the transition before
+        if trace.cut is not None and trace.sessions[:1] == [trace.cut.session]:
+            place = 0, trace.cut.j, trace.cut.k
+        for rows in trace.chunks(TRANSITION):
+            seen = seen or len(rows) > 0
+            for session, j, k in zip(
+                *(rows[n].tolist() for n in ("session", "j", "k")), strict=True
+            ):
+                due, least = (place[1] + 1, place[2]) if session == place[0] else (0, -1)
+                if j != due or k <= least:
+                    text = f"{name}: j = {j}, expected {due}, and k above {least}"
+                    yield Finding("traces", trace.sessions[session], k, text)
+                place = session, j, k
     if not seen and not e.cut:
         yield Finding("traces", "", -1, "no transition: nothing has happened in this run")
 

@@ -13,7 +13,7 @@ from wyner.runs.trace import INTERRUPTED, Rows, Trace
 
 COLUMNS: Final = (
     "kind", "session", "j", "k", "x", "candidates", "x_next", "gauges", "cipher", "message", "key",
-    "message_symbol", "p", "s", "symbol", "keyed", "coin",
+    "message_symbol", "p", "s", "symbol", "keyed",
 )  # fmt: skip
 
 TRUTH: Final = ("true_x_next", "true_u", "attack_failed")
@@ -65,9 +65,11 @@ class _Replay:
 
     def findings(self) -> Findings:
         """What does not follow."""
+        plant = self._trace.side == "plant"
+        names = (*COLUMNS, "coin" if plant else "expected")
         for rows in self._trace.chunks():
-            inputs = rows["u"].tolist() if self._trace.side == "plant" else [()] * len(rows)
-            for i, row in enumerate(zip(*(rows[name].tolist() for name in COLUMNS), strict=True)):
+            inputs = rows["u"].tolist() if plant else [()] * len(rows)
+            for i, row in enumerate(zip(*(rows[name].tolist() for name in names), strict=True)):
                 u = tuple(inputs[i])
                 if row[1] != self._session:
                     self._begin(row[1], row[3], u)
