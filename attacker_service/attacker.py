@@ -26,7 +26,7 @@ from attacker_service.sieve import Sieve
 from protocol.arrays import Array
 from protocol.link.events import AttackBegan
 from protocol.link.filters import Filter
-from protocol.messages import FIELD
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Attack, Scenario
 from protocol.vectors import Vector
 from runtime.errors import UsageError
@@ -35,7 +35,8 @@ from runtime.logs import logger
 HEARD: Final = 4096
 """Messages that may wait for her; the oldest go first."""
 
-TYPES: Final = {kind.topic: kind for kind in FIELD}
+KEPT: Final = 512
+"""Messages of the bus that she remembers as she rewrote them."""
 
 
 class Attacker(Filter):
@@ -71,7 +72,8 @@ class Attacker(Filter):
         if scenario.plant.C is not None:
             raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
         self.failed = self._untold = ""
-        self._heard: deque[tuple[str, bytes]] = deque(maxlen=HEARD)
+        self._heard: deque[tuple[type[FieldMessage], bytes]] = deque(maxlen=HEARD)
+        self._rewritten: dict[tuple[type[FieldMessage], str, int], tuple[Vector, ...]] = {}
         self.sieve = Sieve(scenario)
         self._onset = attack.onset
         try:
@@ -147,12 +149,6 @@ class Attacker(Filter):
 
         return self._checked(k, [u], lambda: [apply()])[0]
 
-    def incoming(self, topic: str, payload: bytes) -> None:
-        """A message on the bus: it is heard before the next reading is reported."""
-        self._heard.append((topic, payload))
-
-    outgoing = incoming
-
     def fault(self) -> str:
         """Why it is over, once."""
         told, self._untold = self._untold, ""
@@ -162,10 +158,10 @@ class Attacker(Filter):
         """Say how many messages were none of the loop's."""
         self.sieve.tell()
 
-    def _hear(self, k: int, topic: str, payload: bytes) -> None:
+    def _hear(self, k: int, kind: type[FieldMessage], payload: bytes) -> None:
         if self._offers is None or self.failed:
             return
-        message = self.sieve.beside_the_plant(TYPES[topic], payload)
+        message = self.sieve.beside_the_plant(kind, payload)
         if message is None:
             return
         self._offers.hear(message)
@@ -188,23 +184,59 @@ class Attacker(Filter):
 
     # --- the bus ----------------------------------------------------------------------------------
 
-    def candidates(self, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
-        """The candidates of step k that the plant gets."""
-        attack = self._attack
-        if k < self._onset or not isinstance(attack, BusAttack):
-            return tuple(true)
-        return self._checked(k, true, lambda: attack.toward_plant(k, np.asarray(true)))
+    def incoming(self, kind: type[FieldMessage], payload: bytes) -> bytes:
+        """A message of the field bus as it goes on; beside the plant it is heard, and goes on.
 
-    def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
-        """The x(k) that the controller gets; ``applied``: whether the offer before it was."""
-        attack = self._attack
-        if k < self._onset or not isinstance(attack, BusAttack):
-            return x
+        One that comes again is rewritten as it was before; what is none of the loop's goes on as it
+        came.
+        """
+        if self.at != "bus":
+            self._heard.append((kind, payload))  # until the next reading is reported
+            return payload
+        message = self.sieve.read(kind, payload)
+        if isinstance(message, Measurement):
+            return self._measurement(message).wire()
+        return payload if message is None else self._offer(message).wire()
 
-        def rewritten() -> list[Array]:
-            return [attack.toward_controller(k, np.asarray(x), np.asarray(applied))]
+    outgoing = incoming
 
-        return self._checked(k, [x], rewritten)[0]
+    def _offer(self, offer: Offer) -> Offer:
+        """The offer that the plant gets."""
+
+        def rewritten(attack: BusAttack) -> Any:
+            return attack.toward_plant(offer.k, np.asarray(offer.candidates))
+
+        found = self._sent_on(offer, offer.candidates, rewritten)
+        return offer.model_copy(update={"candidates": found})
+
+    def _measurement(self, m: Measurement) -> Measurement:
+        """The measurement that the controller gets."""
+        applied = np.asarray(m.applied_k == m.k - 1)
+
+        def rewritten(attack: BusAttack) -> Any:
+            return [attack.toward_controller(m.k, np.asarray(m.x), applied)]
+
+        (x,) = self._sent_on(m, (m.x,), rewritten)
+        before = self._rewritten.get((Measurement, m.session, m.applied_k + 1), (m.x_after,))
+        return m.model_copy(update={"x": x, "x_after": before[0] if m.x_after else ()})
+
+    def _sent_on(
+        self,
+        message: FieldMessage,
+        true: Sequence[Vector],
+        rewritten: Callable[[BusAttack], Any],
+    ) -> tuple[Vector, ...]:
+        """What a message says in place of ``true``, once and for all."""
+        attack, k = self._attack, message.k
+        at = type(message), message.session, k
+        if at not in self._rewritten:
+            found = tuple(true)
+            if k >= self._onset and isinstance(attack, BusAttack):
+                found = self._checked(k, true, lambda: rewritten(attack))
+            self._rewritten[at] = found
+            if len(self._rewritten) > KEPT:
+                del self._rewritten[next(iter(self._rewritten))]
+        return self._rewritten[at]
 
     # --- what it answers --------------------------------------------------------------------------
 

@@ -281,15 +281,15 @@ class FilteredPlant:
         listening = [one for one in self.filters if one.hears]
         if not listening:
             return bus
-        topics = {key_of(kind, loop): kind.topic for kind in FIELD}
+        kinds = {key_of(kind, loop): kind for kind in FIELD}
 
         def incoming(key: str, payload: bytes) -> None:
             for one in listening:
-                one.incoming(topics[key], payload)
+                one.incoming(kinds[key], payload)
 
         def outgoing(key: str, payload: bytes) -> None:
             for one in listening:
-                one.outgoing(topics[key], payload)
+                one.outgoing(kinds[key], payload)
 
         return Overheard(bus, outgoing, incoming)
 

@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from operator import add, sub
 
 from protocol.box_observer import BoxObserver
+from protocol.messages import FieldMessage
 from protocol.scenario import Scenario, SensorNoise
 from protocol.streams import Stream
 from protocol.vectors import Vector
@@ -22,7 +23,7 @@ class Filter:
     acts : bool
         It keeps something that stands in no journal: a step through it cannot be made twice.
     hears : bool
-        It wants to hear messages.
+        It wants to hear the messages that pass beside the plant; there they go on as they came.
     """
 
     acts = False
@@ -40,11 +41,13 @@ class Filter:
         """What is applied in step k where ``u`` was to be."""
         return u
 
-    def incoming(self, topic: str, payload: bytes) -> None:
-        """A message came to the plant."""
+    def incoming(self, kind: type[FieldMessage], payload: bytes) -> bytes:  # noqa: ARG002
+        """A message on its way to the plant, as it goes on."""
+        return payload
 
-    def outgoing(self, topic: str, payload: bytes) -> None:
-        """A message left the plant."""
+    def outgoing(self, kind: type[FieldMessage], payload: bytes) -> bytes:  # noqa: ARG002
+        """A message on its way from the plant, as it goes on."""
+        return payload
 
     def fault(self) -> str:
         """What has gone wrong with it since the last time that it was asked; empty: nothing."""

@@ -27,7 +27,7 @@ from typing import Any, Protocol
 
 from attacker_service.attacker import Attacker
 from attacker_service.attacks import named
-from attacker_service.relay import Asked, Relay
+from attacker_service.relay import Relay
 from controller_service.command import designed
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import ControllerConfig, ControllerService
@@ -107,7 +107,7 @@ def run(
 class Watch(Protocol):
     """Who lets an attack loose, and ends the run, by what the statuses say."""
 
-    def attacker(self, attacker: Attacker) -> Asked:
+    def attacker(self, attacker: Attacker) -> Attacker:
         """What the relay asks."""
 
     def listen(self, management: Bus, stopping: threading.Event) -> None:

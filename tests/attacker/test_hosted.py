@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import pytest
 
 from attacker_service.attacker import Attacker
-from attacker_service.relay import Relay, Rewriter
+from attacker_service.relay import Relay
 from plant_service.plant import Disturbances, FilteredPlant, LinearModel
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Attack, Scenario, attack_of
@@ -218,14 +218,14 @@ def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind:
             wide = offer.model_copy(update={"candidates": ((1.0, 2.0),) * 4})
             (attacker,) = plant.filters
             assert isinstance(attacker, Attacker)
-            attacker.outgoing("measurement", m.wire())
+            attacker.outgoing(Measurement, m.wire())
             if junk:
                 for payload in (other.wire(), wide.wire()):
-                    attacker.incoming("offer", payload)
+                    attacker.incoming(Offer, payload)
                 for payload in junk:
-                    attacker.incoming("offer", payload)
-                    attacker.outgoing("measurement", payload)
-            attacker.incoming("offer", offer.wire())
+                    attacker.incoming(Offer, payload)
+                    attacker.outgoing(Measurement, payload)
+            attacker.incoming(Offer, offer.wire())
             one = _one(plant, k)
             assert plant.truth is not None
             assert not plant.truth.failed
@@ -241,12 +241,11 @@ def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind:
 def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
     attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
     attacker = Attacker(scenario, attack, 1)
-    rewriter = Rewriter(attacker)
     junk = [*JUNK, Offer(session="0" * 16, k=2, candidates=((1.0, 2.0),), cipher=0).wire()]
     for kind in (Measurement, Offer):
         for payload in junk:
-            assert rewriter.rewritten(kind, payload) == payload, "it goes on as it came"
+            assert attacker.incoming(kind, payload) == payload, "it goes on as it came"
     offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
-    got = Offer.model_validate_json(rewriter.rewritten(Offer, offer.wire()))
+    got = Offer.model_validate_json(attacker.incoming(Offer, offer.wire()))
     assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
     assert attacker.sieve.ignored == 12

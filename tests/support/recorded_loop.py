@@ -14,7 +14,7 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
-from attacker_service.relay import Rewriter
+from attacker_service.attacker import Attacker
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
@@ -83,7 +83,7 @@ class RecordedLoop(TwoEnds):
 
     Attributes
     ----------
-    relay : Rewriter, optional
+    relay : Attacker, optional
         Through which messages of the field bus pass.
     """
 
@@ -101,7 +101,7 @@ class RecordedLoop(TwoEnds):
         super().__init__()
         self._pace = Pace(pace)
         self._attack = attack
-        self.relay: Rewriter | None = None
+        self.relay: Attacker | None = None
         self.folder = folder
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
@@ -197,13 +197,13 @@ class RecordedLoop(TwoEnds):
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
         plant = self.plant.plant if "plant" in self.ends else None
+        kind: Any = message.kind
         if isinstance(plant, FilteredPlant):
             for one in plant.filters:
-                one.incoming(message.kind.topic, message.payload)
+                one.incoming(kind, message.payload)
         if self.relay is None:
             return message
-        kind: Any = message.kind
-        return Mail(kind, self.relay.rewritten(kind, message.payload))
+        return Mail(kind, self.relay.incoming(kind, message.payload))
 
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
