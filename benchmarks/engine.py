@@ -1,7 +1,5 @@
 """The engine beside the services' cores on a virtual clock."""
 
-import cProfile
-import pstats
 import statistics
 import time
 from collections.abc import Callable
@@ -12,7 +10,6 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
 from wyner.simulate.engine import chunks, follow, simulate_runs
 from wyner.simulate.network import Simulation
-from wyner.sweeps.code import ROOT
 
 SEED: Final = 1
 ROUNDS: Final = 5
@@ -20,17 +17,6 @@ RUNS, STEPS = 4096, 200
 CORE_STEPS: Final = 1000
 ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
 INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
-PARTS: Final = {
-    ("wyner/simulate/engine/seeding.py", "generator_states"): "seeding",
-    ("wyner/simulate/engine/draws.py", "take"): "random numbers",
-    ("wyner/simulate/engine/draws.py", "disturbances"): "disturbances",
-    ("controller_service/laws/base.py", "indices"): "set index",
-    ("controller_service/laws/base.py", "candidates_many"): "both programs",
-    ("wyner/simulate/engine/loop.py", "step"): "next state and gauges",
-    ("wyner/simulate/engine/loop.py", "verdict"): "verdicts",
-    ("wyner/simulate/engine/link.py", "follow"): "automata",
-}
-"""File and function of each part; none calls another."""
 
 
 def shipped(name: str) -> Scenario:
@@ -61,21 +47,6 @@ def paper_sweep() -> float:
         one = scenario.model_copy(update={"plant": plant})
         follow(simulate_runs(one, law, seed=SEED, runs=range(20), steps=50), ALPHAS)
     return time.perf_counter() - begin
-
-
-def where(call: Callable[[], object], rounds: int) -> dict[str, float]:
-    """The share of engine runs' processor time that each part takes, from a profile."""
-    profile = cProfile.Profile(time.process_time)
-    for _ in range(rounds):
-        profile.runcall(call)
-    stats: Any = pstats.Stats(profile)  # the type stubs leave out what it holds
-    spent = {
-        (file.removeprefix(f"{ROOT}/"), function): cumulative
-        for (file, _, function), (_, _, _, cumulative, _) in stats.stats.items()
-    }
-    shares = {text: spent[part] / stats.total_tt for part, text in PARTS.items()}
-    shares["the rest"] = 1.0 - sum(shares.values())
-    return shares
 
 
 def timed(call: Callable[[], object]) -> tuple[float, float]:
@@ -132,7 +103,6 @@ def measure(
         "wall_ratio": wall_rate["engine"] / wall_rate["cores"],
         "cores_steps_per_second": rate["cores"],
         "paper_sweep_seconds": statistics.median(paper_sweep() for _ in range(rounds)),
-        "parts": where(lambda: engine_run(scenario, law, runs, steps), rounds),
     }
 
 
@@ -148,7 +118,5 @@ def render(r: dict[str, Any]) -> str:
         f"the wall clock {r['wall_ratio']:.0f})",
         f"the paper's sweep, 14 alphas, 3 initial states, 20 runs of 50 steps: "
         f"{r['paper_sweep_seconds']:.3f} s",
-        "where an engine step's time goes:",
     ]
-    lines += [f"  {100 * share:5.1f} %  {text}" for text, share in r["parts"].items()]
     return "\n".join(lines)

@@ -4,25 +4,17 @@ Keys that she knows, up to one relabelling for all steps, and whole messages. Th
 before each tap.
 """
 
-import time
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from controller_service.laws.registry import cached_design, make_law
-from protocol.agreement import NO_SYMBOL
-from protocol.relabelling import best_labels, pairs_of, right_under
 from protocol.statistics import share_over_runs
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies.outputs import heard_by
+from studies.listeners import Counts, heard, one_run
 from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import offline
 from tap_service.capture.channel import View
-from tap_service.eavesdroppers import named
-from wyner.simulate.engine import Runs, simulate_runs, transfer
-from wyner.simulate.engine.link import whole_messages
-from wyner.simulate.engine.taps import transcript
+from wyner.simulate.engine import Runs, Transfer
 
 RUNS, SEED = 20, 43
 TAPS: Final = ("text", "smoother")
@@ -97,50 +89,21 @@ COLUMNS: Final = (
 )
 
 
-class Counted(NamedTuple):
-    """What a tap made of a run: keys, those known; messages, those read; seconds of a core."""
-
-    keys: int
-    known: int
-    delivered: int
-    read: int
-    seconds: float
-
-
-def simulated(scenario_name: str, steps: int, run: int) -> Runs:
+def simulated(scenario_name: str, steps: int, run: int, payload: bytes = SHORT) -> Runs:
     """One run of a shipped scenario, with its plant as it is."""
-    scenario = load_scenario(SCENARIOS / f"{scenario_name}.toml")
-    law = make_law(scenario, cached_design(scenario))
-    runs = range(run, run + 1)
-    return simulate_runs(
-        scenario, law, seed=SEED, runs=runs, steps=steps, record=True, folder=SCENARIOS
-    )
+    return _made(Condition(scenario_name, {}, steps), run, payload)[0]
 
 
-def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[Counted]:
+def _made(condition: Condition, run: int, payload: bytes) -> tuple[Runs, Transfer]:
+    scenario = load_scenario(SCENARIOS / f"{condition.scenario}.toml")
+    steps = condition.steps
+    return one_run(scenario, run, seed=SEED, steps=steps, payload=payload, folder=SCENARIOS)
+
+
+def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[Counts]:
     """What each tap makes of a run."""
-    runs = simulated(condition.scenario, condition.steps, run)
-    scenario = runs.scenario
     payload = SENTENCES[run].encode() if condition.sentence else SHORT
-    link = transfer(runs, payloads=[payload])
-    view = View(seed=run, **condition.view)
-    transitions = heard_by(list(transcript(runs, link, 0)), view)
-    truth = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
-    size = scenario.secrecy.candidates
-    messages = whole_messages(link.message_symbol[:, 0].tolist(), size)
-    out = []
-    for kind in map(named, taps):
-        begun = time.process_time()
-        tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))
-        said = {t.k: tap.observe(t).best for t in transitions}
-        said |= {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
-        pairs = pairs_of((said[k], key) for k, key in truth.items() if k in said)
-        known = right_under(pairs, best_labels(pairs, size))
-        whole = tap.belief().whole
-        read = sum(m in whole for m in messages)
-        seconds = time.process_time() - begun
-        out.append(Counted(len(truth), known, len(messages), read, seconds))
-    return out
+    return heard(taps, _made(condition, run, payload), View(seed=run, **condition.view))
 
 
 @study("eavesdroppers", COLUMNS, lambda: CONDITIONS)

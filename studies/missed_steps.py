@@ -7,16 +7,14 @@ measurement after such a step too, nothing tells her that no symbol was carried 
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from controller_service.laws.registry import cached_design, make_law
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
-from studies.outputs import SESSION, Counts, counted, put_together
-from studies.readings import by_condition, told
+from studies.listeners import SESSION, Counts, by_condition, counted, one_run, put_together, told
 from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
 from studies.signalling import changed
 from tap_service.capture.channel import View
-from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
+from wyner.simulate.engine import Runs, Transfer
 from wyner.simulate.engine.taps import transcript
 
 RUNS, SEED = 10, 5
@@ -82,11 +80,8 @@ class Heard(NamedTuple):
 def made_of(condition: str, run: int) -> Heard:
     """What each eavesdropper makes of a run."""
     of, scenario = CONDITIONS[condition], scenario_of(condition)
-    law = make_law(scenario, cached_design(scenario))
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(run, run + 1), steps=of.steps, record=True
-    )
-    link = transfer(runs, payloads=[SENTENCES[run].encode()[: of.characters]])
+    payload = SENTENCES[run].encode()[: of.characters]
+    runs, link = one_run(scenario, run, seed=SEED, steps=of.steps, payload=payload)
     view = View(loss=of.missed, seed=run)
     transitions = put_together(messages_of(runs, link), view)
     assert runs.missed is not None

@@ -7,14 +7,11 @@ which both ends test. She hears everything.
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
-from studies.outputs import Counts, heard
-from studies.readings import by_condition, told
+from studies.listeners import Counts, by_condition, heard, one_run, told
 from studies.registry import Lines, Row, study, table
 from studies.signalling import changed
 from tap_service.capture.channel import View
-from wyner.simulate.engine import simulate_runs, transfer
 
 RUNS, STEPS, SEED = 10, 500, 7
 MESSAGE: Final = b"Sail"
@@ -50,12 +47,8 @@ def other_set_rows(condition: str) -> Iterator[tuple[Any, ...]]:
 
 def made_of(condition: str, run: int) -> list[Counts]:
     """What each eavesdropper makes of a run."""
-    scenario = scenario_of(condition)
-    law = make_law(scenario, cached_design(scenario))
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
-    )
-    return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), View())
+    made = one_run(scenario_of(condition), run, seed=SEED, steps=STEPS, payload=MESSAGE)
+    return heard(TAPS, made, View())
 
 
 @table("other-sets", "findings", "other-sets")

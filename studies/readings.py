@@ -1,6 +1,6 @@
 """What noise of the plant's own sensors leaves: candidates, keys, and the eavesdroppers."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
@@ -8,13 +8,13 @@ from controller_service.laws.registry import make_law, synthesise
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario, parse_scenario
-from protocol.statistics import Interval, share_over_runs, wilson
+from protocol.statistics import Interval, wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies.outputs import Counts, heard
+from studies.listeners import Counts, heard, one_run, told
 from studies.registry import Lines, Row, study, table
 from tap_service.capture.channel import View
-from wyner.simulate.engine import simulate_runs, transfer
+from wyner.simulate.engine import simulate_runs
 
 SHARES: Final = (0.05, 0.2, 0.3, 0.5)
 """Half-width of the noise over that of D_c, in each coordinate."""
@@ -82,37 +82,8 @@ def reading_rows(share: float) -> Iterator[tuple[Any, ...]]:
 def _heard(share: float, run: int) -> list[Counts]:
     """What each eavesdropper makes of a run."""
     scenario, law = largest(share)
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
-    )
-    return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), View())
-
-
-def told(counts: Sequence[Counts]) -> tuple[float, ...]:
-    """Keys, the share right in the end and its interval over runs; the same of messages."""
-    keys = share_over_runs((one.later, one.keys) for one in counts)
-    read = share_over_runs((one.read, one.delivered) for one in counts)
-    return (sum(c.keys for c in counts), *keys, sum(c.delivered for c in counts), *read)
-
-
-def by_condition(rows: Sequence[Row], taps: Sequence[str], conditions: Iterable[str]) -> Lines:
-    """A table of keys in % and messages read: eavesdroppers down, conditions across."""
-    cells = {(row["condition"], row["tap"]): row for row in rows}
-    names = tuple(conditions)
-    lines = [("tap", *names)]
-    for tap in taps:
-        lines.append((f"`{tap}`", *(_both(cells[name, tap]) for name in names)))
-    return lines
-
-
-def _both(row: dict[str, str]) -> str:
-    keys, read = (
-        Interval(*(100 * float(row[name]) for name in (what, f"{what}_low", f"{what}_high")))
-        for what in ("keys", "read")
-    )
-    count = round(float(row["read"]) * int(row["delivered"]))
-    share = f"{count} of {row['delivered']} [{read.low:.0f}, {read.high:.0f}]"
-    return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {share}"
+    made = one_run(scenario, run, seed=SEED, steps=STEPS, payload=MESSAGE, law=law)
+    return heard(TAPS, made, View())
 
 
 @table("readings", "control", "readings")

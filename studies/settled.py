@@ -19,17 +19,6 @@ BURN_IN: Final = 10_000
 
 LIMITS: Final = ("bits", "bits_low", "bits_high")
 
-STATED: Final = {
-    "batch-reactor": "5.65", "double-integrator": "0.0127", "encoder": "4.93",
-    "keys": "19.9", "keys-network": "19.9", "network": "2.17", "noisy": "7.92",
-    "packed": "19.9", "packed-batch-reactor": "79.7", "packed-double-integrator": "1.99",
-    "paper": "0.071", "quadruple-tank": "0.0539", "sustained": "2.28", "watched": "19.9",
-    "uniform": "2.30", "truncated Gaussian": "2.03", "sinusoid": "1.79", "constant bias": "0.09",
-    "corners of D": "0.88", "corners of D_c": "0.78", "Gaussian, 3 % outside": "2.16",
-    "Gaussian, 41 % outside": "1.76",
-}  # fmt: skip
-"""What version 1.0.0 stated, bit/s: the first 250 or 300 steps from x(0)."""
-
 PLANTS: Final = ("sustained", "double-integrator", "quadruple-tank", "batch-reactor")
 ALPHAS: Final = tuple(i / 2 for i in range(3, 17))
 
@@ -88,9 +77,7 @@ def settled_rows(loop: tuple[str, str]) -> Iterator[Any]:
 @table("settled", "findings", "settled")
 def shown(rows: Sequence[Row]) -> Lines:
     """The loops of the page: their rate from both starts, and their last key."""
-    lines: list[tuple[str, ...]] = [
-        ("loop", "law", "stated before", "from x(0)", "from the origin", "last key")
-    ]
+    lines: list[tuple[str, ...]] = [("loop", "law", "from x(0)", "from the origin", "last key")]
     found: dict[tuple[str, str], dict[str, dict[str, str]]] = {}
     for row in rows:
         if row["group"] != "plant":
@@ -108,5 +95,5 @@ def shown(rows: Sequence[Row]) -> Lines:
         quiet = not any(float(row["bits"]) for row in starts.values())
         told = f"step {last}" if quiet and last >= 0 else ("none" if quiet else f"goes on to {end}")
         label = f"scenario `{name}`" if group == "scenario" else f"disturbance: {name}"
-        lines.append((label, f"`{first['law']}`", STATED.get(name, "-"), *rates, told))
+        lines.append((label, f"`{first['law']}`", *rates, told))
     return lines

@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks import engine as bench_engine
 from benchmarks.__main__ import main
-from benchmarks.engine import PARTS, measure, render
+from benchmarks.engine import measure, render
 
 pytestmark = pytest.mark.long
 
@@ -26,12 +26,6 @@ def test_the_ratio_is_that_of_the_rates(result: dict[str, Any]) -> None:
     assert (result["rounds"], result["runs"], result["steps"]) == (2, 40, 20)
 
 
-def test_the_parts_are_the_whole_and_none_counts_twice(result: dict[str, Any]) -> None:
-    assert set(result["parts"]) == {*PARTS.values(), "the rest"}
-    assert sum(result["parts"].values()) == pytest.approx(1)
-    assert all(0 < share < 1 for share in result["parts"].values())
-
-
 def test_the_result_for_machines_and_for_people(
     result: dict[str, Any], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -40,4 +34,3 @@ def test_the_result_for_machines_and_for_people(
     assert json.loads(capsys.readouterr().out) == json.loads(json.dumps(result))
     text = render(result)
     assert f"ratio {result['ratio']:.0f} " in text
-    assert all(part in text for part in result["parts"])
