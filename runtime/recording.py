@@ -356,11 +356,8 @@ class Recording:
         make_folder(path.parent)
         self._closed = {number_of(p): p.stat().st_size for p in parts_of(path)}
         self.number = max(self._closed, default=-1)
-        if log is None:
-            self._begin(max(self.number, 0))
-        else:
-            self._begin(self.number + 1)
-        self.first_part = self.number
+        self.first_part = max(self.number, 0) if log is None else self.number + 1
+        self._begin(self.first_part)
 
     def put(self, *lines: bytes) -> None:
         """Append lines (without newlines) that belong together: no end of a part comes between.

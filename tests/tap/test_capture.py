@@ -167,7 +167,7 @@ def test_a_header_that_no_bound_has_room_for_pauses_the_recording(
     log = RotatingLog(tmp_path / CAPTURE, {"loop": "x" * 3000}, limits, LOG)
     log.write(line_of(measurement(0)))
     log.close()
-    assert (log.paused, log.dropped) == (True, 1)
+    assert (log.paused, log.dropped, log.first_part) == (True, 1, 0)
     assert "no room for a header" in caplog.text
     assert parts_of(tmp_path / CAPTURE) == []
 
