@@ -92,8 +92,8 @@ def _outputs(run: Run) -> list[TapOutput] | str:
 
 def page(e: Evidence, said: list[TapOutput] | str) -> str:
     """The whole page."""
+    results = judge(e)  # first: it takes most room, and gives it back
     recorded = _Recorded(e)
-    results = judge(e)
     s, attack = e.scenario, attacked(e.run).as_json()
     period_s = s.plant.period_s
     if e.plant is None or isinstance(said, str):
