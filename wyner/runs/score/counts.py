@@ -52,7 +52,9 @@ class PlantCounts:
         """Those of a trace; ``weights`` are the diagonals of Q and R."""
         rows = trace.steps
         counted, agreed = rows["kind"] == TRANSITION, rows["symbol"] != NO_SYMBOL
-        cost = sum(float(costs(weights, part).sum()) for part in parted(rows))
+        cost = 0.0
+        for part in parted(rows):
+            cost = total(cost, costs(weights, part))
         return cls(
             len(rows),
             cost,
@@ -88,8 +90,20 @@ def costs(weights: tuple[Vector, Vector], rows: Rows) -> Array:
         silent = np.isnan(truth[:, :1])
         u = np.where(silent, rows["u"], u)
         x = np.where(silent, rows["x_next"], x) if x.shape == rows["x_next"].shape else x
-    found: Array = (x**2 @ np.array(state[: x.shape[1]])) + (u**2 @ np.array(effort[: u.shape[1]]))
+    return _weighed(state, x) + _weighed(effort, u)
+
+
+def _weighed(weights: Vector, values: Array) -> Array:
+    """Of each row the sum of its weighed squares, in the order of its columns."""
+    found: Array = np.zeros(len(values))
+    for weight, column in zip(weights, values.T, strict=False):
+        found += weight * column * column
     return found
+
+
+def total(start: float, values: Array) -> float:
+    """``start`` and all values, added one after another: the same sum in parts of any size."""
+    return float(np.add.accumulate(np.append(start, values))[-1])
 
 
 def truth_of(rows: Rows) -> Array | None:
