@@ -12,12 +12,14 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
+from protocol.knowledge import Knowledge
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
 from runtime.collection import freeze_startup
@@ -36,6 +38,7 @@ from tap_service.config import SILENT_S, TapConfig, eighth
 from tap_service.heavy import HeavyProcess
 from tap_service.sandboxed import each_once, sandboxed
 from tap_service.status import (
+    Listener,
     absent_record,
     absent_status,
     belief_record,
@@ -93,10 +96,20 @@ class Listens(Protocol):
         """End the files and the analysis process."""
 
 
+Eavesdroppers = tuple[list[Listener], tuple[str, ...], dict[str, Knowledge]]
+"""Of a tap: the light ones, the others' names, and what each is told."""
+
+
 def run_tap(
-    make: Callable[[], Listens], field: "Addresses", adversary: "Addresses", note: Note
+    prepare: Callable[[], Callable[[], Listens]],
+    field: "Addresses",
+    adversary: "Addresses",
+    note: Note,
 ) -> int:
     """Run until SIGTERM or SIGINT; returns the exit code.
+
+    ``prepare`` makes the eavesdroppers, and what it returns begins the recording: once both buses
+    are open.
 
     Raises
     ------
@@ -112,11 +125,13 @@ def run_tap(
         stopping = stack.enter_context(stop_on_signals())
         # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
         # tap goes on, and what is said then must be heard.
-        service = make()
-        stack.callback(service.close)
+        make = prepare()
         field_bus = stack.enter_context(open_bus(field))
         told_on = stack.enter_context(open_bus(adversary))
-        service.attach(field_bus, stack.enter_context(note(told_on)))
+        adversary_bus = stack.enter_context(note(told_on))
+        service = make()
+        stack.callback(service.close)
+        service.attach(field_bus, adversary_bus)
         buses = field_bus, told_on
         stack.enter_context(
             watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
@@ -129,18 +144,34 @@ def run_tap(
     return DONE
 
 
+def eavesdroppers_of(config: TapConfig) -> Eavesdroppers:
+    """Make them.
+
+    Raises
+    ------
+    KnowledgeError
+        When one cannot be made.
+    """
+    each_once(config.names)
+    knowledge = {name: config.knowledge_of(name) for name in config.names}
+    heavy = tuple(name for name in config.names if sandboxed(name).heavy)
+    listeners_of(heavy, knowledge)  # an error is told here, before anything starts
+    light = [name for name in config.names if name not in heavy]
+    return listeners_of(light, knowledge, logger("tap")), heavy, knowledge
+
+
+def prepared(config: TapConfig) -> Callable[[], Listens]:
+    """The tap of one loop, whose eavesdroppers are made; its recording begins when it is called."""
+    return partial(TapService, config, eavesdroppers_of(config))
+
+
 class TapService:
     """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
 
-    def __init__(self, config: TapConfig) -> None:
+    def __init__(self, config: TapConfig, made: Eavesdroppers | None = None) -> None:
         self.log: logging.Logger = logger("tap")
         self._config = config
-        each_once(config.names)
-        knowledge = {name: config.knowledge_of(name) for name in config.names}
-        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
-        listeners_of(heavy, knowledge)  # an error is told here, before anything starts
-        light = [name for name in config.names if name not in heavy]
-        listeners = listeners_of(light, knowledge, self.log)
+        listeners, heavy, knowledge = made or eavesdroppers_of(config)
         header = config.header()
         guesses = eighth(config.limits)
         self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
