@@ -203,7 +203,7 @@ def run_with_knowledge(
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import TapFleet
     from tap_service.sandboxed import sandboxed
-    from tap_service.service import prepared, run_tap
+    from tap_service.service import TapService, run_tap
 
     limits = checked(
         Bounds,
@@ -257,12 +257,12 @@ def run_with_knowledge(
             if options.check:
                 return fine(f"{len(fleet.loops)} loops")
             with alone_in(run_dir_of(options.run_dir) / "tap"):
-                return run_tap(lambda: partial(TapFleet, fleet, config_in_fleet), *buses)
+                return run_tap(partial(TapFleet, fleet, config_in_fleet), *buses)
         config = config_of(told, loop_of(options.loop), Path(options.run_dir))
         if options.check:
             return fine(f"eavesdroppers {', '.join(config.names)}")
         with alone_in(run_dir_of(options.run_dir) / "tap"):
-            return run_tap(partial(prepared, config), *buses)
+            return run_tap(partial(TapService, config), *buses)
     except TransportError as error:
         raise UsageError(str(error)) from None
     except KnowledgeError as error:

@@ -12,14 +12,12 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from pydantic import ValidationError
 from pydantic_core import from_json, to_json
 
-from protocol.knowledge import Knowledge
 from protocol.messages import FIELD, FieldMessage, TapStatus
 from protocol.topics import key_of
 from runtime.collection import freeze_startup
@@ -38,7 +36,6 @@ from tap_service.config import SILENT_S, TapConfig, eighth
 from tap_service.heavy import HeavyProcess
 from tap_service.sandboxed import each_once, sandboxed
 from tap_service.status import (
-    Listener,
     absent_record,
     absent_status,
     belief_record,
@@ -96,20 +93,10 @@ class Listens(Protocol):
         """End the files and the analysis process."""
 
 
-Eavesdroppers = tuple[list[Listener], tuple[str, ...], dict[str, Knowledge]]
-"""Of a tap: the light ones, the others' names, and what each is told."""
-
-
 def run_tap(
-    prepare: Callable[[], Callable[[], Listens]],
-    field: "Addresses",
-    adversary: "Addresses",
-    note: Note,
+    make: Callable[[], Listens], field: "Addresses", adversary: "Addresses", note: Note
 ) -> int:
     """Run until SIGTERM or SIGINT; returns the exit code.
-
-    ``prepare`` makes the eavesdroppers, and what it returns begins the recording: once both buses
-    are open.
 
     Raises
     ------
@@ -125,13 +112,11 @@ def run_tap(
         stopping = stack.enter_context(stop_on_signals())
         # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
         # tap goes on, and what is said then must be heard.
-        make = prepare()
-        field_bus = stack.enter_context(open_bus(field))
-        told_on = stack.enter_context(open_bus(adversary))
-        adversary_bus = stack.enter_context(note(told_on))
         service = make()
         stack.callback(service.close)
-        service.attach(field_bus, adversary_bus)
+        field_bus = stack.enter_context(open_bus(field))
+        told_on = stack.enter_context(open_bus(adversary))
+        service.attach(field_bus, stack.enter_context(note(told_on)))
         buses = field_bus, told_on
         stack.enter_context(
             watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
@@ -144,39 +129,20 @@ def run_tap(
     return DONE
 
 
-def eavesdroppers_of(config: TapConfig) -> Eavesdroppers:
-    """Make them.
-
-    Raises
-    ------
-    KnowledgeError
-        When one cannot be made.
-    """
-    each_once(config.names)
-    knowledge = {name: config.knowledge_of(name) for name in config.names}
-    heavy = tuple(name for name in config.names if sandboxed(name).heavy)
-    listeners_of(heavy, knowledge)  # an error is told here, before anything starts
-    light = [name for name in config.names if name not in heavy]
-    return listeners_of(light, knowledge, logger("tap")), heavy, knowledge
-
-
-def prepared(config: TapConfig) -> Callable[[], Listens]:
-    """The tap of one loop, whose eavesdroppers are made; its recording begins when it is called."""
-    return partial(TapService, config, eavesdroppers_of(config))
-
-
 class TapService:
     """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
 
-    def __init__(self, config: TapConfig, made: Eavesdroppers | None = None) -> None:
+    def __init__(self, config: TapConfig) -> None:
         self.log: logging.Logger = logger("tap")
         self._config = config
-        listeners, heavy, knowledge = made or eavesdroppers_of(config)
-        header = config.header()
-        guesses = eighth(config.limits)
-        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
-        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
-        self.listeners = Listeners(listeners, self._guesses)
+        each_once(config.names)
+        knowledge = {name: config.knowledge_of(name) for name in config.names}
+        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
+        listeners_of(heavy, knowledge)  # an error is told here, before anything starts
+        light = [name for name in config.names if name not in heavy]
+        self._made = listeners_of(light, knowledge, self.log)
+        self._heavy = heavy, knowledge
+        self._begun = False
         self._clear = config.view.clear
         self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
@@ -194,14 +160,25 @@ class TapService:
         self._restarts = _starts_before(config.run_dir)
         self.heavy: HeavyProcess | None = None
         self._heavy_names = tuple(sandboxed(name).name for name in heavy)
+
+    def begin(self) -> None:
+        """Begin the recordings, and the analysis process; until then nothing is written."""
+        config, header = self._config, self._config.header()
+        guesses = eighth(config.limits)
+        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
+        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
+        self.listeners = Listeners(self._made, self._guesses)
+        heavy, knowledge = self._heavy
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
             self.heavy = HeavyProcess(assignment, self.log)
+        self._begun = True
 
     # --- the wire ---------------------------------------------------------------------------------
 
     def attach(self, field_bus: "Bus", adversary_bus: "Bus") -> None:
-        """Subscribe to the field messages, and publish on the adversary bus."""
+        """Begin, subscribe to the field messages, and publish on the adversary bus."""
+        self.begin()
         for key in self.keys:
             field_bus.subscribe(key, self.deliver, patient=True)
         self.publish_on(adversary_bus)
@@ -432,6 +409,8 @@ class TapService:
 
     def close(self) -> None:
         """End the files and the analysis process."""
+        if not self._begun:
+            return
         self.capture.close()
         self._guesses.close()
         if self.heavy is not None:

@@ -1,8 +1,8 @@
 """All messages of a transcript, one after the other, each with its probability and what it leaves.
 
-Steps as they were inferred become verdicts under each likely threshold
+Steps as they were inferred become verdicts under the likely thresholds
 (:mod:`tap_service.inference.thresholds`), verdicts and ciphertext symbols a lattice, and the
-lattices are searched for one frame after another. What she claims for a message is its share of all
+lattice is searched for one frame after another. What she claims for a message is its share of all
 that she considers: the others on the list, those that the search let go, messages of any bytes
 whatever, one that is still under way, and none at all. A step of which she did not hear whether it
 was made may be none.

@@ -465,6 +465,17 @@ def test_headless_lines_tell_the_story_without_control_codes(
     assert "PAPER'S RULE EXCEEDS TRUE" in text.splitlines()[-1]
 
 
+def test_the_last_progress_is_not_said_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that has stood still for a while before its end: looks without news come between."""
+    monkeypatch.setattr("wyner.dashboard.headless.time.sleep", lambda seconds: None)
+    batches = [list(batch) for batch in Rehearsal().arrivals(210)]
+    script, out = ScriptedSource([*batches, *[[]] * 300]), io.StringIO()
+    looks = iter(range(600))
+    run_headless(script, until=lambda: next(looks) > 500, out=out)
+    lines = [line for line in out.getvalue().splitlines() if line.startswith("step 210 ")]
+    assert len(lines) == len(set(lines)) == 1
+
+
 def test_headless_lines_come_at_a_bounded_rate(monkeypatch: pytest.MonkeyPatch) -> None:
     lines = headless(6000, monkeypatch).splitlines()
     # A minute of wall time, a progress line each two seconds, and a dozen events.

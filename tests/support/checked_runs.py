@@ -57,7 +57,7 @@ def _run_with_keys(folder: Path) -> None:
     options = RunOptions(
         scenario=str(scenario),
         message="hi",
-        pace="x10",
+        pace="x5",
         steps=STEPS,
         headless=True,
         json=True,

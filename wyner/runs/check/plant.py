@@ -82,9 +82,10 @@ def _start(e: Evidence, trace: Trace, rows: Rows) -> tuple[int, Any]:
 
 
 def _initial(e: Evidence) -> Any:
-    """x(0), of which a noisy sensor reads something else: None."""
-    known = e.scenario.plant.noise is None
-    return np.array(e.scenario.plant.initial_state) if known else None
+    """x(0); None where no scenario states it, and where a noisy sensor reads something else."""
+    plant = e.scenario.plant
+    known = plant.noise is None and plant.initial_state
+    return np.array(plant.initial_state) if known else None
 
 
 def _leads(
