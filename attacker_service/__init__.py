@@ -1,1 +1,1 @@
-"""The attacker: spoofs the sensor, the actuator or the field bus with what she holds."""
+"""The attacker: spoofs the sensor, the actuator or the field bus with what Eve holds."""

@@ -4,7 +4,8 @@ It runs in the process that hosts it, with that process's rights: a user's attac
 One that raises, or answers nonsense, is over, and from then on the truth passes.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
 from math import isfinite
 from typing import Any, Final
 
@@ -24,20 +25,22 @@ from attacker_service.holdings import Coins, Offers
 from attacker_service.sieve import Sieve
 from protocol.arrays import Array
 from protocol.link.events import AttackBegan
-from protocol.messages import FIELD
+from protocol.link.filters import Filter
+from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Attack, Scenario
 from protocol.vectors import Vector
 from runtime.errors import UsageError
 from runtime.logs import logger
 
-BusMessage = tuple[str, bytes]
-"""A message's topic and payload."""
+HEARD: Final = 4096
+"""Messages that may wait for her; the oldest go first."""
 
-TYPES: Final = {kind.topic: kind for kind in FIELD}
+KEPT: Final = 512
+"""Messages of the bus that she remembers as she rewrote them."""
 
 
-class Attacker:
-    """An attack, with the messages and keys that it holds.
+class Attacker(Filter):
+    """An attack, with the messages and keys that it holds; a filter where it is at the plant.
 
     Parameters
     ----------
@@ -63,10 +66,14 @@ class Attacker:
         With one line, when there is no such attack, or it cannot do with what it is given.
     """
 
+    acts = hears = True
+
     def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
         if scenario.plant.C is not None:
             raise UsageError("attack: expected none beside plant.C: attacks know whole states only")
-        self.failed = ""
+        self.failed = self._untold = ""
+        self._heard: deque[tuple[type[FieldMessage], bytes]] = deque(maxlen=HEARD)
+        self._rewritten: dict[tuple[type[FieldMessage], str, int], tuple[Vector, ...]] = {}
         self.sieve = Sieve(scenario)
         self._onset = attack.onset
         try:
@@ -109,13 +116,13 @@ class Attacker:
 
     # --- the sensor and the actuator --------------------------------------------------------------
 
-    def reading(self, k: int, x: Vector, heard: Iterable[BusMessage]) -> Vector:
-        """What is reported in place of the true x(k), shape (n,)."""
-        for topic, payload in heard:
-            self._hear(k, topic, payload)
-        attack, true = self._attack, np.asarray(x)
+    def sensor(self, k: int, x: Vector, y: Vector) -> Vector:  # noqa: ARG002
+        """What is reported as x(k) in place of the reading ``y``, shape (n,)."""
+        for _ in range(len(self._heard)):
+            self._hear(k, *self._heard.popleft())
+        attack, true = self._attack, np.asarray(y)
         if not isinstance(attack, SensorAttack):
-            return x
+            return y
 
         def report() -> Array:
             if k < self._onset:
@@ -124,11 +131,11 @@ class Attacker:
             shown = self._shown if self._shown is not None else true
             return np.asarray(attack.sensor(self._observation(attack, k, true, shown)), float)
 
-        (reported,) = self._checked(k, [x], lambda: [report()])
+        (reported,) = self._checked(k, [y], lambda: [report()])
         self._shown = np.asarray(reported)
         return reported
 
-    def input(self, k: int, u: Vector) -> Vector:
+    def actuator(self, k: int, u: Vector) -> Vector:
         """What is applied in place of the input that was chosen in step k, shape (m,)."""
         attack, chosen = self._attack, np.asarray(u)
         if not isinstance(attack, ActuatorAttack):
@@ -142,10 +149,19 @@ class Attacker:
 
         return self._checked(k, [u], lambda: [apply()])[0]
 
-    def _hear(self, k: int, topic: str, payload: bytes) -> None:
+    def fault(self) -> str:
+        """Why it is over, once."""
+        told, self._untold = self._untold, ""
+        return told
+
+    def close(self) -> None:
+        """Say how many messages were none of the loop's."""
+        self.sieve.tell()
+
+    def _hear(self, k: int, kind: type[FieldMessage], payload: bytes) -> None:
         if self._offers is None or self.failed:
             return
-        message = self.sieve.beside_the_plant(TYPES[topic], payload)
+        message = self.sieve.beside_the_plant(kind, payload)
         if message is None:
             return
         self._offers.hear(message)
@@ -168,23 +184,59 @@ class Attacker:
 
     # --- the bus ----------------------------------------------------------------------------------
 
-    def candidates(self, k: int, true: Sequence[Vector]) -> tuple[Vector, ...]:
-        """The candidates of step k that the plant gets."""
-        attack = self._attack
-        if k < self._onset or not isinstance(attack, BusAttack):
-            return tuple(true)
-        return self._checked(k, true, lambda: attack.toward_plant(k, np.asarray(true)))
+    def incoming(self, kind: type[FieldMessage], payload: bytes) -> bytes:
+        """A message of the field bus as it goes on; beside the plant it is heard, and goes on.
 
-    def state(self, k: int, x: Vector, *, applied: bool) -> Vector:
-        """The x(k) that the controller gets; ``applied``: whether the offer before it was."""
-        attack = self._attack
-        if k < self._onset or not isinstance(attack, BusAttack):
-            return x
+        One that comes again is rewritten as it was before; what is none of the loop's goes on as it
+        came.
+        """
+        if self.at != "bus":
+            self._heard.append((kind, payload))  # until the next reading is reported
+            return payload
+        message = self.sieve.read(kind, payload)
+        if isinstance(message, Measurement):
+            return self._measurement(message).wire()
+        return payload if message is None else self._offer(message).wire()
 
-        def rewritten() -> list[Array]:
-            return [attack.toward_controller(k, np.asarray(x), np.asarray(applied))]
+    outgoing = incoming
 
-        return self._checked(k, [x], rewritten)[0]
+    def _offer(self, offer: Offer) -> Offer:
+        """The offer that the plant gets."""
+
+        def rewritten(attack: BusAttack) -> Any:
+            return attack.toward_plant(offer.k, np.asarray(offer.candidates))
+
+        found = self._sent_on(offer, offer.candidates, rewritten)
+        return offer.model_copy(update={"candidates": found})
+
+    def _measurement(self, m: Measurement) -> Measurement:
+        """The measurement that the controller gets."""
+        applied = np.asarray(m.applied_k == m.k - 1)
+
+        def rewritten(attack: BusAttack) -> Any:
+            return [attack.toward_controller(m.k, np.asarray(m.x), applied)]
+
+        (x,) = self._sent_on(m, (m.x,), rewritten)
+        before = self._rewritten.get((Measurement, m.session, m.applied_k + 1), (m.x_after,))
+        return m.model_copy(update={"x": x, "x_after": before[0] if m.x_after else ()})
+
+    def _sent_on(
+        self,
+        message: FieldMessage,
+        true: Sequence[Vector],
+        rewritten: Callable[[BusAttack], Any],
+    ) -> tuple[Vector, ...]:
+        """What a message says in place of ``true``, once and for all."""
+        attack, k = self._attack, message.k
+        at = type(message), message.session, k
+        if at not in self._rewritten:
+            found = tuple(true)
+            if k >= self._onset and isinstance(attack, BusAttack):
+                found = self._checked(k, true, lambda: rewritten(attack))
+            self._rewritten[at] = found
+            if len(self._rewritten) > KEPT:
+                del self._rewritten[next(iter(self._rewritten))]
+        return self._rewritten[at]
 
     # --- what it answers --------------------------------------------------------------------------
 
@@ -213,7 +265,7 @@ class Attacker:
         return found
 
     def _over(self, k: int, why: str) -> None:
-        self.failed = " ".join(why.split())
+        self.failed = self._untold = " ".join(why.split())
         log = logger("attacker")
         log.error("attack: %s; from step %d on the truth passes", self.failed, k)
 

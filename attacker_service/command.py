@@ -68,7 +68,7 @@ def run_attacker(told: AttackerOptions) -> int:
             watched(stopping, logger("attacker"), plant, controller),
         ):
             Relay(attacker, plant, controller, loop).run(stopping)
-            attacker.sieve.tell()
+            attacker.close()
     except TransportError as error:
         raise UsageError(str(error)) from None
     return DONE

@@ -22,7 +22,7 @@ BENCHMARKS: Final = {
     "loop": Benchmark("benchmarks.loop", "the live loop in lock-step"),
     "pace": Benchmark("benchmarks.pace", "the highest rate that misses nothing"),
     "fleet": Benchmark("benchmarks.fleet", "many loops in three processes"),
-    "engine": Benchmark("benchmarks.engine", "the engine beside the services' functions"),
+    "engine": Benchmark("benchmarks.engine", "the engine beside the services' cores"),
     "sets": Benchmark("benchmarks.sets", "the sets beside the polytope package"),
 }
 

@@ -1,7 +1,5 @@
-"""The engine beside the services' scalar functions, in one run."""
+"""The engine beside the services' cores on a virtual clock."""
 
-import cProfile
-import pstats
 import statistics
 import time
 from collections.abc import Callable
@@ -9,32 +7,16 @@ from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from plant_service.plant import Disturbances, LinearModel
-from protocol.link.session import rules_of
 from protocol.scenario import Scenario
-from protocol.streams import COIN, DISTURBANCE, Stream
-from protocol.vectors import Vector
 from wyner.simulate.engine import chunks, follow, simulate_runs
-from wyner.simulate.single import closed_loop
-from wyner.sweeps.code import ROOT
+from wyner.simulate.network import Simulation
 
 SEED: Final = 1
 ROUNDS: Final = 5
 RUNS, STEPS = 4096, 200
-SCALAR_STEPS: Final = 4000
+CORE_STEPS: Final = 1000
 ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
 INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
-PARTS: Final = {
-    ("wyner/simulate/engine/seeding.py", "generator_states"): "seeding",
-    ("wyner/simulate/engine/draws.py", "block"): "random numbers",
-    ("wyner/simulate/engine/draws.py", "disturbances"): "disturbances",
-    ("controller_service/laws/base.py", "indices"): "set index",
-    ("controller_service/laws/base.py", "candidates_many"): "both programs",
-    ("wyner/simulate/engine/loop.py", "step"): "next state and gauges",
-    ("wyner/simulate/engine/loop.py", "verdict"): "verdicts",
-    ("wyner/simulate/engine/link.py", "follow"): "automata",
-}
-"""File and function of each part; none calls another."""
 
 
 def shipped(name: str) -> Scenario:
@@ -44,21 +26,9 @@ def shipped(name: str) -> Scenario:
     return scenario_of(name)
 
 
-def scalar_run(scenario: Scenario, law: CandidateLaw, steps: int) -> list[int]:
-    """One run through the functions of the services, step by step."""
-    noise, coins = Stream(SEED, DISTURBANCE, width=scenario.n), Stream(SEED, COIN)
-    size, plant = scenario.secrecy.candidates, LinearModel(scenario, Disturbances(scenario, noise))
-
-    def toss(k: int) -> int:
-        return int(coins.at(k)[0] * size)
-
-    def move(k: int, x: Vector, u: Vector) -> Vector:
-        plant.begin(k, x, u)
-        return plant.end(k)
-
-    judge, x = rules_of(scenario).judge, scenario.initial_state
-    loop = closed_loop(law.candidates, judge, toss, move, x, steps)
-    return [t.verdict.symbol for t in loop]
+def cores_run(scenario: Scenario, law: CandidateLaw, steps: int) -> None:
+    """One run of the services' own cores on a virtual clock."""
+    Simulation(scenario, law, seed=SEED).run(steps=steps)
 
 
 def engine_run(scenario: Scenario, law: CandidateLaw, runs: int, steps: int) -> None:
@@ -79,21 +49,6 @@ def paper_sweep() -> float:
     return time.perf_counter() - begin
 
 
-def where(call: Callable[[], object], rounds: int) -> dict[str, float]:
-    """The share of engine runs' processor time that each part takes, from a profile."""
-    profile = cProfile.Profile(time.process_time)
-    for _ in range(rounds):
-        profile.runcall(call)
-    stats: Any = pstats.Stats(profile)  # the type stubs leave out what it holds
-    spent = {
-        (file.removeprefix(f"{ROOT}/"), function): cumulative
-        for (file, _, function), (_, _, _, cumulative, _) in stats.stats.items()
-    }
-    shares = {text: spent[part] / stats.total_tt for part, text in PARTS.items()}
-    shares["the rest"] = 1.0 - sum(shares.values())
-    return shares
-
-
 def timed(call: Callable[[], object]) -> tuple[float, float]:
     """Seconds of wall time and of this process's processor time."""
     wall, cpu = time.perf_counter(), time.process_time()
@@ -105,7 +60,7 @@ def measure(
     rounds: int = ROUNDS,
     runs: int = RUNS,
     steps: int = STEPS,
-    scalar_steps: int = SCALAR_STEPS,
+    core_steps: int = CORE_STEPS,
     *,
     progress: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
@@ -120,7 +75,7 @@ def measure(
     law = make_law(scenario, cached_design(scenario))
     ways: dict[str, tuple[int, Callable[[], object]]] = {
         "engine": (runs * steps, lambda: engine_run(scenario, law, runs, steps)),
-        "scalar": (scalar_steps, lambda: scalar_run(scenario, law, scalar_steps)),
+        "cores": (core_steps, lambda: cores_run(scenario, law, core_steps)),
     }
     engine_run(scenario, law, runs, steps)
     wall: dict[str, list[float]] = {name: [] for name in ways}
@@ -130,7 +85,7 @@ def measure(
             seconds, processor = timed(call)
             wall[name].append(count / seconds)
             cpu[name].append(count / processor)
-        ratio = cpu["engine"][-1] / cpu["scalar"][-1]
+        ratio = cpu["engine"][-1] / cpu["cores"][-1]
         say(f"round {i + 1} of {rounds}: {cpu['engine'][-1]:.0f} steps/s, ratio {ratio:.0f}")
     rate = {name: statistics.median(values) for name, values in cpu.items()}
     wall_rate = {name: statistics.median(values) for name, values in wall.items()}
@@ -143,12 +98,11 @@ def measure(
         "steps_per_second": rate["engine"],
         "spread": [min(cpu["engine"]), max(cpu["engine"])],
         "wall_steps_per_second": wall_rate["engine"],
-        "ratio": rate["engine"] / rate["scalar"],
-        "ratios": [e / s for e, s in zip(cpu["engine"], cpu["scalar"], strict=True)],
-        "wall_ratio": wall_rate["engine"] / wall_rate["scalar"],
-        "scalar_steps_per_second": rate["scalar"],
+        "ratio": rate["engine"] / rate["cores"],
+        "ratios": [e / s for e, s in zip(cpu["engine"], cpu["cores"], strict=True)],
+        "wall_ratio": wall_rate["engine"] / wall_rate["cores"],
+        "cores_steps_per_second": rate["cores"],
         "paper_sweep_seconds": statistics.median(paper_sweep() for _ in range(rounds)),
-        "parts": where(lambda: engine_run(scenario, law, runs, steps), rounds),
     }
 
 
@@ -159,12 +113,10 @@ def render(r: dict[str, Any]) -> str:
         f"engine, {r['scenario']}, {r['runs']} runs of {r['steps']} steps: "
         f"{r['steps_per_second']:.3g} steps/s a core [{low:.3g}, {high:.3g}]; by the wall clock "
         f"{r['wall_steps_per_second']:.3g}",
-        f"the services' scalar functions: {r['scalar_steps_per_second']:.3g} steps/s",
+        f"the services' cores on a virtual clock: {r['cores_steps_per_second']:.3g} steps/s",
         f"ratio {r['ratio']:.0f} (medians of {r['rounds']} alternating rounds, processor time; by "
         f"the wall clock {r['wall_ratio']:.0f})",
         f"the paper's sweep, 14 alphas, 3 initial states, 20 runs of 50 steps: "
         f"{r['paper_sweep_seconds']:.3f} s",
-        "where an engine step's time goes:",
     ]
-    lines += [f"  {100 * share:5.1f} %  {text}" for text, share in r["parts"].items()]
     return "\n".join(lines)

@@ -12,10 +12,11 @@ from runtime.bus_options import (
     fleet_of,
     loop_of,
 )
-from runtime.errors import DONE, UsageError
+from runtime.errors import UsageError
 from runtime.options import (
     MessageOptions,
     checked,
+    fine,
     folder_of,
     message_of,
     option,
@@ -27,7 +28,6 @@ from runtime.recording import Bounds
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
-    from controller_service.laws.online import OnlineLaw
     from protocol.scenario import Scenario
 
 
@@ -83,11 +83,11 @@ def run_controller(options: ControllerOptions) -> int:
         pace = pace_of(options.pace)
         if options.check:
             check_loops(fleet)
-            return DONE
+            return fine(f"{len(fleet.loops)} loops")
         folder = run_dir_of(options.run_dir)
         with buses_of(options, "controller") as (stopping, field, management):
             return run_controllers(
-                fleet, folder, _law_of, bounds, pace, field, management, stopping
+                fleet, folder, designed, bounds, pace, field, management, stopping
             )
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     folder = folder_of(
@@ -95,10 +95,10 @@ def run_controller(options: ControllerOptions) -> int:
     )
     check_delays(scenario, folder)
     if options.check:
-        return DONE
+        return fine(f"scenario {scenario.name}")
     config = ControllerConfig(
         scenario=scenario,
-        law=_law_of(scenario),
+        law=designed(scenario),
         loop=loop_of(options.loop),
         message=message,
         pace=pace,
@@ -111,18 +111,6 @@ def run_controller(options: ControllerOptions) -> int:
     with buses_of(options, "controller") as (stopping, field, management):
         keep_scenario(config.run_dir, options.scenario)
         return ControllerService(config, field, management, stopping).run()
-
-
-def _law_of(scenario: "Scenario") -> "OnlineLaw":
-    """The scenario's law: by its tables, where an earlier start has left them; else it is made."""
-    from controller_service.laws.online import store_law, stored_law
-
-    stored = stored_law(scenario)
-    if stored is not None:
-        return stored
-    law = designed(scenario)
-    store_law(law, scenario)
-    return law
 
 
 def designed(scenario: "Scenario") -> "CandidateLaw":

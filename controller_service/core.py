@@ -1,4 +1,4 @@
-"""The controller's end of the link, sans I/O: one room for its steps, its session, its timers.
+"""The controller's end of the link, sans I/O: what happens to a message, and when.
 
 A step goes as in Fig. 6 of the paper: a measurement comes, the transition that it reports is judged
 and moves the automaton, the next cipher symbol is decided, and the offer is saved and said
@@ -9,23 +9,33 @@ The rules are those of :mod:`protocol.link.session`. Which plant's session is se
 :mod:`protocol.link.controller_session`.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from math import inf
 from typing import Final, Literal, NamedTuple
 from zlib import crc32
 
 from pydantic import ValidationError
 
+from controller_service.alarms import NO_TEST, Tested, alarm_of, first, tested
+from controller_service.outgoing import Outgoing
 from controller_service.telemetry import ControllerTelemetry, MessageQueue, Phase
-from protocol.agreement import NO_SYMBOL, AgreementResult
-from protocol.link.controller_session import TABLE, State, heard
+from protocol.agreement import NO_SYMBOL
+from protocol.link.controller_session import ControllerSession
 from protocol.link.distiller import Distiller
-from protocol.link.events import FELL_BACK, Alarm, Event, Reason, SessionBegan
+from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
+from protocol.link.events import (
+    BLOCKS_DIFFER,
+    DOES_NOT_FOLLOW,
+    ELSEWHERE,
+    FELL_BACK,
+    MET,
+    SessionBegan,
+)
 from protocol.link.key_events import appeared, block_notices, extraction_done
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
-from protocol.link.records import INITIAL_ID, SenderRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.records import INITIAL_ID, Loaded, SenderRecord
+from protocol.link.session import Counted, CountedTransition, Rules, reports
+from protocol.link.step import IDLE, Answered, Begun, Idle, Read
 from protocol.messages import (
     LARGEST_COUNT,
     ControllerHello,
@@ -38,21 +48,14 @@ from protocol.messages import (
     SendReply,
     StopKeys,
 )
-from protocol.schemes.base import Carry, encrypt
-from protocol.schemes.framing import IDLE, MAX_PAYLOAD, encode_frame
+from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
-from protocol.secret.nonces import Contribution, NonceSource
-from protocol.secret.stream import NOWHERE, Part, Position
+from protocol.secret.nonces import NonceSource
+from protocol.secret.stream import NOWHERE, Position
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
-
-GREETING_S: Final = 0.1
-"""Seconds between greetings while the plant speaks of a session that is not this process's."""
-
-SILENT_PERIODS: Final = 3
-"""Periods of silence before a plant counts as away; :data:`SILENCE_S` at least."""
 
 REMEMBERED_SESSIONS: Final = 16
 """Ended sessions that a controller remembers, so that a delayed hello cannot revive one."""
@@ -76,19 +79,20 @@ Predict = Callable[[Vector, Vector], Vector]
 """A nonlinear f_c: (x, u) -> the predicted state; LookupError where it has none."""
 
 
-class _Judged(NamedTuple):
-    """What the test made of the transition that a measurement reports.
+NEW: Final = Loaded[SenderRecord]()
+"""A journal that nothing was saved in."""
 
-    ``served`` are the digits of the key stream that it used. ``expected`` is the candidate that one
-    of them chose, -1 where the transition is unwatched. ``alarm`` is why it makes an alarm; empty:
-    it makes none.
+
+class _Reported(NamedTuple):
+    """What a measurement leads to.
+
+    ``following`` is the record that follows, but for what the answer adds. ``counted`` is None
+    where no new transition is reported.
     """
 
-    verdict: AgreementResult
-    carry: Carry
-    served: tuple[int, ...]
-    expected: int
-    alarm: Reason
+    following: SenderRecord
+    counted: Counted | None = None
+    test: Tested = NO_TEST
 
 
 class ControllerCore:
@@ -107,17 +111,8 @@ class ControllerCore:
         Random id of this process.
     period_s : float
         The plant's; one that has been silent for several of them is away.
-    record : SenderRecord, optional
+    loaded : Loaded
         As read back from the journal.
-    measurement, offer : optional
-        The step after that record, as read back, to be counted first: what was heard, and the
-        answer.
-    contributions : iterable of Contribution
-        Rows of key blocks that may still be needed, as read back.
-    fell_back : bool
-        The journal may lack its newest steps: its session ends.
-    parts : iterable of Part
-        Digits of the key stream that are left, as read back.
     predict : callable, optional
         f_c, where it is not linear.
     message : bytes, optional
@@ -130,11 +125,14 @@ class ControllerCore:
 
     Attributes
     ----------
-    now, plant_at, greeting_at, stale_at : float
-        The timers, in seconds: what it was told last, when the plant measured, when it may greet
-        again, when an old measurement counts again. They move together with the clock.
-    running_s : float
-        Seconds after which a plant that has not measured is away.
+    record : SenderRecord
+        What came of all steps that are counted.
+    step : Idle or Answered
+        The step after it.
+    now, stale_at : float
+        What time it was told last, and when an old measurement counts again.
+    session, outgoing, keys : ControllerSession, Outgoing, Distiller
+        The machines that it is made of, each with a state of its own.
     """
 
     hears: tuple[type[Message], ...] = (Measurement, PlantHello, SendCommand, StopKeys)
@@ -149,78 +147,52 @@ class ControllerCore:
         *,
         instance: str,
         period_s: float,
-        record: SenderRecord | None = None,
-        measurement: Measurement | None = None,
-        offer: Offer | None = None,
-        contributions: Iterable[Contribution] = (),
-        fell_back: bool = False,
-        parts: Iterable[Part] = (),
+        loaded: Loaded[SenderRecord] = NEW,
         predict: Predict | None = None,
         message: bytes | None = None,
         telemetry: ControllerTelemetry | None = None,
         status_s: float = STATUS_S,
         nonces: NonceSource = fresh_nonce,
     ) -> None:
+        read = loaded.record or SenderRecord()
+        step = loaded.step
+        assert not isinstance(step, Begun | Read)
         self.rules = rules
         self.instance = instance
         self.code: int | None = None
         self.malformed = 0
         self.messages = messages
-        read = record or SenderRecord()
+        self.now = self.stale_at = -inf
         self.record = read._replace(
             state=rules.scheme.restore(read.state), incarnation=_after(read.incarnation)
         )
-        # the step
-        self._propose = propose
-        self._predict = predict
-        self._under_way: tuple[Measurement, Offer, SenderRecord, _Judged | None] | None = None
-        """The step that waits to be counted, with what :meth:`_report` made of its measurement."""
-        self._stale = 0
-        self.stale_at = -inf
-        # the frame under way
-        self._fresh = fresh
-        self._frame: tuple[int, bytes] = (-1, b"")
-        # keys
+        self.step: Idle | Answered = step
+        self.session = ControllerSession(instance, rules.fingerprint, period_s)
+        self.outgoing = Outgoing(rules, messages, fresh)
         self.keys = Distiller(rules.schedule, rules.size, nonces)
-        if self.record.session is not None:
-            said = offer or self.record
-            newest = offer or self.record.offer
+        if read.session is not None:
+            said = read if isinstance(step, Idle) else step.offer
+            newest = read.offer if isinstance(step, Idle) else step.offer
             named = NOWHERE if newest is None else newest.position
             self.keys.begin(
-                self.record.session,
+                read.session,
                 said.block,
                 said.tag,
-                self.record.confirmed,
-                contributions,
-                parts,
+                read.confirmed,
+                loaded.rows,
+                loaded.parts,
                 Position(named.block, named.at + rules.digits),
             )
-        if self.record.refuted:
-            self.keys.fail(self.record.refuted)
-        # the session
-        self._state: State = "greeting"
-        self._plant: str | None = None
-        self._elsewhere: str | None = None
-        self.running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
-        self.plant_at = self.greeting_at = -inf
-        # what waits for `finish_step`
-        self._starting = False
-        self._fell_back = fell_back and read.session is not None
+        if read.refuted:
+            self.keys.fail(read.refuted)
+        self._propose, self._predict = propose, predict
+        self._stale = 0
+        self._fell_back = loaded.fell_back and read.session is not None
         self._first_message = message
-        self._blocks_differ = False
-        # the status
         self._telemetry = telemetry
         self._status_s = status_s
         self._status_at = inf
-        self._health_at = self.now = -inf
-        if offer is not None:
-            assert measurement is not None
-            self._under_way = (measurement, offer, *self._report(measurement, offer.cipher))
-
-    @property
-    def plant(self) -> str | None:
-        """The plant process whose session is taken up, if any."""
-        return self._plant
+        self._health_at = -inf
 
     @property
     def makes_keys(self) -> bool:
@@ -230,7 +202,7 @@ class ControllerCore:
     @property
     def refused(self) -> bool:
         """Whether the only plant shares another model: there is nothing to go on with."""
-        return self._state == "refused"
+        return self.session.state == "refused"
 
     @property
     def carries(self) -> bool:
@@ -240,143 +212,135 @@ class ControllerCore:
     @property
     def unfinished(self) -> bool:
         """Whether an offer, given now or read back from the journal, waits to be counted."""
-        return self._under_way is not None
+        return self.step is not IDLE
 
     @property
     def reported(self) -> int:
         """Transitions that the plant has reported, the one that waits to be counted included."""
-        counts = self._under_way is not None and self._under_way[3] is not None
-        return self.record.transitions + counts
+        record, step = self.record, self.step
+        counts = isinstance(step, Answered) and reports(record, step.measurement)
+        return record.transitions + counts
 
     # --- what the shell calls ---------------------------------------------------------------------
 
-    def start(self, now: float) -> Actions:
+    def start(self, now: float) -> Effects:
         """Count what a journal left to be counted, queue the first message, and greet."""
         self.now = now
         if self._telemetry is not None:
             self._status_at = now
-        if self.messages.crc_of(INITIAL_ID) is not None:
-            self._first_message = None
-        self._starting = True
-        return self.finish_step()
+        if isinstance(self.step, Answered):
+            measurement, offer = self.step
+            yield from self._count(measurement, offer, self._report(measurement, offer.cipher))
+        if self._fell_back:
+            self._drop_session()
+            yield Tell(SessionBegan(None, FELL_BACK))
+            yield self._save()
+        message = self._first_message
+        if message is not None and self.messages.crc_of(INITIAL_ID) is None:
+            yield from self._queue(SendCommand(id=INITIAL_ID, payload=message))
+        yield self._save()  # first: no other process may greet as this incarnation
+        yield Publish(self.session.hello(self.record))
+        yield from map(Extract, self.keys.tasks())
+        if self.record.halted:
+            yield self._refusal(HALTED)
 
-    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        """A measurement, a hello or announcement of the plant, or the operator's command."""
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Effects:
+        """A measurement, a hello of the plant, or the operator's command."""
         self.now = now
         try:  # what is received, and that alone: a wrong message of this end's own is a fault in it
-            message = (
-                Measurement.from_wire(payload)
-                if kind is Measurement
-                else kind.model_validate_json(payload)
-            )
+            if kind is Measurement:
+                return self._measured(Measurement.from_wire(payload))
+            if kind is PlantHello:
+                return self._heard_hello(PlantHello.model_validate_json(payload))
+            if kind is SendCommand:
+                return self._commanded(SendCommand.model_validate_json(payload))
+            if kind is StopKeys:
+                return self._stop_keys(StopKeys.model_validate_json(payload))
         except ValidationError as error:
             names = {Measurement: "measurement", PlantHello: "hello"}
             what = names.get(kind, "command")
             return self._malformed(f"{what}: {error.error_count()} fields not as expected; ignored")
-        match message:
-            case Measurement():
-                return self._measured(message)
-            case PlantHello():
-                return self._heard_hello(message)
-            case StopKeys():
-                return self._stop_keys(message)
-            case SendCommand():
-                return self._commanded(message)
         raise TypeError(f"{kind.__name__}: expected one of {self.hears}")
 
     def wake_at(self) -> float:
         """When the next status is due."""
         return self._status_at
 
-    def wake(self, now: float) -> Actions:
+    def wake(self, now: float) -> Effects:
         """A status, if it is due."""
         self.now = now
         if now < self._status_at:
-            return NOTHING_TO_DO
+            return ()
         self._status_at = next_turn(now, self._status_s, phase_of(self.instance))
         return self._status()
 
-    def finish_step(self) -> Actions:
-        """Count the step under way; what else waited for that comes after it, one at a time."""
-        if self._under_way is not None:
-            step, self._under_way = self._under_way, None
-            actions = self._count(*step)
-        elif self._blocks_differ:
-            self._blocks_differ = False
-            actions = self._end_session(
-                "blocks differ", "a key block differs from the plant's; session ended"
-            )
-        elif self._fell_back:
-            self._fell_back = False
-            self._drop_session()
-            actions = self._saved(Actions((SessionBegan(None, FELL_BACK),)))
-        elif self._first_message is not None:
-            actions = self._queue(SendCommand(id=INITIAL_ID, payload=self._first_message))
-            self._first_message = None
-        else:
-            assert self._starting, "nothing waits to be finished"
-            self._starting = False
-            # Saved first: no other process may greet as this incarnation.
-            greeting = Actions(
-                publish=(self._greeting(),),
-                tasks=self.keys.tasks(),
-                notices=(self._refusal(HALTED),) if self.record.halted else (),
-            )
-            actions = self._saved(greeting)
-        if self._starting or self._blocks_differ:
-            return actions._replace(finish_step=True)
-        return actions
-
-    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Effects:
         """A key block is extracted, or none can be any more."""
         return extraction_done(self.keys, block)
 
-    def appear(self, count: int) -> Actions:
+    def appear(self, count: int) -> Effects:
         """From now on a message leaves ``count`` times."""
         return appeared(self.keys, self.record.session, self.record.k, count)
 
-    def stop(self, now: float) -> Actions:
+    def stop(self, now: float) -> Effects:
         """The last status."""
         self.now = now
         if self._telemetry is not None and self._telemetry.phase != "refused":
             self._telemetry.phase = "stopped"
         self._health_at = now
-        actions = self._status()
-        # between steps the digits that have served are erased now, and else with the next step
-        return actions if self.unfinished else self._saved(actions)
+        if self.step is IDLE:  # digits that have served are erased now, and else with the next step
+            yield self._save()
+        yield from self._status()
 
     # --- a step: measurement, verdict, next symbol, offer -----------------------------------------
 
-    def _measured(self, measurement: Measurement) -> Actions:
-        """Judge what it reports, decide, offer (rules 2 and 3); the counting is left for later."""
-        assert self._under_way is None, "the step before has not been counted"
-        record = self.record
+    def _measured(self, measurement: Measurement) -> Effects:
+        """Judge what it reports, decide, offer (rules 2 and 3); then count."""
+        assert self.step is IDLE, "the step before has not been counted"
+        record, session = self.record, self.session
         if wrong := self._malformed_states(measurement):
-            return self._malformed(f"{wrong}; ignored")
-        if self._plant is None or measurement.session != record.session:
-            here = measurement.session != self._elsewhere
-            answer, self._state = TABLE[
-                self._state, "session not taken up" if here else "session elsewhere"
-            ]
-            return self._remind() if answer == "remind" else NOTHING_TO_DO
-        self.plant_at = self.now
+            yield from self._malformed(f"{wrong}; ignored")
+            return
+        if not session.serves(measurement, record):
+            if session.stranger(measurement) == "remind":
+                yield from self._remind()
+            return
+        session.plant_at = self.now
         if measurement.k < record.k:
-            return self._old(measurement)
+            yield from self._old(measurement)
+            return
         self._stale = 0
         before = record.offer
         if before is not None and measurement.k == before.k:
             if measurement.applied_k == record.applied_k and measurement.x == record.x:
-                return self._offers(self.keys.again(before))
-            return self._diverged(measurement)
+                self._set_phase("running")
+                yield Publish(self.keys.again(before))
+            else:
+                yield from self._diverged(measurement)
+            return
         if measurement.applied_k != record.applied_k and (
             before is None or measurement.applied_k != before.k or not measurement.x_after
         ):
-            return self._diverged(measurement)
-        following, judged = self._report(measurement)
-        if following.halted:
-            if record.halted:
-                return NOTHING_TO_DO
-            return self._without_offer(measurement, following, judged, HALTED, "alarmed")
+            yield from self._diverged(measurement)
+            return
+        reported = self._report(measurement)
+        following = reported.following
+        if following.halted and record.halted:
+            return
+        offer = HALTED if following.halted else self._offer(measurement, following)
+        if isinstance(offer, str):  # what the measurement reports counts all the same
+            self._set_phase("alarmed" if following.halted else "outside", self._detail)
+            yield self._refusal(offer)
+            yield from self._count(measurement, None, reported)
+            return
+        self.step = Answered(measurement, offer)
+        self._set_phase("running")
+        yield self._save()
+        yield Publish(offer)
+        yield from self._count(measurement, offer, reported)
+
+    def _offer(self, measurement: Measurement, following: SenderRecord) -> Offer | str:
+        """The answer to a measurement, or why there is none."""
         try:
             missed = measurement.k - measurement.applied_k - 1
             box = self.rules.box(following.estimate, missed, measurement.x)
@@ -384,32 +348,32 @@ class ControllerCore:
             candidates = self._propose(x)
             predictions = self._predictions(x, candidates)
         except LookupError as error:
-            return self._without_offer(measurement, following, judged, str(error), "outside")
+            return str(error)
         block, tag = self.keys.announcement()
         position = self._next_position(block)
-        offer = Offer(
+        count = self.rules.digits
+        digits = self.keys.stream.at(position, count) if count else None
+        return Offer(
             session=measurement.session,
             k=measurement.k,
             candidates=candidates,
             predictions=predictions,
-            cipher=self._cipher(following, position),
+            cipher=self.outgoing.cipher(following, digits),
             copy_number=self.keys.copy(),
             nonce=self.keys.nonce(),
             heard=measurement.copy_number,
             block=block,
             tag=tag,
-            stream_block=position.block if self.rules.digits else None,
-            stream_at=position.at if self.rules.digits else None,
+            stream_block=position.block if count else None,
+            stream_at=position.at if count else None,
         )
-        self._under_way = measurement, offer, following, judged
-        return self._offers(offer, measurement)
 
-    def _old(self, measurement: Measurement) -> Actions:
+    def _old(self, measurement: Measurement) -> Effects:
         """It is of a step that was answered before: held back by the network, or replayed."""
         if self.now >= self.stale_at:
             self.stale_at = self.now + STALE_S
             self._stale += 1
-        return NOTHING_TO_DO if self._stale < STALE else self._diverged(measurement)
+        return () if self._stale < STALE else self._diverged(measurement)
 
     def _malformed_states(self, measurement: Measurement) -> str:
         """What is wrong with a measurement's vectors; nothing where they are the plant's."""
@@ -423,32 +387,6 @@ class ControllerCore:
             return f"measurement: got a state beyond {LARGEST_STATE:g}"
         return self.rules.malformed_digits("measurement.keyed", measurement.keyed)
 
-    def _offers(self, offer: Offer, measurement: Measurement | None = None) -> Actions:
-        """Publish an offer; one that was not saved before is saved, with what it answers."""
-        if self._telemetry is not None:
-            self._telemetry.phase, self._telemetry.detail = "running", ""
-        if measurement is None:
-            return Actions(publish=(offer,))
-        step = Actions(offer=offer, measurement=measurement, publish=(offer,), finish_step=True)
-        return self._saved(step)
-
-    def _without_offer(
-        self,
-        measurement: Measurement,
-        following: SenderRecord,
-        judged: _Judged | None,
-        why: str,
-        phase: Phase,
-    ) -> Actions:
-        """There is no answer to give: what the measurement reports counts all the same."""
-        if self._telemetry is not None:
-            self._telemetry.phase = phase
-        actions = self._saved(self._count(measurement, None, following, judged))
-        return actions._replace(
-            notices=(self._refusal(why), *actions.notices),
-            finish_step=self._blocks_differ,
-        )
-
     def _predictions(self, x: Vector, candidates: tuple[Vector, ...]) -> tuple[Vector, ...]:
         """f_c(x, u_i) where f_c is not linear; raises LookupError where it has no answer."""
         if not self.rules.predicted:
@@ -456,72 +394,41 @@ class ControllerCore:
         assert self._predict is not None, "a nonlinear f_c is the controller's to bring"
         return tuple([self._predict(x, u) for u in candidates])
 
-    def _report(
-        self, measurement: Measurement, decided: int | None = None
-    ) -> tuple[SenderRecord, _Judged | None]:
+    def _report(self, measurement: Measurement, decided: int | None = None) -> _Reported:
         """Judge the offer that ``measurement`` reports as applied; decide the next symbol.
 
-        Returns the record that follows, but for what the answer adds, and what the test made of the
-        transition. Where the measurement reports none that is new, the symbol decided before stays.
-        ``decided`` is the cipher symbol of an answer that was given before.
+        Where it reports no new transition, the symbol decided before stays. ``decided`` is the
+        cipher symbol of an answer that was given before.
         """
-        record = self.record
-        offer = record.offer
-        if offer is None or measurement.applied_k == record.applied_k:
-            return record, None
-        verdict = self.rules.judge(
-            record.x,
-            offer.candidates,
-            offer.predictions,
-            measurement.x_after,
-            self.rules.box(record.estimate, record.k - record.applied_k - 1, record.x),
-        )
-        after, carry = self.rules.scheme.follow(record.state, verdict.symbol)
-        served = self._served(offer, measurement)
-        if self.rules.scheme.from_stream and served:
-            carry = carry._replace(pad=served[-1])
-        if self.rules.scheme.from_stream and not served:
-            following = record._replace(state=after)  # the symbol was not carried: it comes again
+        record, rules = self.record, self.rules
+        offer, counted = record.offer, None
+        if record.k < 0:
+            following, test = record, first(rules, record)
+        elif offer is None or not reports(record, measurement):
+            return _Reported(record)
         else:
-            message, offset = record.message, record.offset
-            # The frame is looked at in every state, as in `_decide`.
-            if offset == len(self._frame_of(message)) and record.framed:
-                message, offset = message + 1, 0
-            following = self._decide(after, record.transitions + 1, message, offset, decided)
-        if verdict.estimate is not None:
-            following = following._replace(estimate=verdict.estimate)
-        expected = served[0] if served and self.rules.keyed else NO_SYMBOL
-        failure = self._failure(verdict, expected, offer)
-        alarm, tests = self.rules.alarm_rule.test(record.failed, failed=failure != "")
-        unwatched, too_many = record.unwatched, False
-        if self.rules.keyed:
-            watched = expected != NO_SYMBOL
-            unwatched, too_many = self.rules.watch.after(unwatched, watched=watched)
-        reason: Reason = failure if alarm else "unwatched" if too_many else ""
-        following = following._replace(
-            failed=tests,
-            unwatched=unwatched,
-            halted=record.halted or (reason != "" and self.rules.halts),
-        )
-        return following, _Judged(verdict, carry, served, expected, reason)
+            digits = self._served(offer, measurement)
+            counted = rules.count(record, offer, measurement.x_after, digits)
+            test = tested(rules, record, offer, counted)
+            if rules.scheme.from_stream and not digits:
+                # the symbol was not carried: it comes again
+                following = record._replace(state=counted.state)
+            else:
+                following = self.outgoing.following(record, counted.state, decided)
+        kept = (record.failed, record.unwatched, record.halted)
+        if (test.failed, test.unwatched, test.halted) != kept:
+            following = following._replace(
+                failed=test.failed, unwatched=test.unwatched, halted=test.halted
+            )
+        if counted is not None and counted.verdict.estimate is not None:
+            following = following._replace(estimate=counted.verdict.estimate)
+        return _Reported(following, counted, test)
 
     def _served(self, offer: Offer, measurement: Measurement) -> tuple[int, ...]:
         """The digits of an applied offer, where the plant says that they served."""
         if not measurement.keyed:
             return ()
         return self.keys.stream.at(offer.position, self.rules.digits) or ()
-
-    def _failure(self, verdict: AgreementResult, expected: int, offer: Offer) -> Reason:
-        """What speaks against a transition; nothing where it passes its test.
-
-        A plant that has the offer's digits uses them. It has them: once it has announced
-        their block it takes no step before it has confirmed it.
-        """
-        if self.rules.fails(verdict, expected):
-            return "unexplained" if expected == NO_SYMBOL else "another candidate"
-        if self.rules.keyed and expected == NO_SYMBOL and offer.position != NOWHERE:
-            return "digits refused"
-        return ""
 
     def _next_position(self, announced: int) -> Position:
         """Where the next offer's digits begin.
@@ -533,176 +440,105 @@ class ControllerCore:
             return NOWHERE
         return self.keys.stream.name(self.rules.digits, announced)
 
-    def _cipher(self, following: SenderRecord, position: Position) -> int:
-        """The cipher symbol of an offer."""
-        if not self.rules.scheme.from_stream:
-            return following.cipher
-        size = self.rules.size
-        digits = self.keys.stream.at(position, self.rules.digits)
-        if digits is None:
-            return self._fresh.symbol(following.transitions, size)
-        return encrypt(following.message_symbol, digits[-1], size)
-
-    def _decide(
-        self,
-        state: tuple[int, ...],
-        transitions: int,
-        message: int,
-        offset: int,
-        decided: int | None = None,
-    ) -> SenderRecord:
-        """Decide the cipher symbol of the transition to come: once, and never again (rule 3).
-
-        The record that follows has it, with where in the queue the next message symbol comes from.
-        Both decisions are made in both states, and one is taken, so that neither takes longer.
-        Under the key stream the message symbol is decided, and each offer encrypts it anew
-        (:meth:`_cipher`).
-        """
-        size, scheme = self.rules.size, self.rules.scheme
-        pad = scheme.pad(state)
-        fresh = 0
-        if decided is not None:
-            fresh = decided
-        elif not scheme.from_stream:
-            fresh = self._fresh.symbol(transitions, size)
-        symbols = self._frame_of(message)
-        framed = bool(symbols)
-        message_symbol = symbols[offset] if framed else IDLE
-        carrying = self.record._replace(
-            state=state,
-            cipher=0 if scheme.from_stream else encrypt(message_symbol, pad, size),
-            message_symbol=message_symbol,
-            framed=framed,
-            message=message,
-            offset=offset + framed,
-        )
-        cover = self.record._replace(
-            state=state,
-            cipher=fresh,
-            message_symbol=NO_SYMBOL,
-            framed=False,
-            message=message,
-            offset=offset,
-        )
-        if pad == NO_SYMBOL and not scheme.from_stream:
-            return cover
-        return carrying
-
-    def _frame_of(self, message: int) -> bytes:
-        """The frame of a queued message, or nothing while there is none."""
-        number, symbols = self._frame
-        if number != message:
-            payload = self.messages.payload(message)
-            if payload is None:
-                return b""
-            symbols = encode_frame(payload, self.rules.size)
-            self._frame = (message, symbols)
-        return symbols
-
     # --- and then: count --------------------------------------------------------------------------
 
     def _count(
         self,
         measurement: Measurement,
         offer: Offer | None,
-        following: SenderRecord,
-        judged: _Judged | None,
-    ) -> Actions:
+        reported: _Reported,
+    ) -> Effects:
         """Bring the record up to the answer given: the transition that it reports, if any."""
-        before = self.record
-        if offer is not None:
-            nonce = "" if measurement.copy_number else measurement.nonce
-            following = following._replace(nonce=nonce, block=offer.block, tag=offer.tag)
+        before, (following, counted, test) = self.record, reported
+        self.step = IDLE
         self.keys.heard(measurement)
-        events: tuple[Event, ...] = ()
-        notices: tuple[Notice, ...] = ()
-        contribution, delivered = None, None
-        if judged is None:  # no transition: the state, and the arrows from it, stay
-            self.record = following._replace(k=measurement.k, x=measurement.x, offer=offer)
-        else:
-            applied = before.offer
-            assert applied is not None
-            contribution = self.keys.count(
-                before.transitions,
-                applied.k - before.applied_k,
-                applied,
-                measurement.applied_copy,
-                before.nonce,
-            )
+        transition = delivered = alarm = None
+        if counted is not None:
+            assert before.offer is not None
             if following.message != before.message:
                 delivered = self._queued(before.message)
-            transition = CountedTransition.of(
-                self.rules.scheme,
-                before,
-                applied,
-                measurement.x_after,
-                judged.verdict,
-                following.state,
-                judged.carry,
-                before.message_symbol if judged.carry.pad != NO_SYMBOL else NO_SYMBOL,
-                contribution,
-                keyed=bool(judged.served),
-                expected=judged.expected,
-                delivered=delivered,
-            )
-            self.record = following._replace(
-                k=measurement.k,
-                applied_k=applied.k,
-                transitions=before.transitions + 1,
-                agreements=before.agreements + (1 if transition.symbol != NO_SYMBOL else 0),
-                p=transition.p,
-                x=measurement.x,
-                offer=offer,
-            )
-            alarm = self._alarm(transition, applied, judged.alarm) if judged.alarm else None
+            transition = self._transition(before, measurement, counted, test.expected, delivered)
             if self._telemetry is not None:
-                self._telemetry.counted(transition, alarm)
-            events = (transition,)
-            if delivered is not None:
-                self._status_soon()
-                notices = (Notice(f"message {delivered.id} delivered"),)
-            if alarm is not None:
-                events = (transition, alarm)
-                notices = (*notices, Notice(alarm.sentence(), "error", "alarms"))
-        if before.offer is not None:
+                self._telemetry.counted(transition)
+        if test.reason:
+            alarm = alarm_of(self.rules, measurement, transition, before.offer, test.reason)
+            if self._telemetry is not None:
+                self._telemetry.alarmed(alarm)
+        said, nonce = offer or before, before.nonce
+        if offer is not None:
+            nonce = "" if measurement.copy_number else measurement.nonce
+        self.record = following._replace(
+            k=measurement.k,
+            x=measurement.x,
+            offer=offer,
+            applied_k=before.applied_k if transition is None else transition.k,
+            transitions=before.transitions + (transition is not None),
+            agreements=before.agreements
+            + (transition is not None and transition.symbol != NO_SYMBOL),
+            p=before.p if transition is None else transition.p,
+            nonce=nonce,
+            block=said.block,
+            tag=said.tag,
+        )
+        if before.offer is not None and self.rules.digits:
             self.keys.used(before.offer.position, self.rules.digits)
         ended = self.keys.ended()
-        self._blocks_differ = any(block.what == "unequal" for block in ended)
-        actions = Actions(
-            (*ended, *events),
-            notices=(*notices, *block_notices(self.keys, ended)),
-            tasks=self.keys.tasks(),
+        for block in ended:
+            yield Tell(block)
+        if transition is not None:
+            yield Tell(transition)
+        if alarm is not None:
+            yield Tell(alarm)
+        if delivered is not None or offer is None:  # else the next step saves the record
+            yield self._save(durable=delivered is not None)
+        if self.keys.on:
+            yield from map(Extract, self.keys.tasks())
+        if delivered is not None:
+            self._status_soon()
+            yield Notice(f"message {delivered.id} delivered")
+        if alarm is not None:
+            yield Notice(alarm.sentence(), "error", "alarms")
+        if ended:
+            yield from block_notices(self.keys, ended)
+        if any(block.what == "unequal" for block in ended):
+            yield from self._end_session("blocks differ", BLOCKS_DIFFER)
+
+    def _transition(
+        self,
+        before: SenderRecord,
+        measurement: Measurement,
+        counted: Counted,
+        expected: int,
+        delivered: SendCommand | None,
+    ) -> CountedTransition:
+        """The transition that the record's offer made of it, with its row of keys."""
+        applied = before.offer
+        assert applied is not None
+        contribution = self.keys.count(
+            before.transitions,
+            applied.k - before.applied_k,
+            applied,
+            measurement.applied_copy,
+            before.nonce,
         )
-        if delivered is None:  # the next step saves the record
-            return actions
-        return self._saved(actions)._replace(durable=True)
-
-    def _saved(self, actions: Actions) -> Actions:
-        """``actions``, which save the record as it is now, with all that belongs to it.
-
-        They may save it already, as it was before.
-        """
-        self.record = self.record._replace(confirmed=self.keys.confirmed)
-        rows = self.keys.rows()
-        if actions.record is not None:
-            rows = actions.rows.and_then(rows)
-        return actions._replace(record=self.record, rows=rows)
-
-    def _alarm(self, transition: CountedTransition, applied: Offer, reason: Reason) -> Alarm:
-        """What was read and what was expected, of a transition that makes an alarm."""
-        gauges, candidate = transition.verdict.gauges, transition.expected
-        if candidate == NO_SYMBOL:
-            candidate = gauges.index(min(gauges))
-        return Alarm(
-            transition.session,
-            transition.j,
-            transition.k,
-            transition.x_next,
-            reason,
-            candidate,
-            self.rules.prediction(transition.x, applied, candidate, transition.verdict.box),
-            gauges[candidate],
+        carried = counted.carry.pad != NO_SYMBOL
+        return CountedTransition.of(
+            self.rules.scheme,
+            before,
+            applied,
+            measurement.x_after,
+            counted,
+            before.message_symbol if carried else NO_SYMBOL,
+            contribution,
+            expected=expected,
+            delivered=delivered,
         )
+
+    def _save(self, queued: SendCommand | None = None, *, durable: bool = False) -> Save:
+        """The record and the step as they are now, with all that belongs to them."""
+        if self.record.confirmed != self.keys.confirmed:
+            self.record = self.record._replace(confirmed=self.keys.confirmed)
+        return Save(self.record, self.step, self.keys.rows(), "", queued, None, durable)
 
     def _queued(self, number: int) -> SendCommand:
         """Message ``number``, as it was handed over."""
@@ -712,66 +548,58 @@ class ControllerCore:
 
     # --- sessions ---------------------------------------------------------------------------------
 
-    def _heard_hello(self, hello: PlantHello) -> Actions:
+    def _heard_hello(self, hello: PlantHello) -> Effects:
         """The plant spoke on the management bus: do as the table says."""
-        record = self.record
-        what = heard(
-            hello,
-            record,
-            instance=self.instance,
-            fingerprint=self.rules.fingerprint,
-            plant=self._plant,
-            running=self.now - self.plant_at < self.running_s,
-        )
-        answer, self._state = TABLE[self._state, what]
-        if self._state != "elsewhere":
-            self._elsewhere = None
-        if answer == "greet":
-            return Actions(publish=(self._greeting(),))
-        if answer == "catch up and greet":
-            self.record = record._replace(incarnation=_after(hello.incarnation))
-            return self._saved(Actions(publish=(self._greeting(),)))
-        if answer == "remind":
-            return self._remind()
-        if answer in ("serve", "adopt and serve"):
-            return self._serve(hello)
-        if answer == "refuse":
-            # The session here is over once the plant begins another. Whoever asks may be gone for
-            # long: its hello may come late, and ends nothing.
-            why = "the plant is in a session this journal does not know"
-            if what == "asked, session does not fit":
-                why = "the journals do not fit together"
-            reply = self._hello("unknown-session", hello)
-            return Actions(publish=(reply,), notices=(self._refusal(why),))
-        if answer in ("step back", "end and step back"):
-            return self._step_back(hello, ends=answer == "end and step back")
-        if answer == "log":
-            text = f"plant {hello.instance} speaks up while plant {self._plant} runs: "
-            return Actions(notices=(self._refusal(f"{text}two plants on one loop?"),))
-        if answer in ("say model", "give up"):
-            return self._other_model(hello, gives_up=answer == "give up")
-        return NOTHING_TO_DO
+        session = self.session
+        what, answer = session.hears(hello, self.record, self.now)
+        match answer:
+            case "greet":
+                yield Publish(session.hello(self.record))
+            case "catch up and greet":
+                self.record = self.record._replace(incarnation=_after(hello.incarnation))
+                yield self._save()
+                yield Publish(session.hello(self.record))
+            case "remind":
+                yield from self._remind()
+            case "serve" | "adopt and serve":
+                yield from self._serve(hello)
+            case "refuse":
+                # The session here is over once the plant begins another. Whoever asks may be gone
+                # for long: its hello may come late, and ends nothing.
+                why = "the plant is in a session this journal does not know"
+                if what == "asked, session does not fit":
+                    why = "the journals do not fit together"
+                yield Publish(session.hello(self.record, "unknown-session", hello))
+                yield self._refusal(why)
+            case "step back" | "end and step back":
+                yield from self._step_back(hello, ends=answer == "end and step back")
+            case "log":
+                text = f"plant {hello.instance} speaks up while plant {session.plant} runs: "
+                yield self._refusal(f"{text}two plants on one loop?")
+            case "say model" | "give up":
+                yield from self._other_model(hello, gives_up=answer == "give up")
 
-    def _serve(self, hello: PlantHello) -> Actions:
+    def _serve(self, hello: PlantHello) -> Effects:
         """Take up a session, the journal's or a new one. A repeated request is answered again."""
-        actions = NOTHING_TO_DO
-        known = (self._plant, self.record.session)
+        session = self.session
+        known = (session.plant, self.record.session)
         if hello.session != self.record.session:
             self._adopt(hello.session)
-            began = SessionBegan(hello.session, "the plant began it")
-            actions = self._saved(Actions((began,)))
-        self._plant = hello.instance
+            yield Tell(SessionBegan(hello.session, MET))
+            yield self._save()
+        session.plant = hello.instance
+        yield Publish(session.hello(self.record, "accepted", hello))
         if (hello.instance, hello.session) != known:
-            if self._telemetry is not None:
-                self._telemetry.phase, self._telemetry.detail = "running", ""
-            text = f"session {hello.session} taken up with plant {hello.instance}"
-            actions = actions._replace(notices=(Notice(text),))
-        return actions._replace(publish=(self._hello("accepted", hello),))
+            self._set_phase("running")
+            yield Notice(f"session {hello.session} taken up with plant {hello.instance}")
 
     def _adopt(self, session: str) -> None:
         """Begin a session; the frame under way starts again."""
-        self.record = self._no_session()._replace(session=session)
-        self.record = self._decide(self.record.state, 0, self.record.message, 0)
+        unwatched = self.record.unwatched
+        if self.rules.keyed:  # of the last step of the session before nobody has heard
+            unwatched = self.rules.watch.unheard(unwatched)
+        record = self._no_session()._replace(session=session, unwatched=unwatched)
+        self.record = self.outgoing.decide(record, record.state, 0, record.message, 0)
         self._stale = 0
         self.keys.begin(session)
 
@@ -793,129 +621,109 @@ class ControllerCore:
 
     def _drop_session(self) -> None:
         """Forget the session and its half-agreed key."""
-        self._plant = None
+        self.session.plant = None
         self.record = self._no_session()
         self.keys.begin("")
-        if self._telemetry is not None:
-            self._telemetry.phase = "greeting"
+        self._set_phase("greeting", self._detail)
 
-    def _end_session(self, what: Literal["does not follow", "blocks differ"], why: str) -> Actions:
+    def _end_session(
+        self, what: Literal["does not follow", "blocks differ"], why: str, said: str = ""
+    ) -> Effects:
         """One of the two ends went back in time: end the session, and greet."""
-        _, self._state = TABLE[self._state, what]
+        self.session.on(what)
         self._drop_session()
-        events = (SessionBegan(None, why),)
-        return self._saved(self._remind())._replace(events=events, notices=(self._refusal(why),))
+        yield Tell(SessionBegan(None, why))
+        yield self._save()
+        yield from self._remind()
+        yield self._refusal(said or f"{why}; session ended")
 
-    def _diverged(self, measurement: Measurement) -> Actions:
+    def _diverged(self, measurement: Measurement) -> Effects:
         """The plant reports what this journal rules out."""
         text = f"measurement {measurement.k} does not follow from the journal; session ended"
-        return self._end_session("does not follow", text)
+        return self._end_session("does not follow", DOES_NOT_FOLLOW, text)
 
-    def _step_back(self, hello: PlantHello, *, ends: bool) -> Actions:
+    def _step_back(self, hello: PlantHello, *, ends: bool) -> Effects:
         """The plant asks another controller, or is with one: offer nothing in that session."""
-        self._elsewhere = hello.session
         why = f"plant {hello.instance} is with controller {hello.controller}, and not with "
         why += f"this one, {self.instance}"
-        actions = Actions(notices=(self._refusal(why),))
+        self.session.plant = None
+        self._set_phase("greeting", self._detail)
         if ends:
             self._drop_session()
-            actions = self._saved(actions)._replace(events=(SessionBegan(None, why),))
-        self._plant = None
-        if self._telemetry is not None:
-            self._telemetry.phase = "greeting"
-        return actions
+            yield Tell(SessionBegan(None, ELSEWHERE))
+            yield self._save()
+        yield self._refusal(why)
 
-    def _other_model(self, hello: PlantHello, *, gives_up: bool) -> Actions:
+    def _other_model(self, hello: PlantHello, *, gives_up: bool) -> Effects:
         """The two ends cannot work together."""
-        notices = [self._refusal(f"plant {hello.instance} shares another model")]
+        refusal = self._refusal(f"plant {hello.instance} shares another model")
+        detail = (
+            f"the plant's model is {hello.fingerprint[:8]}, "
+            f"this controller's is {self.rules.fingerprint[:8]}"
+        )
         if gives_up:
             self.code = USAGE
-            detail = (
-                f"the plant's model is {hello.fingerprint[:8]}, "
-                f"this controller's is {self.rules.fingerprint[:8]}"
-            )
-            if self._telemetry is not None:
-                self._telemetry.phase, self._telemetry.detail = "refused", detail
-            notices.append(Notice(f"{detail}: the two ends must share one scenario", "error"))
-        return Actions(publish=(self._hello("other-model", hello),), notices=tuple(notices))
+            self._set_phase("refused", detail)
+        yield Publish(self.session.hello(self.record, "other-model", hello))
+        yield refusal
+        if gives_up:
+            yield Notice(f"{detail}: the two ends must share one scenario", "error")
 
-    def _remind(self) -> Actions:
+    def _remind(self) -> Effects:
         """Greet, but not too often."""
-        if self.now < self.greeting_at:
-            return NOTHING_TO_DO
-        self.greeting_at = self.now + GREETING_S
-        return Actions(publish=(self._greeting(),))
-
-    def _greeting(self) -> ControllerHello:
-        """Ask the plant to say which session it is in.
-
-        The record must have been saved before: no other process may greet as this incarnation.
-        """
-        return self._hello("greeting")
-
-    def _hello(
-        self,
-        verdict: Literal["greeting", "accepted", "unknown-session", "other-model"],
-        hello: PlantHello | None = None,
-    ) -> ControllerHello:
-        return ControllerHello(
-            instance=self.instance,
-            incarnation=self.record.incarnation,
-            fingerprint=self.rules.fingerprint,
-            verdict=verdict,
-            session=hello.session if hello else self.record.session,
-            answers=hello.instance if hello else None,
-        )
+        if self.session.may_greet(self.now):
+            yield Publish(self.session.hello(self.record))
 
     def _refusal(self, text: str) -> Notice:
         if self._telemetry is not None:
             self._telemetry.detail = text
         return Notice(text, "warning", "refusals")
 
-    def _malformed(self, text: str) -> Actions:
+    def _malformed(self, text: str) -> Effects:
         self.malformed += 1
-        return Actions(notices=(Notice(text, "warning", "malformed"),))
+        return (Notice(text, "warning", "malformed"),)
 
     # --- keys -------------------------------------------------------------------------------------
 
-    def _stop_keys(self, command: StopKeys) -> Actions:
+    def _stop_keys(self, command: StopKeys) -> Effects:
         """The claim that keys rest on is refuted: no more are made, and no offer has digits."""
         if self.record.refuted or not self.keys.on:
-            return NOTHING_TO_DO
+            return
         self.record = self.record._replace(refuted=command.reason)
         self.keys.fail(command.reason)
         self._status_soon()
-        notice = Notice(f"keys stop: {command.reason}", "error")
-        return self._saved(Actions(notices=(notice,), durable=True))
+        yield self._save(durable=True)
+        yield Notice(f"keys stop: {command.reason}", "error")
 
     # --- commands ---------------------------------------------------------------------------------
 
-    def _commanded(self, command: SendCommand) -> Actions:
+    def _commanded(self, command: SendCommand) -> Effects:
         """The operator hands over a message; the same identifier is queued once."""
         size, queued = len(command.payload), self.messages.crc_of(command.id)
         waiting = self.messages.queued - self.record.message
-        accepted, detail, actions = False, "", NOTHING_TO_DO
+        accepted, detail = False, ""
         if command.id == INITIAL_ID:
             detail = f"id: {INITIAL_ID!r} is the message that the controller is started with"
         elif size > MAX_PAYLOAD:
             detail = f"message: got {size} bytes, expected at most {MAX_PAYLOAD}"
         elif queued is None:
-            actions, accepted = self._queue(command), True
+            accepted = True
             waiting += 1
+            yield from self._queue(command)
         elif queued == crc32(command.payload):
             accepted, detail = True, "already queued"
         else:
             detail = f"id: {command.id!r} is another message's"
-        reply = SendReply(id=command.id, accepted=accepted, queued=waiting, detail=detail)
-        return actions._replace(publish=(reply,))
+        yield Publish(SendReply(id=command.id, accepted=accepted, queued=waiting, detail=detail))
 
-    def _queue(self, command: SendCommand) -> Actions:
+    def _queue(self, command: SendCommand) -> Effects:
         """Traced first: what is queued in the journal must not be missing from the trace.
 
         The record goes with it. The step under way was decided without this message: should it be
         counted again, then so too. On the disk before it is accepted.
         """
-        return self._saved(Actions((command,), queued=command, durable=True))
+        yield Tell(command)
+        yield self._save(command, durable=True)
 
     # --- the status -------------------------------------------------------------------------------
 
@@ -926,15 +734,24 @@ class ControllerCore:
             self.record, self.rules, self.keys, self.messages, self.malformed
         )
 
-    def _status(self) -> Actions:
+    def _status(self) -> Effects:
         """A status to publish, and once in :data:`HEALTH_S` to be kept."""
         if self._telemetry is None:
-            return NOTHING_TO_DO
+            return
         status = self.status()
-        keep = self.now >= self._health_at
-        if keep:
+        yield Publish(status)
+        if self.now >= self._health_at:
             self._health_at = self.now + HEALTH_S
-        return Actions(publish=(status,), health=status if keep else None)
+            yield Show(status)
+
+    def _set_phase(self, phase: Phase, detail: str = "") -> None:
+        """Set the status's phase and detail."""
+        if self._telemetry is not None:
+            self._telemetry.phase, self._telemetry.detail = phase, detail
+
+    @property
+    def _detail(self) -> str:
+        return "" if self._telemetry is None else self._telemetry.detail
 
     def _status_soon(self) -> None:
         """Have a status published and kept at the next wake, which is then due at once."""

@@ -77,9 +77,8 @@ def open_controller(
     try:
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         loaded = journal.load()
-        record = loaded.record
-        if record is not None and config.clear_alarm:
-            record = record._replace(halted=False)
+        if loaded.record is not None and config.clear_alarm:
+            loaded = loaded._replace(record=loaded.record._replace(halted=False))
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
@@ -97,12 +96,7 @@ def open_controller(
         symbols(config.seed, CIPHER),
         instance=new_id(),
         period_s=scenario.plant.period_s,
-        record=record,
-        measurement=loaded.measurement,
-        offer=loaded.offer,
-        contributions=loaded.rows,
-        fell_back=loaded.fell_back,
-        parts=loaded.parts,
+        loaded=loaded,
         predict=predict,
         message=config.message,
         telemetry=telemetry,

@@ -53,8 +53,8 @@ class ControllerTelemetry:
         self._delivered: bytes | None = None
         self._seq = 0
 
-    def counted(self, t: CountedTransition, alarm: Alarm | None) -> None:
-        """Take in a transition, and the alarm that it makes."""
+    def counted(self, t: CountedTransition) -> None:
+        """Take in a transition."""
         self._unexplained += t.verdict.unexplained
         if t.expected != NO_SYMBOL:
             self._watched += 1
@@ -62,9 +62,11 @@ class ControllerTelemetry:
             self._unwatched += 1
         if t.delivered is not None:
             self._delivered = t.delivered.payload
-        if alarm is not None:
-            self._alarms += 1
-            self._alarm = alarm
+
+    def alarmed(self, alarm: Alarm) -> None:
+        """Take in an alarm."""
+        self._alarms += 1
+        self._alarm = alarm
 
     def status(
         self,
@@ -118,6 +120,6 @@ class ControllerTelemetry:
         return {
             "alarm_k": alarm.k,
             "alarm_reading": alarm.reading,
-            "alarm_expected": alarm.expected,
+            "alarm_expected": () if alarm.reason == "unwatched" else alarm.expected,
             "alarm_gauge": min(alarm.gauge, LARGEST_GAUGE),
         }

@@ -11,8 +11,8 @@ from runtime.bus_options import (
     fleet_of,
     loop_of,
 )
-from runtime.errors import DONE, UsageError
-from runtime.options import checked, folder_of, option, pace_of, picked, run_dir_of
+from runtime.errors import UsageError
+from runtime.options import checked, fine, folder_of, option, pace_of, picked, run_dir_of
 from runtime.recording import Bounds
 from runtime.run_folder import PLANT_SAFE
 
@@ -72,7 +72,7 @@ def run_plant(options: PlantOptions) -> int:
             raise UsageError("--steps: a fleet runs until it is stopped")
         if options.check:
             check_loops(fleet)
-            return DONE
+            return fine(f"{len(fleet.loops)} loops")
         folder = run_dir_of(options.run_dir)
         with buses_of(options, "plant") as (stopping, field, management):
             return run_plants(fleet, folder, pace, bounds, field, management, stopping)
@@ -83,7 +83,7 @@ def run_plant(options: PlantOptions) -> int:
     )
     check_delays(scenario, folder)
     if options.check:
-        return DONE
+        return fine(f"scenario {scenario.name}")
     config = PlantConfig(
         scenario=scenario,
         loop=loop_of(options.loop),

@@ -7,22 +7,21 @@ from typing import TYPE_CHECKING
 
 from plant_service.adapters.base import PlantAdapter, PlantError, Stepped
 from plant_service.adapters.registry import NOISE_OF_ITS_OWN, is_model, open_plant
-from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.plant import (
     Coin,
     Disturbances,
     LinearModel,
-    NoisyPlant,
     OperatedPlant,
-    OutputPlant,
     Plant,
+    sensed,
 )
 from plant_service.status import PlantTelemetry
 from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
+from protocol.link.step import Read
 from protocol.scenario import Attack, Scenario
 from protocol.secret.nonces import NonceSource
 from protocol.streams import DISTURBANCE, SENSOR, Stream, SymbolSource
@@ -98,8 +97,7 @@ def open_core(
         When a device is to run at another pace than its own, or the attack cannot be made.
     """
     loaded = journal.load()
-    record, offer, report = loaded.record, loaded.offer, loaded.measurement
-    u = () if offer is None else offer.candidates[loaded.coin]
+    record, step = loaded.record, loaded.step
     attacker = None if attack is None else _attacker(scenario, attack, seed)
     sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
@@ -126,29 +124,19 @@ def open_core(
         plant = OperatedPlant(operated, disturbances, enters)
     try:
         draws = sensors or Stream(sensor_seed, SENSOR, width=scenario.readings)
-        if observer is not None and not plant.device:
-            state = scenario.initial_state if x is None else x
-            if record is not None and not plant.acts:
-                state = record.true_x or state
-            read = OutputPlant(plant, observer, spec, draws, state)
-            if report is not None and not plant.acts:
-                read.begin(report.applied_k, (), u)
-                read.end(report.applied_k)
-            plant, x = read, read.read(0 if record is None else record.k + 1)
-        elif spec is not None and not plant.device:
-            noisy = NoisyPlant(plant, spec, draws)
-            k = 0 if record is None else record.k + 1  # of a step that was cut short
-            if report is not None:
-                noisy.recall(report.k, report.x, u)
-            plant, x = noisy, noisy.read(k, scenario.initial_state if x is None else x)
-        if attacker is not None and attacker.at != "bus":
-            x = scenario.initial_state if x is None else x
-            plant = AttackedPlant(plant, attacker, x)
+        at_plant = None if attacker is None or attacker.at == "bus" else attacker
+        last = None
+        if isinstance(step, Read):
+            last = (step.report, step.offer.candidates[step.coin])
+        plant, x = sensed(plant, scenario, at_plant, draws, x, record, last)
         if attacker is not None and telemetry is not None:
             telemetry.attack = attacker.began.sentence()
-        first = record or first_record(scenario, new_id(), x)._replace(
-            sensor_seed=sensor_seed if spec is not None or observer is not None else 0
-        )
+        first = None
+        if record is None:
+            seeded = spec is not None or observer is not None
+            first = first_record(scenario, new_id(), x)._replace(
+                sensor_seed=sensor_seed if seeded else 0
+            )
         return PlantCore(
             rules_of(scenario),
             plant,
@@ -158,16 +146,9 @@ def open_core(
             new_id,
             now,
             instance=new_id(),
-            record=first,
-            symbols=loaded.symbols,
-            contributions=loaded.rows,
-            parts=loaded.parts,
-            offer=offer,
-            tossed=loaded.coin,
-            report=report,
+            loaded=loaded,
+            first=first,
             back=x if plant.acts and record is not None else None,
-            fresh=record is None,
-            fell_back=loaded.fell_back,
             steps=steps,
             telemetry=telemetry,
             watchdog_s=scenario.link.watchdog_s,

@@ -4,18 +4,23 @@ A computed model, a simulation and a device differ in two facts: whether a step 
 the plant moves by itself. The order of a step is the core's (:mod:`plant_service.core`).
 """
 
+from collections.abc import Sequence
 from math import isfinite
-from operator import add, sub
+from operator import add
 from typing import Protocol
 
 from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
-from protocol.box_observer import BoxObserver
+from protocol.link.filters import Filter, read_through, sensors_of
+from protocol.link.records import ReceiverRecord
 from protocol.link.session import Truth
-from protocol.scenario import Scenario, SensorNoise
+from protocol.messages import FIELD, Measurement
+from protocol.scenario import Scenario
 from protocol.streams import Stream, SymbolSource
+from protocol.topics import key_of
 from protocol.vectors import Vector
+from runtime.bus import Bus, Overheard
 from runtime.errors import Failure
 
 
@@ -153,132 +158,6 @@ class LinearModel:
         return ""
 
 
-class NoisyPlant:
-    """A plant that is read through sensors with noise: y(k) = x(k) + n(k).
-
-    What is known of it outside is y. Its state is y(k) - n(k), and n(k) is draw k of a seeded
-    stream: so it stands in no journal, and is the same after a restart.
-
-    Parameters
-    ----------
-    plant : Plant
-    noise : SensorNoise
-    draws : Stream
-        Of as many uniform numbers as there are states.
-    """
-
-    def __init__(self, plant: Plant, noise: SensorNoise, draws: Stream) -> None:
-        self._plant = plant
-        self._noise, self._draws = noise, draws
-        self.acts, self.device = plant.acts, plant.device
-        self.truth: Truth | None = None
-        self._u: Vector = ()
-
-    def read(self, k: int, x: Vector) -> Vector:
-        """y(k)."""
-        return tuple(map(add, x, self._noise.drawn(self._draws.at(k))))
-
-    def state(self, k: int, y: Vector) -> Vector:
-        """x(k)."""
-        return tuple(map(sub, y, self._noise.drawn(self._draws.at(k))))
-
-    def recall(self, k: int, y: Vector, u: Vector) -> None:
-        """Step ``k - 1``, of the journal, led to ``y`` under ``u``."""
-        self.truth = Truth(self.state(k, y), u)
-
-    def prepare(self, k: int) -> None:
-        """As the plant."""
-        self._plant.prepare(k)
-
-    def begin(self, k: int, x: Vector, u: Vector) -> None:
-        """Apply ``u`` at the state that was read as ``x``."""
-        self._u = u
-        self._plant.begin(k, self.state(k, x), u)
-
-    def end(self, k: int) -> Vector:
-        """y(k+1)."""
-        y = self.read(k + 1, self._plant.end(k))
-        self.truth = Truth(self.state(k + 1, y), self._u)
-        return y
-
-    def safe(self, why: str) -> None:
-        """As the plant."""
-        self._plant.safe(why)
-
-    def close(self) -> str:
-        """As the plant."""
-        return self._plant.close()
-
-
-class OutputPlant:
-    """A simulation that is read through some outputs alone: y(k) = C x(k) + n(k).
-
-    Its state stands in the plant's journal, as no reading tells it. A step that the journal has and
-    did not count is made again, where it does not act: so n and d must come of streams that are the
-    same after a restart. Of one that acts the state is lost with the process, and is never told.
-
-    Parameters
-    ----------
-    plant : Plant
-        No device, whose sensors read what they read.
-    observer : BoxObserver
-        For C.
-    noise : SensorNoise, optional
-        None: the sensors are exact.
-    draws : Stream
-        Of as many uniform numbers as there are readings.
-    x : tuple of float, shape (n,)
-        Where the plant stands.
-    """
-
-    device = False
-
-    def __init__(
-        self,
-        plant: Plant,
-        observer: BoxObserver,
-        noise: SensorNoise | None,
-        draws: Stream,
-        x: Vector,
-    ) -> None:
-        self._plant, self._observer = plant, observer
-        self._noise, self._draws = noise, draws
-        self._x = x
-        self._u: Vector = ()
-        self.acts = plant.acts
-        self.truth: Truth | None = None
-
-    def read(self, k: int) -> Vector:
-        """y(k), of the state as it is."""
-        exact = self._observer.read(self._x)
-        if self._noise is None:
-            return exact
-        return tuple(map(add, exact, self._noise.drawn(self._draws.at(k))))
-
-    def prepare(self, k: int) -> None:
-        """As the plant."""
-        self._plant.prepare(k)
-
-    def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
-        """Apply ``u`` where the plant stands; ``x`` is what was read of that."""
-        self._u = u
-        self._plant.begin(k, self._x, u)
-
-    def end(self, k: int) -> Vector:
-        """y(k+1)."""
-        self._x = self._plant.end(k)
-        self.truth = None if self.acts else Truth(self._x, self._u)
-        return self.read(k + 1)
-
-    def safe(self, why: str) -> None:
-        """As the plant."""
-        self._plant.safe(why)
-
-    def close(self) -> str:
-        """As the plant."""
-        return self._plant.close()
-
-
 class OperatedPlant:
     """A device, or a simulation that somebody else wrote.
 
@@ -333,3 +212,134 @@ class OperatedPlant:
     def close(self) -> str:
         """Close the plant. Returns in one line what its code raised, or nothing."""
         return self.operated.close()
+
+
+class FilteredPlant:
+    """A plant behind filters: its state stands here, and the core gets what is read through them.
+
+    Parameters
+    ----------
+    plant : Plant
+    filters : sequence of Filter
+        In the order of a reading's way to the core.
+    x : tuple of float, shape (n,)
+        Where the plant stands.
+    told : bool
+        Whether the truth of a step is told.
+    """
+
+    def __init__(
+        self, plant: Plant, filters: Sequence[Filter], x: Vector, *, told: bool = True
+    ) -> None:
+        self._plant = plant
+        self.filters = filters
+        self.acts = plant.acts or any(one.acts for one in filters)
+        self.x = x
+        self._told = told
+        self.device = plant.device
+        self.truth: Truth | None = None
+        self._u: Vector = ()
+
+    def recall(self, k: int, y: Vector, u: Vector) -> None:
+        """Step ``k - 1``, of the journal, led to the reading ``y`` under ``u``."""
+        for one in self.filters:
+            self.x = one.known(k, self.x, y)
+        self.truth = Truth(self.x, u)
+
+    def prepare(self, k: int) -> None:
+        """As the plant."""
+        self._plant.prepare(k)
+
+    def begin(self, k: int, x: Vector, u: Vector) -> None:  # noqa: ARG002
+        """Apply what the filters make of ``u``, where the plant stands; ``x`` is its reading."""
+        for one in self.filters:
+            u = one.actuator(k, u)
+        self._u = u
+        self._plant.begin(k, self.x, u)
+
+    def end(self, k: int) -> Vector:
+        """x(k+1) as it is read; the true one is in :attr:`truth`."""
+        self.x = self._plant.end(k)
+        y, self.x = read_through(self.filters, k + 1, self.x)
+        if self._told:
+            fault = "".join(one.fault() for one in self.filters)
+            self.truth = Truth(self.x, self._u, fault)
+        return y
+
+    def safe(self, why: str) -> None:
+        """As the plant."""
+        self._plant.safe(why)
+
+    def close(self) -> str:
+        """As the plant."""
+        for one in self.filters:
+            one.close()
+        return self._plant.close()
+
+    def overheard(self, bus: Bus, loop: str) -> Bus:
+        """The field bus, of which the filters that listen hear every message that passes here."""
+        listening = [one for one in self.filters if one.hears]
+        if not listening:
+            return bus
+        kinds = {key_of(kind, loop): kind for kind in FIELD}
+
+        def incoming(key: str, payload: bytes) -> None:
+            for one in listening:
+                one.incoming(kinds[key], payload)
+
+        def outgoing(key: str, payload: bytes) -> None:
+            for one in listening:
+                one.outgoing(kinds[key], payload)
+
+        return Overheard(bus, outgoing, incoming)
+
+
+def sensed(
+    plant: Plant,
+    scenario: Scenario,
+    attack: Filter | None,
+    draws: Stream,
+    started: Vector | None,
+    record: ReceiverRecord | None,
+    last: tuple[Measurement, Vector] | None,
+) -> tuple[Plant, Vector | None]:
+    """The plant behind its filters, and its first reading.
+
+    Parameters
+    ----------
+    plant : Plant
+    scenario : Scenario
+    attack : Filter, optional
+        The last of them.
+    draws : Stream
+        Of the sensors' noise.
+    started : tuple of float, optional
+        Where the plant has started; None: where the scenario says.
+    record : ReceiverRecord, optional
+        As read back from a journal.
+    last : tuple of Measurement and tuple of float, optional
+        What the journal's uncounted step came to, and the input that led there.
+    """
+    sensors = [] if plant.device else sensors_of(scenario, draws)
+    if attack is None and not sensors:
+        return plant, started
+    outputs = scenario.observer is not None
+    filters = sensors if attack is None else [*sensors, attack]
+    x = scenario.initial_state if started is None else started
+    found = FilteredPlant(plant, filters, x, told=not (outputs and plant.acts))
+    if last is not None and attack is None and not outputs:
+        report, u = last
+        found.recall(report.k, report.x, u)
+    if record is None or found.acts:  # it stands where it has started
+        y, found.x = read_through(sensors, 0 if record is None else record.k + 1, x)
+        return found, y
+    if outputs:
+        found.x = record.true_x or x
+        if last is not None:  # the step is made again
+            report, u = last
+            found.begin(report.applied_k, (), u)
+            found.end(report.applied_k)
+    elif last is None:
+        found.recall(record.k, record.x, ())
+        found.truth = None
+    return found, None

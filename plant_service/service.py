@@ -9,9 +9,9 @@ from pathlib import Path
 
 from plant_service.adapters.base import PlantError
 from plant_service.adapters.registry import is_model
-from plant_service.attacked import AttackedPlant
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
+from plant_service.plant import FilteredPlant
 from plant_service.status import PlantTelemetry
 from protocol.link.channel import Channel
 from protocol.link.networked import behind
@@ -158,7 +158,7 @@ class PlantService(EndService[PlantCore]):
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
         log, opened = logger("plant"), open_plant(config, clock())
-        if isinstance(opened[0].plant, AttackedPlant):
+        if isinstance(opened[0].plant, FilteredPlant):
             field = opened[0].plant.overheard(field, config.loop)
         try:
             channel = _channel(config)

@@ -46,7 +46,7 @@ def load(name: str, shipped: Mapping[str, str]) -> Any:
         known = ", ".join(shipped)
         raise UnknownError(f"got {name!r}, expected {known} or path/to/file.py:Name")
     where, _, attribute = shipped.get(name, name).rpartition(":")
-    return getattr(module_at(where)[0], attribute, None)
+    return getattr(_read_once(where)[0], attribute, None)
 
 
 def load_class(name: str, shipped: Mapping[str, str], base: type[T]) -> type[T]:
@@ -58,7 +58,17 @@ def load_class(name: str, shipped: Mapping[str, str], base: type[T]) -> type[T]:
         When there is none, it does not extend ``base``, it lacks methods, or its class attribute
         ``name`` is none.
     """
-    found = load(name, shipped)
+    return checked_class(load(name, shipped), name, base)
+
+
+def checked_class(found: object, name: str, base: type[T]) -> type[T]:
+    """``found``, where it is such a class, and ``name`` what it is called in a line.
+
+    Raises
+    ------
+    UnknownError
+        When it does not extend ``base``, lacks methods, or its class attribute ``name`` is none.
+    """
     if not (isinstance(found, type) and issubclass(found, base)):
         what = f"{base.__module__}.{base.__name__}"
         class_name = name.rpartition(":")[2]
@@ -85,16 +95,22 @@ def source_of(name: str) -> str:
 
     It is of the text that runs. Modules that the file imports are not in it.
     """
-    return module_at(name.rpartition(":")[0])[1] if names_a_file(name) else ""
+    return _read_once(name.rpartition(":")[0])[1] if names_a_file(name) else ""
 
 
 _READ: dict[Path, tuple[ModuleType, str]] = {}
 
 
+def _read_once(where: str) -> tuple[ModuleType, str]:
+    """As :func:`module_at`; a file is read once in a process, so what is hashed is what runs."""
+    path = Path(where).resolve()
+    if path not in _READ:
+        _READ[path] = module_at(where)
+    return _READ[path]
+
+
 def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
     """The module that ``where`` names, ``file.py`` in ``folder`` or ``package.module``.
-
-    A file is read once in a process, so what is hashed is what runs.
 
     Returns
     -------
@@ -120,11 +136,9 @@ def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
 
 def _run_file(path: Path) -> tuple[ModuleType, str]:
     """The module, and the SHA-256 (hex) of the bytes that ran."""
-    where = path.resolve()
-    if where in _READ:
-        return _READ[where]
     if not path.is_file():
         raise FileNotFoundError(path)
+    where = path.resolve()
     stem = re.sub(r"\W", "_", path.stem)
     digest = hashlib.sha256(str(where).encode(errors="surrogateescape")).hexdigest()
     name = f"own_{stem}_{digest[:8]}"  # two files may have one stem
@@ -134,8 +148,7 @@ def _run_file(path: Path) -> tuple[ModuleType, str]:
     module = module_from_spec(spec)
     sys.modules[spec.name] = module  # a dataclass looks its own module up there, and so does pickle
     spec.loader.exec_module(module)
-    _READ[where] = module, hashlib.sha256(spec.loader.text).hexdigest()
-    return _READ[where]
+    return module, hashlib.sha256(spec.loader.text).hexdigest()
 
 
 class _OnceRead(SourceFileLoader):

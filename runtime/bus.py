@@ -1,4 +1,4 @@
-"""The interface of a bus. :mod:`runtime.zenoh_bus` and :mod:`runtime.memory_bus` implement it."""
+"""The interface of a bus; :mod:`runtime.zenoh_bus` implements it."""
 
 from collections.abc import Callable
 from types import TracebackType
@@ -89,3 +89,69 @@ class Bus(Protocol):
         traceback: TracebackType | None,
     ) -> None:
         self.close()
+
+
+Note = Callable[[str, bytes], None]
+"""Takes key and payload of a message that passes."""
+
+
+class Overheard(Bus):
+    """A bus of which every message that is put, or taken off a channel, is noted before it passes.
+
+    Parameters
+    ----------
+    bus : Bus
+        Closed by whoever opened it.
+    put : callable
+        Notes what leaves.
+    taken : callable, optional
+        Notes what comes.
+    """
+
+    def __init__(self, bus: Bus, put: Note, taken: Note | None = None) -> None:
+        self._bus, self._noted_put, self._noted_taken = bus, put, taken
+
+    def publisher(self, key: str, *, many: bool = False) -> Publisher:
+        """A publisher on one key."""
+        return _NotedPublisher(self._bus.publisher(key, many=many), key, self._noted_put)
+
+    def channel(self, key_expr: str, capacity: int) -> Channel:
+        """The messages of others that fit."""
+        channel = self._bus.channel(key_expr, capacity)
+        return channel if self._noted_taken is None else _NotedChannel(channel, self._noted_taken)
+
+    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
+        """As the bus does."""
+        self._bus.subscribe(key_expr, deliver, patient=patient)
+
+    def appearances(self) -> int:
+        """As the bus does."""
+        return self._bus.appearances()
+
+    def left(self, loop: str) -> None:
+        """As the bus does."""
+        self._bus.left(loop)
+
+    def close(self) -> None:
+        """As the bus does."""
+        self._bus.close()
+
+
+class _NotedPublisher:
+    def __init__(self, publisher: Publisher, key: str, note: Note) -> None:
+        self._put, self._key, self._note = publisher.put, key, note
+
+    def put(self, payload: bytes) -> None:
+        self._note(self._key, payload)
+        self._put(payload)
+
+
+class _NotedChannel:
+    def __init__(self, channel: Channel, note: Note) -> None:
+        self._receive, self.close, self._note = channel.receive, channel.close, note
+
+    def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
+        taken = self._receive(wait=wait)
+        for key, payload in taken:
+            self._note(key, payload)
+        return taken

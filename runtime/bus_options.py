@@ -13,7 +13,7 @@ from runtime.collection import freeze_startup
 from runtime.errors import UsageError
 from runtime.logs import logger
 from runtime.options import add_arguments, option
-from runtime.services import SERVICES, bus_names
+from runtime.services import SERVICES
 from runtime.signals import stop_on_signals
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[t
     for value in values:
         bus, _, rest = value.partition("=")
         if bus not in allowed or not rest:
-            names = bus_names(bus, allowed)
+            names = ", ".join(allowed)
             raise UsageError(f"{option}: got {value!r}, expected BUS=VALUE with BUS one of {names}")
         pairs.append((bus, rest))
     return pairs
@@ -136,7 +136,7 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
                 raise UsageError(str(error)) from None
     for name in options.client:
         if name not in defaults:
-            expected = bus_names(name, defaults)
+            expected = ", ".join(defaults)
             raise UsageError(f"--client: got {name!r}, expected one of {expected}")
     listen, connect = defaults[bus]
     if any(name == bus for name, _ in (*listens, *connects)):

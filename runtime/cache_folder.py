@@ -1,4 +1,4 @@
-"""Where what takes long to compute is kept: designs, tables of laws, counts of a language."""
+"""Where what takes long to compute is kept: designs and tables of laws."""
 
 import os
 from pathlib import Path

@@ -17,6 +17,9 @@ from runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError
 from runtime.hanging import leave
 from runtime.services import SERVICES
 
+UNIX: Final = ("fcntl", "resource", "termios", "pty")
+"""Modules of Python's library that other systems lack."""
+
 ENDING: Final = (signal.SIGTERM, signal.SIGHUP)
 
 
@@ -146,6 +149,11 @@ def _flush_or_drop_output() -> None:
 
 
 def _in_a_line(error: Exception) -> str:
+    if isinstance(error, ModuleNotFoundError) and error.name in UNIX:
+        return (
+            f"this system has no {error.name}: the commands need Linux; the library "
+            "(from wyner import design, run, eavesdrop) does not"
+        )
     if isinstance(error, OSError) and error.filename is not None:
         return f"{error.filename}: {error.strerror}"
     if isinstance(error, OSError) and error.strerror is not None:

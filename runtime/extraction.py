@@ -13,8 +13,6 @@ from multiprocessing import get_context
 from typing import Final
 
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock, ExtractionFailed
-from protocol.secret.extractor import extracted
-from protocol.secret.galois import tables
 from runtime.child import die_with, ignore_signals, leave_no_image
 
 NICENESS: Final = 10
@@ -58,10 +56,10 @@ class Extraction:
                 tell(ExtractionFailed(f"the process that extracts keys failed: {error}"))
 
         try:
-            future = self._pool.submit(extracted, block)
+            future = self._pool.submit(_extracted, block)
         except BrokenProcessPool:
             self._pool = self._opened()
-            future = self._pool.submit(extracted, block)
+            future = self._pool.submit(_extracted, block)
         except RuntimeError:  # it is closed: the next start asks again
             return
         future.add_done_callback(done)
@@ -73,7 +71,16 @@ class Extraction:
 
 def _load() -> None:
     """Compute the field's tables before the first block comes."""
+    from protocol.secret.galois import tables
+
     tables()
+
+
+def _extracted(block: ClosedBlock) -> ExtractedBlock:
+    """In the process, which alone loads the numerics."""
+    from protocol.secret.extractor import extracted
+
+    return extracted(block)
 
 
 def _begin(parent: int) -> None:

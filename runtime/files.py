@@ -18,6 +18,15 @@ PRIVATE_FOLDER: Final = 0o700
 PUBLIC_FILE: Final = 0o644
 """Mode of files that are published on purpose; the umask narrows it."""
 
+AT_ONCE: Final = (
+    getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)
+)
+"""Flags of an open that waits for no pipe, and whose file no child inherits. Windows has neither,
+and has a flag that leaves the bytes as they are."""
+
+NO_LINK: Final = getattr(os, "O_NOFOLLOW", 0)
+"""Flag of an open that follows no link; Windows lacks it."""
+
 
 class NotRegular(OSError):
     """Something that is no regular file stands where a file was to be written or read."""
@@ -39,7 +48,7 @@ def open_regular(path: Path) -> BinaryIO:
         With the file's name, when it cannot be opened.
     """
     _expect_regular(path, path.stat().st_mode)  # a device may act on being opened
-    file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    file = os.open(path, os.O_RDONLY | AT_ONCE)
     try:
         _expect_regular(path, os.fstat(file).st_mode)
     except OSError:
@@ -115,7 +124,7 @@ def open_private(path: Path, flags: int) -> int:
         With the file's name, when it cannot be opened.
     """
     refuse_irregular(path)
-    file = os.open(path, flags | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, PRIVATE_FILE)
+    file = os.open(path, flags | NO_LINK | AT_ONCE, PRIVATE_FILE)
     if not stat.S_ISREG(os.fstat(file).st_mode):
         os.close(file)
         raise NotRegular(path)
@@ -147,13 +156,13 @@ def replacing(path: Path, mode: int = PRIVATE_FILE) -> Iterator[Path]:
     else:
         path.parent.mkdir(parents=True, exist_ok=True)
     handle, name = tempfile.mkstemp(prefix=".partial-", dir=path.parent)
+    os.close(handle)
     partial = Path(name)
     try:
         if mode != PRIVATE_FILE:
             umask = os.umask(0)
             os.umask(umask)
-            os.fchmod(handle, mode & ~umask)
-        os.close(handle)
+            partial.chmod(mode & ~umask)
         yield partial
         partial.replace(path)
     finally:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from runtime.errors import Failure
 from runtime.files import read_regular
@@ -41,8 +41,16 @@ def read_status(path: Path, kind: type[S]) -> S:
     return kind.model_validate_json(to_json(fields))
 
 
+COUNTED: Final = {
+    "transitions": "transitions",
+    "captured": "messages captured",
+    "count": "counted",
+}
+"""What a status may count, and what that is called."""
+
+
 def look_at_status(folder: Path, now_s: float) -> Look:
-    """Look at ``status.json``: its age, and the transitions that it counts.
+    """Look at ``status.json``: its age, and what it counts.
 
     Raises
     ------
@@ -55,35 +63,15 @@ def look_at_status(folder: Path, now_s: float) -> Look:
     try:
         status = from_json(read_regular(path))
         age_s = now_s - status["t_ns"] / 1e9
-        count = int(status["transitions"])
-        phase = status["phase"]
+        field = next(field for field in COUNTED if field in status)
+        count = int(status[field])
     except OSError as error:
         raise Failure(f"{path}: cannot be read: {error.strerror}") from None
-    except (ValueError, KeyError, TypeError):
-        raise Failure(f"{path}: expected a status with t_ns, transitions and phase") from None
+    except (ValueError, KeyError, TypeError, StopIteration):
+        fields = ", ".join(COUNTED)
+        raise Failure(f"{path}: expected a status with t_ns and one of {fields}") from None
     detail = f" ({status['detail']})" if status.get("detail") else ""
+    phase = f"{status['phase']}{detail}, " if "phase" in status else ""
     stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""
-    text = f"{phase}{detail}, {count} transitions{stopped}"
+    text = f"{phase}{count} {COUNTED[field]}{stopped}"
     return Look(age_s, count, text, str(status.get("health", "")))
-
-
-def look_at_capture(folder: Path, now_s: float) -> Look:
-    """Look at what the tap has written: its beliefs' age, and the bytes of its capture.
-
-    Parts of a capture are removed when they grow old, so the newest part's time stands in for what
-    was written before.
-
-    Raises
-    ------
-    Failure
-        When nothing is there.
-    """
-    try:
-        age_s = now_s - (folder / "beliefs.json").stat().st_mtime
-        parts = [part.stat() for part in folder.glob("capture*.jsonl")]
-    except OSError as error:
-        raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
-    if not parts:
-        raise Failure(f"{folder}: expected a capture")
-    newest = max(part.st_mtime_ns for part in parts)
-    return Look(age_s, newest, f"{sum(part.st_size for part in parts)} bytes captured")

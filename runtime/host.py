@@ -16,21 +16,24 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from functools import partial
 from math import inf
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
-from protocol.link.peer import Actions, Notice, Peer
+from protocol.link.effects import Effects, Notice, Save
+from protocol.link.peer import Peer
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
 from runtime.bus import Bus, Channel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
-from runtime.extraction import Extraction
 from runtime.health_files import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
 from runtime.perform import perform
 from runtime.ports import Files, LoopPorts
 from runtime.turn_watch import Turns, TurnWatch
+
+if TYPE_CHECKING:
+    from runtime.extraction import Extraction
 
 POLL_S: Final = 0.1
 """Longest wait before the loop looks at its signals again."""
@@ -178,6 +181,8 @@ class Host:
                 for kind in publishers.keys() & FIELD:
                     publishers[kind] = Sparing(publishers[kind], crowding)
                 if self._extraction is None:
+                    from runtime.extraction import Extraction  # what others need not load
+
                     self._extraction = Extraction()
                 extract = partial(
                     self._extraction.put,
@@ -319,7 +324,7 @@ class Host:
         count = self._field.appearances()
         if count != loop.appearances:
             loop.appearances = count
-            perform(loop.endpoint.appear(count), loop.endpoint, loop.ports)
+            perform(loop.endpoint.appear(count), loop.ports)
 
     def _crowding(self, name: str) -> bool:
         """Whether messages leave more often than the loop knew when it made its last one."""
@@ -332,15 +337,14 @@ class Host:
         if loop is not None:
             self._do(name, partial(loop.endpoint.receive, kind, payload))
 
-    def _do(self, name: str, act: Callable[[float], Actions]) -> None:
+    def _do(self, name: str, act: Callable[[float], Effects]) -> None:
         loop = self._loops[name]
         try:
             if loop.started and loop.endpoint.makes_keys:
                 self._look_at_links(loop)
             if loop.started:  # a device may take its time to be found
                 self._turn.begin()
-            actions = act(self._clock())
-            perform(actions, loop.endpoint, loop.ports)
+            perform(act(self._clock()), loop.ports)
             loop.started = True
         except Exception as error:
             loop.failed = True
@@ -378,8 +382,8 @@ class Host:
             with self._lost(loop, OSError, Failure):
                 last = loop.endpoint.stop(self._clock())
                 if loop.failed:  # what the journal has is done again by the next start
-                    last = last._replace(record=None)
-                perform(last, loop.endpoint, loop.ports)
+                    last = (effect for effect in last if not isinstance(effect, Save))
+                perform(last, loop.ports)
         finally:
             with self._lost(loop):
                 loop.ports.close()
@@ -417,6 +421,6 @@ class Host:
                 ends.callback(self._end, name)
 
 
-def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Actions:
+def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
     """Tell an end of its block."""
     return endpoint.extracted(block)

@@ -20,16 +20,18 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, ClassVar, Final, Generic, NamedTuple, Self, TypeVar
+from typing import Any, ClassVar, Final, Generic, Self
 from zlib import crc32
 
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.peer import Actions
-from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
+from protocol.link.effects import Save
+from protocol.link.records import INITIAL_ID, Loaded, R, ReceiverRecord, SenderRecord
+from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import Part
@@ -59,33 +61,13 @@ _STEP: Final = (
 )
 """Writes over the row, which takes a third of the time of a new one in its place."""
 
-R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
+
+Statement = tuple[str, tuple[Any, ...]]
+"""An SQL statement, and its values."""
 
 
 class JournalError(Failure):
     """A journal that cannot be used; the text names the file and what is wrong with it."""
-
-
-class Loaded(NamedTuple, Generic[R]):
-    """What a journal holds; a new one holds nothing.
-
-    ``offer``, ``coin`` and ``measurement`` are the step that follows the record, to be counted
-    again. At the controller the offer answers the measurement. At the plant the measurement reports
-    the step that the offer led to; with no measurement the step was begun and not read. ``rows``
-    are those of key blocks that are still needed, ``parts`` the digits of the key stream that
-    are left, ``symbols`` those of the frame under way that
-    have left the plant's record. ``fell_back``: the machine was started again since the last save,
-    and the newest saves may be missing.
-    """
-
-    record: R | None = None
-    offer: Offer | None = None
-    coin: int = NO_SYMBOL
-    measurement: Measurement | None = None
-    rows: tuple[Contribution, ...] = ()
-    parts: tuple[Part, ...] = ()
-    symbols: str = ""
-    fell_back: bool = False
 
 
 class Journal(ABC, Generic[R]):
@@ -173,11 +155,10 @@ class Journal(ABC, Generic[R]):
 
     # --- rows -------------------------------------------------------------------------------------
 
-    def _put(self, table: str, *values: Any) -> None:
-        """Write a row, with its check."""
+    def _row(self, table: str, *values: Any) -> Statement:
+        """The statement that writes a row, with its check."""
         marks = ", ".join("?" * (len(values) + 1))
-        statement = f"INSERT OR REPLACE INTO {table} VALUES ({marks})"
-        self.db.execute(statement, (*values, check_of(*values)))
+        return f"INSERT OR REPLACE INTO {table} VALUES ({marks})", (*values, check_of(*values))
 
     def _get(self, table: str, where: str = "TRUE", *values: Any) -> list[list[Any]]:
         """The rows of a table for which ``where`` holds, in order of their first column.
@@ -207,9 +188,7 @@ class Journal(ABC, Generic[R]):
             try:
                 loaded: Loaded[R] = Loaded(
                     self.adapter.validate_json(record),
-                    Offer.from_wire(offer) if offer else None,
-                    coin,
-                    Measurement.from_wire(measurement) if measurement else None,
+                    _step_of(offer, coin, measurement),
                     rows,
                     parts,
                     self._symbols(),
@@ -226,54 +205,48 @@ class Journal(ABC, Generic[R]):
         """The symbols of the frame under way that are in a table of their own."""
         return ""
 
-    def save(self, actions: Actions) -> None:
+    def save(self, save: Save) -> None:
         """Save the record, the step that follows it, and what comes along, in one transaction."""
-        assert actions.record is not None
         execute = self.db.execute
         try:
-            if actions.durable:
+            if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            execute("BEGIN IMMEDIATE")
-            self._write(actions)
-            execute("COMMIT")
-            if actions.durable:
+            step = (0, self.adapter.dump_json(save.record), *_columns(save.step))
+            beside = [*self._rows(save), *self._more(save)]
+            if beside:
+                execute("BEGIN IMMEDIATE")
+            execute(_STEP, (*step, check_of(*step)))  # by itself it is a transaction
+            for statement, values in beside:
+                execute(statement, values)
+            if beside:
+                execute("COMMIT")
+            if save.durable:
                 execute("PRAGMA synchronous=NORMAL")
         except sqlite3.Error as error:
             with suppress(sqlite3.Error):
                 execute("ROLLBACK")
             raise JournalError(f"{self.path}: {error}") from None
-        self._saved = actions.record  # type: ignore[assignment]
+        self._saved = save.record  # type: ignore[assignment]
 
-    def _write(self, actions: Actions) -> None:
-        """Within a transaction."""
-        record, offer, measurement = actions.record, actions.offer, actions.measurement
-        assert record is not None
-        step = (
-            0,
-            self.adapter.dump_json(record),
-            b"" if offer is None else offer.wire(),
-            actions.coin,
-            b"" if measurement is None else measurement.wire(),
-        )
-        self.db.execute(_STEP, (*step, check_of(*step)))
-        if self._saved is None or record.session != self._saved.session:
+    def _rows(self, save: Save) -> Iterator[Statement]:
+        """What is written of key blocks and of the key stream."""
+        if self._saved is None or save.record.session != self._saved.session:
             for table in self.of_session:
-                self.db.execute(f"DELETE FROM {table}")
-        for row in actions.rows.contributions:
-            self._put("row", *row)
-        for over in actions.rows.obsolete_rows:
-            self.db.execute("DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop))
-        for part in actions.rows.parts:
+                yield f"DELETE FROM {table}", ()
+        for row in save.rows.contributions:
+            yield self._row("row", *row)
+        for over in save.rows.obsolete_rows:
+            yield "DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop)
+        for part in save.rows.parts:
+            place = part.block * KEYS_AT_MOST + part.number
             if part.digits:
-                self._put("stream", part.block * KEYS_AT_MOST + part.number, *part)
+                yield self._row("stream", place, *part)
             else:
-                place = part.block * KEYS_AT_MOST + part.number
-                self.db.execute("DELETE FROM stream WHERE place = ?", (place,))
-        self._write_more(actions)
+                yield "DELETE FROM stream WHERE place = ?", (place,)
 
     @abstractmethod
-    def _write_more(self, actions: Actions) -> None:
-        """Write what comes along in this side's own tables, within a transaction."""
+    def _more(self, save: Save) -> Iterable[Statement]:
+        """What is written in this side's own tables."""
 
     def forget(self) -> None:
         """Lose all that was saved; for simulations."""
@@ -322,23 +295,26 @@ class ControllerJournal(Journal[SenderRecord]):
         self.queued = last[0][0] + 1 if last else 0
         return super().load()
 
-    def _write_more(self, actions: Actions) -> None:
-        record = actions.record
+    def _more(self, save: Save) -> Iterator[Statement]:
+        record = save.record
         assert isinstance(record, SenderRecord)
-        if actions.queued is not None:
-            self.enqueue(actions.queued)
+        if save.queued is not None:
+            yield self._queue(save.queued)
         delivered = 0 if self._saved is None else self._saved.message
         for number in range(delivered, record.message):
             for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
-                self._put("outbox", number, identifier, crc, None)
-            self.db.execute(
-                "DELETE FROM outbox WHERE number = ? AND id <> ?", (number - REMEMBERED, INITIAL_ID)
-            )
+                yield self._row("outbox", number, identifier, crc, None)
+            old = (number - REMEMBERED, INITIAL_ID)
+            yield "DELETE FROM outbox WHERE number = ? AND id <> ?", old
 
     def enqueue(self, command: SendCommand) -> None:
         """Add a message to the queue."""
-        self._put("outbox", self.queued, command.id, crc32(command.payload), command.payload)
+        self.db.execute(*self._queue(command))
+
+    def _queue(self, command: SendCommand) -> Statement:
         self.queued += 1
+        payload = command.payload
+        return self._row("outbox", self.queued - 1, command.id, crc32(payload), payload)
 
     def crc_of(self, identifier: str) -> int | None:
         """The CRC-32 of the message that was queued under this identifier, or None."""
@@ -382,19 +358,43 @@ class PlantJournal(Journal[ReceiverRecord]):
     def _symbols(self) -> str:
         return "".join(symbols for _, symbols in self._get("frame"))
 
-    def _write_more(self, actions: Actions) -> None:
-        record = actions.record
+    def _more(self, save: Save) -> Iterator[Statement]:
+        record = save.record
         assert isinstance(record, ReceiverRecord)
         if self._saved is not None and record.stored < self._saved.stored:
-            self.db.execute("DELETE FROM frame")
-        if actions.symbols:
-            self._put("frame", record.stored, actions.symbols)
-        if actions.received is not None:
-            self._put("inbox", 0, actions.received)
+            yield "DELETE FROM frame", ()
+        if save.symbols:
+            yield self._row("frame", record.stored, save.symbols)
+        if save.received is not None:
+            yield self._row("inbox", 0, save.received)
 
     def last_message(self) -> bytes | None:
         """The message that was received last, or None."""
         return next((payload for _, payload in self._get("inbox")), None)
+
+
+def _columns(step: Step) -> tuple[bytes, int, bytes]:
+    """Offer, coin and measurement of the step's row."""
+    match step:
+        case Begun(offer, coin):
+            return offer.wire(), coin, b""
+        case Read(offer, coin, report):
+            return offer.wire(), coin, report.wire()
+        case Answered(measurement, offer):
+            return offer.wire(), NO_SYMBOL, measurement.wire()
+    return b"", NO_SYMBOL, b""
+
+
+def _step_of(offer: bytes, coin: int, measurement: bytes) -> Step:
+    """The step of these columns."""
+    if not offer:
+        return IDLE
+    if not measurement:
+        return Begun(Offer.from_wire(offer), coin)
+    said = Measurement.from_wire(measurement)
+    if coin == NO_SYMBOL:
+        return Answered(said, Offer.from_wire(offer))
+    return Read(Offer.from_wire(offer), coin, said)
 
 
 def check_of(*values: str | bytes | float | None) -> int:

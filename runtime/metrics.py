@@ -4,90 +4,37 @@ The official client does the talking; it comes with the extra ``metrics``. Nothi
 every sample is read off the newest status of each loop when somebody asks.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from pydantic_core import from_json
 
 from protocol.messages import LATENCY_BOUNDS_S, ControllerStatus, PlantStatus, TapStatus
-from runtime.bus import Bus, Channel, Deliver, Publisher
+from protocol.messages.base import Metric
+from runtime.bus import Bus, Overheard
 from runtime.errors import UsageError, needs
 
 if TYPE_CHECKING:
-    from prometheus_client import Metric
+    from prometheus_client import Metric as Family
 
 Statuses = dict[tuple[str, str, str], bytes]
 """The newest status of each topic, loop and eavesdropper."""
 
-COUNTERS = {
-    PlantStatus.topic: {
-        "k": ("steps", "steps that the plant made, missed ones too"),
-        "missed": ("missed_steps", "steps without an offer in time"),
-        "late": ("late_offers", "offers that came after their step"),
-        "agreements": ("agreements", "transitions on which a key symbol was agreed"),
-        "symbol_errors": ("symbol_errors", "agreements on a symbol that was not applied"),
-        "messages": ("messages_recovered", "whole messages that the plant has"),
-        "frames_refused": ("frames_refused", "frames that failed their check"),
-        "malformed": ("malformed", "messages that were no messages"),
-        "keys_made": ("keys_made", "keys of confirmed blocks since this process began"),
-        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key since then"),
-    },
-    ControllerStatus.topic: {
-        "delivered": ("messages_delivered", "messages of which every symbol was counted"),
-        "alarms": ("alarms", "transitions whose test failed and made an alarm"),
-        "watched": ("watched_steps", "transitions tested by a key's candidate"),
-        "unwatched": ("unwatched_steps", "transitions that no key watched, of a keyed coin"),
-        "malformed": ("malformed", "messages that were no messages"),
-        "keys_made": ("keys_made", "keys of confirmed blocks since this process began"),
-        "key_blocks_lost": ("keys_blocks_lost", "key blocks that made no key since then"),
-    },
-    TapStatus.topic: {
-        "mirrored": ("tap_mirrored", "messages in the tap's recording"),
-        "dropped": ("tap_dropped", "messages that the tap heard and lost"),
-        "lost": ("tap_lost", "transitions of which the tap lacks a message"),
-        "malformed": ("malformed", "messages that were no messages"),
-        "key_blocks": ("keys_blocks_attacked", "key blocks that the eavesdropper went for"),
-        "key_bits_held": ("keys_bits_held", "bits of their rows that she can compute"),
-        "copies": ("keys_copies", "first copies that were sent, as far as she can tell"),
-        "copies_missed": ("keys_copies_missed", "first copies that she missed"),
-    },
+METRICS: Final = {
+    kind.topic: {
+        name: metric
+        for name, field in kind.model_fields.items()
+        for metric in field.metadata
+        if isinstance(metric, Metric)
+    }
+    for kind in (PlantStatus, ControllerStatus, TapStatus)
 }
-
-GAUGES = {
-    PlantStatus.topic: {
-        "keys_stopped": ("keys_stopped", "whether the newest block made no key"),
-        "digits_left": ("keys_digits_left", "unused digits of the key stream"),
-    },
-    ControllerStatus.topic: {
-        "keys_stopped": ("keys_stopped", "whether the newest block made no key"),
-        "digits_left": ("keys_digits_left", "unused digits of the key stream"),
-    },
-    TapStatus.topic: {
-        "claim_refuted": (
-            "keys_claim_refuted",
-            "whether she misses less than the operator claims (eps_E)",
-        ),
-        "misses_in_bursts": ("keys_misses_in_bursts", "whether her misses come in bursts"),
-    },
-}
-"""What is so now: a number, or whether it is so (1) or not (0)."""
+"""Of each kind of status the fields that are metrics."""
 
 
-class _Noted:
-    """A publisher whose newest payload stays among the statuses."""
-
-    def __init__(self, publisher: Publisher, note: Callable[[bytes], None]) -> None:
-        self._publisher = publisher
-        self._note = note
-
-    def put(self, payload: bytes) -> None:
-        self._note(payload)
-        self._publisher.put(payload)
-
-
-class NotedBus(Bus):
-    """A bus whose published statuses are kept.
+class NotedBus(Overheard):
+    """A bus of whose published statuses the newest of each kind and loop are kept.
 
     Parameters
     ----------
@@ -97,43 +44,20 @@ class NotedBus(Bus):
     """
 
     def __init__(self, bus: Bus, statuses: Statuses) -> None:
-        self._bus = bus
+        super().__init__(bus, self._note)
         self._statuses = statuses
 
-    def publisher(self, key: str, *, many: bool = False) -> Publisher:
-        """A publisher on one key."""
-        publisher = self._bus.publisher(key, many=many)
+    def _note(self, key: str, payload: bytes) -> None:
         _base, _version, loop, topic = key.split("/", 3)
-        if topic not in COUNTERS:
-            return publisher
-
-        def note(payload: bytes) -> None:
+        if topic in METRICS:
             name = from_json(payload)["name"] if topic == TapStatus.topic else ""
             self._statuses[topic, loop, name] = payload
 
-        return _Noted(publisher, note)
-
-    def subscribe(self, key_expr: str, deliver: Deliver, *, patient: bool = False) -> None:
-        """As the bus does."""
-        self._bus.subscribe(key_expr, deliver, patient=patient)
-
-    def channel(self, key_expr: str, capacity: int) -> Channel:
-        """As the bus does."""
-        return self._bus.channel(key_expr, capacity)
-
-    def appearances(self) -> int:
-        """As the bus does."""
-        return self._bus.appearances()
-
     def left(self, loop: str) -> None:
         """Nothing is told any more of a loop that has left."""
-        self._bus.left(loop)
+        super().left(loop)
         for place in [place for place in list(self._statuses) if place[1] == loop]:
             del self._statuses[place]
-
-    def close(self) -> None:
-        """As the bus does."""
-        self._bus.close()
 
 
 class StatusCollector:
@@ -142,7 +66,7 @@ class StatusCollector:
     def __init__(self, statuses: Statuses) -> None:
         self._statuses = statuses
 
-    def collect(self) -> "Iterator[Metric]":
+    def collect(self) -> "Iterator[Family]":
         """The metrics, by name."""
         from prometheus_client.core import (
             CounterMetricFamily,
@@ -151,7 +75,6 @@ class StatusCollector:
         )
 
         found: dict[str, CounterMetricFamily | GaugeMetricFamily] = {}
-        kinds = ((CounterMetricFamily, COUNTERS), (GaugeMetricFamily, GAUGES))
         latency = HistogramMetricFamily(
             "wyner_offer_latency_seconds",
             "from a step's first measurement to its offer",
@@ -160,14 +83,14 @@ class StatusCollector:
         for (topic, loop, name), payload in sorted(self._statuses.copy().items()):
             status: dict[str, Any] = from_json(payload)
             service = topic.split("/")[1]
-            for kind, fields in kinds:
-                for field, (metric, text) in fields[topic].items():
-                    if metric not in found:
-                        labels = ["loop", "service", "eavesdropper"]
-                        found[metric] = kind(f"wyner_{metric}", text, labels=labels)
-                    value = status[field]
-                    value = bool(value) if isinstance(value, str) else max(0, value)
-                    found[metric].add_metric([loop, service, name], value)
+            for field, metric in METRICS[topic].items():
+                if metric.name not in found:
+                    family = GaugeMetricFamily if metric.now else CounterMetricFamily
+                    labels = ["loop", "service", "eavesdropper"]
+                    found[metric.name] = family(f"wyner_{metric.name}", metric.help, labels=labels)
+                value = status[field]
+                value = bool(value) if isinstance(value, str) else max(0, value)
+                found[metric.name].add_metric([loop, service, name], value)
             if topic == PlantStatus.topic:
                 self._histogram(latency, loop, status["latency_counts"])
         yield from found.values()

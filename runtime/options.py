@@ -1,11 +1,9 @@
 """Options: a dataclass says them once, and command line, help and reference come from it."""
 
 import argparse
-import fcntl
 import os
 import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import MISSING, dataclass, field, fields
 from datetime import UTC, datetime
 from inspect import get_annotations
@@ -16,8 +14,8 @@ from pydantic import BaseModel, ValidationError
 
 from protocol.schemes.framing import MAX_PAYLOAD
 from protocol.wrong_fields import expected_of
-from runtime.errors import UsageError
-from runtime.files import PRIVATE_FOLDER, make_folder, open_private, open_regular
+from runtime.errors import DONE, UsageError
+from runtime.files import PRIVATE_FOLDER, make_folder, open_regular
 from runtime.pace import Pace
 
 STDIN: Final = "-"
@@ -91,6 +89,12 @@ def add_arguments(parser: argparse.ArgumentParser, kind: type, **words: str) -> 
             metavar=told.metavar,
             help=told.help,
         )
+
+
+def fine(what: str) -> int:
+    """Say that what ``--check`` looked at can be started; returns the exit code."""
+    print(f"{what}: fine")
+    return DONE
 
 
 def _number(hint: Any) -> type:
@@ -238,7 +242,7 @@ def run_dir_of(text: str | None) -> Path:
             except FileExistsError:
                 continue
             except OSError as error:
-                raise _unusable(path, error) from None
+                raise unusable(path, error) from None
             return path
     if not text:
         raise UsageError("--run-dir: got '', expected a folder")
@@ -246,68 +250,18 @@ def run_dir_of(text: str | None) -> Path:
     try:
         make_folder(path)
     except OSError as error:
-        raise _unusable(path, error) from None
+        raise unusable(path, error) from None
     return path
 
 
-def _unusable(path: Path, error: OSError) -> UsageError:
+def unusable(path: Path, error: OSError) -> UsageError:
+    """What is said of a run folder that cannot be made."""
     return UsageError(f"--run-dir: {path}: cannot be made: {error.strerror}")
 
 
 def unwritable(path: Path, error: OSError) -> UsageError:
     """What is said of a run folder that takes no file."""
     return UsageError(f"--run-dir: {path}: cannot be written: {error.strerror}")
-
-
-@contextmanager
-def alone_in(folder: Path) -> Iterator[None]:
-    """Hold a service's folder; the lock goes with the process, however that one ends.
-
-    Raises
-    ------
-    UsageError
-        When it cannot be made or written to, or another process holds it.
-    """
-    try:
-        make_folder(folder)
-    except OSError as error:
-        raise _unusable(folder, error) from None
-    lock = folder / "lock"
-    try:
-        file = os.fdopen(open_private(lock, os.O_WRONLY | os.O_CREAT), "wb")
-    except OSError as error:
-        raise unwritable(lock, error) from None
-    with file:
-        try:
-            fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise UsageError(f"--run-dir: {folder}: another process is using it") from None
-        yield
-
-
-def refuse_running(run_dir: Path) -> None:
-    """Refuse a run whose services still write.
-
-    Raises
-    ------
-    UsageError
-        When a process holds an end's journal, or a tap's folder as :func:`alone_in` does.
-    """
-    kept = (*run_dir.glob("*/journal.sqlite3"), *run_dir.glob("*/lock"))
-    if running := sorted({file.parent.name for file in kept if _is_held(file)}):
-        names = ", ".join(running)
-        raise UsageError(f"{run_dir}: {names} still at work, expected a run that has ended")
-
-
-def _is_held(file: Path) -> bool:
-    try:
-        with open_regular(file) as opened:
-            fcntl.lockf(opened, fcntl.LOCK_SH | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    except OSError:  # whoever may not read it is told so by what reads it
-        pass
-    return False
 
 
 def at_least(option: str, value: int | None, least: int) -> None:

@@ -1,8 +1,8 @@
-"""The one place that knows the order of a step: save, publish, count, trace, tell.
+"""Carries out the effects of an end, one by one, in the order in which the end gives them.
 
-A step is one save, one message, and then the rest: the shell saves what was heard and is about to
-be said, publishes it, and lets the endpoint count while the partner works. What was counted is
-traced, and then saved with the next step. So a process may die between any two of these lines:
+A step is one save, one message, and then the rest: the end saves what was heard and is about to be
+said, publishes it, and counts while its partner works. What was counted is traced, and then saved
+with the next step. So a process may die between any two of these lines:
 
 - before the step is saved: nothing was sent, and deciding again does no harm;
 - before it is published: the journal has it, and the same bytes go out when it is asked again;
@@ -17,20 +17,17 @@ alone. A device is no port; a make-believe one asks :meth:`CrashingPorts.passes`
 
 from typing import Literal, Protocol
 
+from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
 from protocol.link.events import Event
-from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 
 
 class Ports(Protocol):
-    """Where actions go: journal, bus, trace, log and health file of one end of one loop."""
+    """Where effects go: journal, bus, trace, log and health file of one end of one loop."""
 
-    def save(self, actions: Actions) -> None:
-        """Save their record and what comes along.
-
-        On return it survives the death of the process; where it is ``durable``, a power failure.
-        """
+    def save(self, save: Save) -> None:
+        """Save the record and what comes along; it survives what it has to on return."""
 
     def publish(self, message: Message) -> None:
         """Send it, without waiting for anybody."""
@@ -48,31 +45,22 @@ class Ports(Protocol):
         """Replace the status in the run's folder."""
 
 
-class Finishing(Protocol):
-    """An end of the link."""
-
-    def finish_step(self) -> Actions:
-        """What can wait until the message is on its way."""
-
-
-def perform(actions: Actions, endpoint: Finishing, ports: Ports) -> None:
-    """Carry out ``actions`` of ``endpoint``, and what it does to finish its step after them."""
-    while True:
-        for event in actions.events:
-            ports.trace(event)
-        if actions.record is not None:
-            ports.save(actions)
-        for message in actions.publish:
-            ports.publish(message)
-        for block in actions.tasks:
-            ports.extract(block)
-        for notice in actions.notices:
-            ports.log_notice(notice)
-        if actions.health is not None:
-            ports.health(actions.health)
-        if not actions.finish_step:
-            return
-        actions = endpoint.finish_step()
+def perform(effects: Effects, ports: Ports) -> None:
+    """Carry them out."""
+    for effect in effects:
+        match effect:
+            case Save():
+                ports.save(effect)
+            case Publish(message):
+                ports.publish(message)
+            case Tell(event):
+                ports.trace(event)
+            case Extract(block):
+                ports.extract(block)
+            case Notice():
+                ports.log_notice(effect)
+            case Show(status):
+                ports.health(status)
 
 
 CrashPoint = Literal["saving", "publishing", "tracing", "extracting", "acting"]
@@ -112,10 +100,10 @@ class CrashingPorts:
             raise Crashed
         self._left -= 1
 
-    def save(self, actions: Actions) -> None:
+    def save(self, save: Save) -> None:
         """Crash, or save."""
         self.passes("saving")
-        self._ports.save(actions)
+        self._ports.save(save)
 
     def publish(self, message: Message) -> None:
         """Crash, or publish."""

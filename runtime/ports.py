@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from protocol.link.effects import Notice, Save
 from protocol.link.events import Event, lines
-from protocol.link.peer import Actions, Notice
 from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
@@ -20,8 +20,8 @@ from runtime.recording import TraceWriter
 class Journal(Protocol):
     """What :func:`runtime.perform.perform` writes to."""
 
-    def save(self, actions: Actions) -> None:
-        """Save their record and what comes along."""
+    def save(self, save: Save) -> None:
+        """Save the record and what comes along."""
 
     def close(self) -> None:
         """Close it; it can be opened again."""
@@ -108,14 +108,14 @@ class LoopPorts(BusPorts):
         super().__init__(publishers, log)
         self.files, self.tell_health, self._extract = files, tell_health, extract
 
-    def save(self, actions: Actions) -> None:
+    def save(self, save: Save) -> None:
         """Write to the journal.
 
         The trace is on the disk before a save that is, and before one that counts a message whole.
         """
-        if actions.durable or actions.received is not None:
+        if save.durable or save.received is not None:
             self.files.trace.sync()
-        self.files.journal.save(actions)
+        self.files.journal.save(save)
 
     def trace(self, event: Event) -> None:
         """Append to the trace."""

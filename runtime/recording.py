@@ -16,19 +16,21 @@ that was cut. An incarnation that goes on in the recording's next part says so i
     {"event":"continued"}                           second incarnation
     {"event":"transi                                and was killed
 
-:class:`LineWriter` and :func:`read_lines` work on one file, :class:`Parts` on the files of a
-recording, :class:`TraceWriter` and :class:`TraceReader` on an end's trace. The tap's capture
-(:mod:`tap_service.capture`) is written on the first two, since it pauses where a trace fails.
+:class:`LineWriter` and :func:`read_lines` work on one file, :class:`Recording` on the parts of a
+recording: an end's trace, which fails where the disk is full, and the tap's capture
+(:mod:`tap_service.capture`), which pauses.
 """
 
 import errno
 import hashlib
+import logging
 import os
 import re
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, ClassVar, Final, NamedTuple
 
 from pydantic import BaseModel, ConfigDict, Field
 from pydantic_core import from_json, to_json
@@ -47,6 +49,9 @@ END_BYTES: Final = 256
 
 HEADER_BYTES: Final = 1 << 16
 """A file without a whole line is a torn header only where it is smaller than this."""
+
+HELD_BYTES: Final = 1 << 16
+"""Lines of a recording that may wait for the next flush."""
 
 READ_BYTES: Final = 1 << 20
 """Bytes that are read at once."""
@@ -69,6 +74,8 @@ class LineWriter:
 
     Attributes
     ----------
+    count : int
+        Lines that this writer has written whole.
     disk : callable
         Takes the file and the bytes and returns how many were written: `os.write`.
 
@@ -84,7 +91,7 @@ class LineWriter:
         self.size = 0
         self.disk: Callable[[int, bytes], int] = _write
         self._whole = True
-        self._lines = 0
+        self.count = 0
         self._digest = hashlib.sha256()
         make_folder(path.parent)
         flags = os.O_RDWR | os.O_CREAT | os.O_APPEND
@@ -105,24 +112,16 @@ class LineWriter:
             raise
 
     def append(self, *lines: bytes) -> None:
-        """Hand lines (without newlines) over in one piece: from there they survive ``kill -9``."""
-        ended = b"\n".join((*lines, b""))
-        if self._put(ended) < len(ended):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
-        self._lines += len(lines)
-        self._digest.update(ended)
+        """Hand lines (without newlines) over in one piece: from there they survive ``kill -9``.
 
-    def append_all(self, lines: Sequence[bytes]) -> int:
-        """Hand several lines over in one piece; how many were written whole.
-
-        Where it is fewer, the disk is full; the rest is lost, and so is the incarnation's end mark.
+        Where the disk is full fewer are written, :attr:`count` says how many, and it is an error.
         """
-        block = b"\n".join([*lines, b""])
+        block = b"\n".join((*lines, b""))
         written = self._put(block)
-        whole = len(lines) if written == len(block) else block.count(b"\n", 0, written)
-        self._lines += whole
+        self.count += len(lines) if written == len(block) else block.count(b"\n", 0, written)
         self._digest.update(block)
-        return whole
+        if written < len(block):
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(self.path))
 
     def _put(self, data: bytes) -> int:
         assert self._file is not None, "the file is closed"
@@ -150,7 +149,7 @@ class LineWriter:
         """
         if self._file is None:
             return
-        mark = {"event": END, "lines": self._lines, "sha256": self._digest.hexdigest(), **told}
+        mark = {"event": END, "lines": self.count, "sha256": self._digest.hexdigest(), **told}
         with suppress(OSError):
             if self._whole:
                 self.append(dumps(mark))
@@ -283,12 +282,19 @@ class Bounds(BaseModel):
         is left when the oldest is dropped.
     total_bytes : int
         Bound of all parts together, the one in use included; the oldest are dropped to keep to it.
+    part_s : float
+        Age at which a part ends, of a recording that pauses on a full disk.
+    free_bytes : int
+        Room that must stay free on the disk; such a recording pauses below it, and nothing is
+        dropped.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
     part_bytes: int = Field(64 * _MIB, ge=1024)
     total_bytes: int = Field(1024 * _MIB, ge=2048)
+    part_s: float = Field(3600.0, gt=0)
+    free_bytes: int = Field(256 * _MIB, ge=0)
 
     @property
     def of_a_part(self) -> int:
@@ -296,77 +302,197 @@ class Bounds(BaseModel):
         return min(self.part_bytes, self.total_bytes // 2)
 
 
-class Parts:
-    """The parts of a recording: those that are closed, and the one in use.
+class Recording:
+    """JSON lines in parts of bounded size; the oldest parts go where all would outgrow their bound.
+
+    A part that a line would outgrow is ended, and the next begun with room for a whole one.
 
     Parameters
     ----------
     path : Path
-        The first part.
+        The first part. Its folder is made.
+    header : mapping
+        Written first in every part, beside its number and the oldest part's.
+    bounds : Bounds
+    log : logging.Logger, optional
+        Given: a disk that is full is no error; the recording pauses, what comes is counted as
+        dropped, and the log is told. Parts that are there are kept, and a new one is begun.
+        Not given: the newest part is continued.
 
     Attributes
     ----------
-    bytes : int
-        All that are closed together.
-    number : int
-        The part in use, or the last that there was; -1 where there was none.
+    written, dropped, parts_dropped : int
+        Lines that were written and dropped, and parts.
+    paused : bool
+    first_part : int
+        The part that it began with.
     lines : LineWriter, optional
         The writer of the part in use.
+
+    Raises
+    ------
+    OSError
+        Where there is no log: here and on writing, with the file's name, when something cannot be
+        written whole.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
-        self._sizes = {number_of(p): p.stat().st_size for p in parts_of(path)}
-        self.bytes = sum(self._sizes.values())
-        self.number = max(self._sizes, default=-1)
+    LOOK_AT_DISK_S: ClassVar[float] = 1.0
+    """Between two looks at the room that is left."""
+
+    def __init__(
+        self,
+        path: Path,
+        header: Mapping[str, Any],
+        bounds: Bounds,
+        log: logging.Logger | None = None,
+    ) -> None:
+        self.written = self.dropped = self.parts_dropped = 0
+        self.paused = False
         self.lines: LineWriter | None = None
+        self._path, self._header, self._bounds, self._log = path, header, bounds, log
+        self._most = bounds.of_a_part - END_BYTES
+        self._held: list[bytes] = []
+        self._held_bytes = 0
+        make_folder(path.parent)
+        self._closed = {number_of(p): p.stat().st_size for p in parts_of(path)}
+        self.number = max(self._closed, default=-1)
+        self.first_part = max(self.number, 0) if log is None else self.number + 1
+        self._begin(self.first_part)
 
-    @property
-    def size(self) -> int:
-        """Bytes of the part in use."""
-        return 0 if self.lines is None else self.lines.size
+    def put(self, *lines: bytes) -> None:
+        """Append lines (without newlines) that belong together: no end of a part comes between.
 
-    def begin(self, number: int, header: Mapping[str, Any], *, new: bool = False) -> None:
-        """Open a part; one that is there already is continued, unless it must be ``new``.
-
-        Raises
-        ------
-        OSError
-            As :class:`LineWriter` does; the part in use is then the one before.
+        Where there is a log they are handed to the operating system by the next :meth:`flush`,
+        which `HELD_BYTES` of lines bring about by themselves; else at once, in one piece.
         """
-        told = {"part": number, **header}
-        self.lines = LineWriter(part_path(self._path, number), told, new=new)
-        self.bytes -= self._sizes.pop(number, 0)
-        self.number = number
+        length = sum(map(len, lines)) + len(lines)
+        if self._log is None:
+            assert self.lines is not None, "the recording is closed"
+            if self.lines.size + length > self._most:
+                self._turn(length)
+            self.lines.append(*lines)
+            self.written += len(lines)
+            return
+        self._look(time.monotonic())
+        if length + 2 * END_BYTES > self._bounds.total_bytes:
+            self.dropped += len(lines)
+            return
+        if self.lines is not None and self.lines.size + self._held_bytes + length > self._most:
+            self._turn(length)
+        if self.lines is None:
+            self.dropped += len(lines)
+            return
+        self._held += lines
+        self._held_bytes += length
+        if self._held_bytes >= HELD_BYTES:
+            self.flush()
 
-    def end(self, **told: Any) -> None:
-        """Close the part in use; its end mark holds what is ``told``."""
+    def flush(self) -> None:
+        """Hand what was put to the operating system, in one piece: it survives ``kill -9``."""
+        held, self._held, self._held_bytes = self._held, [], 0
+        if self.lines is None or not held:
+            return
+        before = self.lines.count
+        try:
+            self.lines.append(*held)
+        except OSError as error:
+            whole = self.lines.count - before
+            self.written += whole
+            self.dropped += len(held) - whole
+            self._pause(error.strerror or "write failed")
+        else:
+            self.written += len(held)
+
+    def sync(self) -> None:
+        """Return once all that was put is on the disk: it survives a power failure."""
+        self.flush()
         if self.lines is not None:
-            self.lines.close(**told)
-            self._sizes[self.number] = self.lines.size
-            self.bytes += self.lines.size
+            self.lines.sync()
+
+    def close(self) -> None:
+        """End the recording: the end mark of its last part says so."""
+        self.flush()
+        self._end(last=True)
+
+    def _turn(self, length: int) -> None:
+        """End the part in use, and begin the next with room for a line of ``length`` bytes."""
+        self.flush()
+        self._end(next=self.number + 1)
+        self._begin(self.number + 1, length)
+
+    def _end(self, **told: Any) -> None:
+        if self.lines is not None:
+            self.lines.close(**told, **({} if self._log is None else {"dropped": self.dropped}))
+            self._closed[self.number] = self.lines.size
             self.lines = None
 
-    def beyond(self, room: int) -> list[int]:
+    def _begin(self, number: int, length: int = 0) -> None:
+        """Open a part with room for a line of ``length`` bytes; then the oldest go as need be."""
+        header = {"part": number, **self._header}
+        needed = max(self._bounds.of_a_part, len(dumps(header)) + length + 2 * END_BYTES)
+        self._began = time.monotonic()
+        self._next_look = 0.0
+        if self._log is not None and needed > self._bounds.total_bytes:
+            self._pause("the bound of all parts has no room for a header")
+            return
+        fresh = number not in self._closed
+        gone = self._beyond(self._bounds.total_bytes - needed) if fresh else []
+        header["oldest"] = min((n for n in self._closed if n not in gone), default=number)
+        try:
+            path = part_path(self._path, number)
+            self.lines = LineWriter(path, header, new=self._log is not None)
+        except OSError as error:
+            if self._log is None:
+                raise
+            self._pause(error.strerror or "cannot be opened")
+            return
+        self._closed.pop(number, None)
+        self.number = number
+        if self.paused and self._log is not None:
+            self.paused = False
+            self._log.info("%s: recording again, %d lines were dropped", self._path, self.dropped)
+        for one in gone:
+            del self._closed[one]
+            part_path(self._path, one).unlink(missing_ok=True)
+            self.parts_dropped += 1
+        if gone and self._log is not None:
+            text = "%s: part dropped, the bound of all parts is reached (%d so far)"
+            self._log.warning(text, part_path(self._path, gone[-1]), self.parts_dropped)
+
+    def _beyond(self, room: int) -> list[int]:
         """The oldest closed parts, as few of them as leave at most ``room`` bytes."""
-        found, left = [], self.bytes
-        for number in sorted(self._sizes):
+        found, left = [], sum(self._closed.values())
+        for number in sorted(self._closed):
             if left <= room:
                 break
             found.append(number)
-            left -= self._sizes[number]
+            left -= self._closed[number]
         return found
 
-    def oldest(self, gone: Collection[int], newest: int) -> int:
-        """The oldest part there is beside ``newest``, once those that are ``gone`` are dropped."""
-        return min((n for n in self._sizes if n not in gone), default=newest)
+    def _pause(self, why: str) -> None:
+        assert self._log is not None
+        self.flush()
+        self._end(last=False)
+        if not self.paused:
+            self.paused = True
+            self._log.error("%s: recording paused: %s", self._path, why)
 
-    def drop(self, number: int) -> Path:
-        """Remove a closed part."""
-        self.bytes -= self._sizes.pop(number)
-        path = part_path(self._path, number)
-        path.unlink(missing_ok=True)
-        return path
+    def _look(self, now: float) -> None:
+        """Once a second: the part's age, and the room that the disk has left."""
+        if now < self._next_look:
+            return
+        if self.free_bytes() < self._bounds.free_bytes:
+            self._pause(f"less than {self._bounds.free_bytes} bytes are free on the disk")
+        elif self.lines is None or now - self._began >= self._bounds.part_s:
+            self.flush()
+            self._end(last=False)
+            self._begin(self.number + 1)
+        self._next_look = now + self.LOOK_AT_DISK_S
+
+    def free_bytes(self) -> int:
+        """Room that the disk has left."""
+        status = os.statvfs(self._path.parent)
+        return status.f_bavail * status.f_frsize
 
 
 def part_path(path: Path, number: int) -> Path:
@@ -453,19 +579,16 @@ class TraceError(Exception):
     """A trace that cannot be read; the text names the file, the line and what was expected."""
 
 
-class TraceWriter:
-    """Append events to a trace, each flushed to the operating system in one piece.
+class TraceWriter(Recording):
+    """The recording of an end: each event is flushed to the operating system in one piece.
 
     Parameters
     ----------
     path : Path
-        The first part. Its folder is made; where there are parts the newest is continued, on a
-        fresh line.
+        The first part; where there are parts the newest is continued, on a fresh line.
     vantage : str
     header : mapping
-        Written first in every part, beside format, version, vantage point and the parts' numbers.
     bounds : Bounds, optional
-        A part that would outgrow them is ended and another begun; the oldest are dropped.
 
     Raises
     ------
@@ -477,49 +600,12 @@ class TraceWriter:
         self, path: Path, vantage: str, header: Mapping[str, Any], bounds: Bounds | None = None
     ) -> None:
         heads = {"format": TRACE_FORMAT, "version": TRACE_VERSION, "vantage": vantage}
-        self._told = {**heads, **header}
-        self._bounds = bounds or Bounds()
-        self._parts = Parts(path)
-        self._most = self._bounds.of_a_part - END_BYTES
-        self._open(max(self._parts.number, 0))
+        super().__init__(path, {**heads, **header}, bounds or Bounds())
         self.sync()  # without its header nothing of it could be read
-
-    @property
-    def lines(self) -> LineWriter:
-        """The writer of the part in use."""
-        assert self._parts.lines is not None, "the trace is closed"
-        return self._parts.lines
 
     def write(self, *events: Mapping[str, Any]) -> None:
         """Append a line, or several that belong together: no part and no death comes between."""
-        lines = [dumps(event) for event in events]
-        length = sum(map(len, lines)) + len(lines) - 1
-        if self.lines.size + length > self._most:
-            self._turn(length)
-        self.lines.append(*lines)
-
-    def sync(self) -> None:
-        """Return once all events are on the disk: they survive a power failure."""
-        self.lines.sync()
-
-    def _open(self, number: int, gone: Sequence[int] = ()) -> None:
-        """Begin a part; the parts that are ``gone`` go once its header says so."""
-        told = {**self._told, "oldest": self._parts.oldest(gone, number)}
-        self._parts.begin(number, told)
-        for one in gone:
-            self._parts.drop(one)
-
-    def _turn(self, length: int) -> None:
-        """End the part in use, and begin the next with room for a line of ``length`` bytes."""
-        number = self._parts.number + 1
-        self.sync()
-        self._parts.end(next=number)
-        needed = max(self._bounds.of_a_part, len(dumps(self._told)) + length + 2 * END_BYTES)
-        self._open(number, self._parts.beyond(self._bounds.total_bytes - needed))
-
-    def close(self) -> None:
-        """Write the end mark and close the file; further writes fail."""
-        self._parts.end()
+        self.put(*map(dumps, events))
 
 
 class TraceReader:

@@ -43,7 +43,7 @@ def scenario_of(text: str) -> Scenario:
     """
     path = scenario_file_of(text)
     if not path.exists():
-        raise UsageError(f"{text}: no such file{_others(path)}")
+        raise UsageError(f"{text}: no such file{others_than(text)}")
     try:
         return load_scenario(path)
     except ScenarioError as error:
@@ -84,15 +84,21 @@ def attack_option(text: str | None, stated: Attack | None, steps: int | None) ->
     return attack
 
 
-def _others(path: Path) -> str:
-    """What there is instead: beside a path with a folder the files there, else what is shipped."""
+def others_than(text: str, shipped: Path = SCENARIOS, what: str = "scenario") -> str:
+    """What there is instead: beside a path with a folder the files there, else what is shipped.
+
+    A file that lacks no more than its suffix is named alone.
+    """
+    path = Path(text)
+    if (meant := path.with_name(f"{path.name}.toml")).is_file():
+        return f"; did you mean {meant}?"
     beside = path.parent != Path()
-    names = ", ".join(sorted(p.stem for p in (path.parent if beside else SCENARIOS).glob("*.toml")))
+    names = ", ".join(sorted(p.stem for p in (path.parent if beside else shipped).glob("*.toml")))
     if not names:
         return ""
     if beside:
         return f"; {path.parent} has {names}"
-    return f", and no shipped scenario; shipped are {names}"
+    return f", and no shipped {what}; shipped are {names}"
 
 
 def keep_scenario(run_dir: Path, text: str) -> None:

@@ -4,17 +4,11 @@ A row loads nothing: what runs a service is named by its module. A service of on
 row, ``SERVICES["logger"] = Service(...)``, when its package is imported.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Final, NamedTuple, Protocol
-
-from runtime.health import Look, look_at_capture, look_at_status
+from typing import Final, NamedTuple
 
 BUSES: Final = ("field", "management", "adversary")
-
-FORMER: Final = {"ops": "management", "intel": "adversary"}
-"""What buses were called up to key expressions of version 1."""
 
 PLANT_FIELD: Final = "tcp/127.0.0.1:7461"
 CONTROLLER_FIELD: Final = "tcp/127.0.0.1:7462"
@@ -38,12 +32,6 @@ class Ends(NamedTuple):
     connect: tuple[str, ...] = ()
 
 
-class Health(Protocol):
-    """Looks at what a service writes below its folder; raises Failure where nothing is."""
-
-    def __call__(self, folder: Path, now_s: float) -> Look: ...  # noqa: D102
-
-
 @dataclass(frozen=True)
 class Service:
     """One service, or a person's program, as the rest of the system knows it.
@@ -61,8 +49,8 @@ class Service:
         The buses that it takes part on. On these it may subscribe to everything.
     publishes : mapping of str to tuple of str
         By bus, the topics on which it may publish, and nobody else.
-    health : Health, optional
-        How to see whether it advances.
+    reports : bool
+        Whether it writes a ``status.json`` (:func:`runtime.health.look_at_status`) into its folder.
     stop_s : float
         Seconds that it has to stop by itself.
     """
@@ -72,7 +60,7 @@ class Service:
     package: str = ""
     ends: Mapping[str, Ends] = field(default_factory=dict)
     publishes: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    health: Health | None = None
+    reports: bool = False
     stop_s: float = 5.0
 
     @property
@@ -98,7 +86,7 @@ _ROWS: Final = (
                 "management/reply/send",
             ),
         },
-        health=look_at_status,
+        reports=True,
         stop_s=END_STOP_S,
     ),
     Service(
@@ -114,7 +102,7 @@ _ROWS: Final = (
                 "management/plant/status",
             ),
         },
-        health=look_at_status,
+        reports=True,
         stop_s=END_STOP_S,
     ),
     Service(
@@ -126,7 +114,7 @@ _ROWS: Final = (
             "adversary": Ends((TAP_ADVERSARY,)),
         },
         publishes={"adversary": ("adversary/tap/status",)},
-        health=look_at_capture,
+        reports=True,
         stop_s=25.0,  # heavy eavesdroppers think to the end of what they heard
     ),
     Service(
@@ -145,18 +133,6 @@ _ROWS: Final = (
 
 SERVICES: Final = {row.name: row for row in _ROWS}
 """Every row, by name."""
-
-
-def bus_names(got: str, allowed: Iterable[str]) -> str:
-    """The names that are expected, and what a former name was changed to.
-
-    Examples
-    --------
-    >>> bus_names("ops", ["field", "management"])
-    'field, management; ops is called management now'
-    """
-    expected = ", ".join(allowed)
-    return f"{expected}; {got} is called {FORMER[got]} now" if got in FORMER else expected
 
 
 def on_bus(bus: str) -> list[Service]:

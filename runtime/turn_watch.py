@@ -87,7 +87,7 @@ class TurnWatch:
                 continue
             times += 1
             if times == TICKS:
-                frame = sys._current_frames().get(thread)
+                frame = sys._current_frames().get(thread)  # noqa: SLF001
                 call = _call(frame, self._turns.module)
                 said = f"wyner: {call} has not returned for {TICKS * TICK_S:g} s"
                 os.write(2, f"{said}; a file of one's own must return\n".encode())

@@ -1,41 +1,117 @@
-"""``python -m studies NAME``: measure a data file of docs/data anew."""
+"""``python -m studies``: what is measured for the documents, their tables and their figures."""
 
 import argparse
+import multiprocessing
 import sys
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from runtime.command import Parser, carry_out
-from runtime.errors import DONE, UsageError
+from runtime.errors import DONE, FAILED, Failure, UsageError, needs
 
 
 def build_parser() -> argparse.ArgumentParser:
     """The program's options."""
-    parser = Parser(prog="python -m studies", description="Measure data files of docs/data anew.")
-    parser.add_argument("name", nargs="+", metavar="NAME", help="which, such as corners")
-    parser.add_argument("--data", type=Path, metavar="D", help="folder (default: docs/data)")
+    parser = Parser(prog="python -m studies", description=__doc__)
+    commands = parser.add_subparsers(dest="command", required=True)
+    measure = commands.add_parser("measure", help="add to data files what they lack")
+    measure.add_argument("name", nargs="+", help="which, such as corners")
+    measure.add_argument("--only", default="", metavar="TEXT", help="tasks that contain this")
+    commands.add_parser("tables", help="write the tables on their pages")
+    draw = commands.add_parser("figures", help="draw figures, all or those named")
+    draw.add_argument("name", nargs="*", help="which (default: all)")
+    draw.add_argument("--measure", action="store_true", help="measure before what their data lack")
+    draw.add_argument("--output", type=Path, metavar="D", help="folder (default: docs/figures)")
+    for one in (measure, draw):
+        one.add_argument("--data", type=Path, metavar="D", help="folder (default: docs/data)")
+        one.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (1)")
+    commands.add_parser("stale", help="list files with rows of other code")
+    own = commands.add_parser("defence", help="try a defence of your own against every attack")
+    own.add_argument("defence", metavar="FILE.py:NAME")
     return parser
 
 
 def run(args: argparse.Namespace) -> int:
-    """Measure each."""
+    """What is asked."""
     from studies import DATA
-    from studies.measurements import MEASUREMENTS
+    from studies.registry import pages, stale
 
-    unknown = [name for name in args.name if name not in MEASUREMENTS]
-    if unknown:
-        known = ", ".join(sorted(MEASUREMENTS))
-        raise UsageError(f"name: got {unknown[0]!r}, expected one of {known}")
-    folder = args.data or DATA
-    folder.mkdir(parents=True, exist_ok=True)
-    for name in args.name:
-        MEASUREMENTS[name].measure(folder / f"{name}.csv")
-        print(folder / f"{name}.csv")
+    match args.command:
+        case "measure":
+            _measure(args.name, args.data or DATA, args.jobs, args.only)
+        case "tables":
+            for path, text in pages().items():
+                path.write_text(text, encoding="utf-8")
+        case "figures":
+            _figures(args, args.data or DATA)
+        case "stale":
+            lines = list(stale())
+            print(*lines, f"{len(lines)} files have rows of other code", sep="\n")
+            return FAILED if lines else DONE
+        case "defence":
+            _defence(args.defence)
     return DONE
 
 
+def _measure(names: Sequence[str], folder: Path, jobs: int, only: str = "") -> None:
+    from studies.registry import studies
+
+    known = studies()
+    for name in names:
+        if name not in known:
+            raise UsageError(f"name: got {name!r}, expected one of {', '.join(sorted(known))}")
+    if jobs < 1:
+        raise UsageError(f"--jobs: got {jobs}, expected at least 1")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+        for name in names:
+            path = folder / f"{name}.csv"
+            known[name].measure(path, pool if jobs > 1 else None, only, _say)
+            print(path)
+
+
+def _say(line: str) -> None:
+    print(line, file=sys.stderr, flush=True)
+
+
+def _figures(args: argparse.Namespace, data: Path) -> None:
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError:
+        raise UsageError(needs("figures", "matplotlib")) from None
+    from studies import FIGURES_FOLDER
+    from studies.figures import FIGURES, FigureError, draw
+
+    unknown = [name for name in args.name if name not in FIGURES]
+    if unknown:
+        raise UsageError(f"figures: got {unknown[0]!r}, expected {', '.join(FIGURES)}")
+    names = args.name or list(FIGURES)
+    if args.measure:
+        files = dict.fromkeys(file for name in names for file in FIGURES[name].data)
+        _measure(list(files), data, args.jobs)
+    try:
+        for name in names:
+            for path in draw(name, data, args.output or FIGURES_FOLDER):
+                print(path)
+    except FigureError as error:
+        raise Failure(str(error)) from None
+    except OSError as error:
+        raise Failure(f"{error.filename}: cannot be written: {error.strerror}") from None
+
+
+def _defence(name: str) -> None:
+    from protocol.plugins import UnknownError
+    from studies.attacks.tables import own
+
+    try:
+        print(own(name))
+    except UnknownError as error:
+        raise UsageError(f"--defence: {error}") from None
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measure; returns the exit code."""
+    """Returns the exit code."""
     return carry_out(lambda: run(build_parser().parse_args(arguments)))
 
 

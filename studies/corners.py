@@ -9,22 +9,12 @@ from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import clopper_pearson, wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from studies.registry import study
 from wyner.simulate.engine import simulate_runs
 
 RUNS, AT_ONCE, STEPS, SEED = 2000, 100, 500, 11
 
-COLUMNS: Final = (
-    "scenario",
-    "candidates",
-    "runs",
-    "steps",
-    "seed",
-    "agreed",
-    "agreed_low",
-    "wrong",
-    "wrong_high",
-    "impossible",
-)
+COLUMNS: Final = "scenario candidates runs steps seed agreed agreed_low wrong wrong_high impossible"
 
 
 def noisy_scenarios() -> Iterator[str]:
@@ -44,30 +34,30 @@ def at_the_corners(name: str) -> Scenario:
     return parse_scenario(data, name)
 
 
-def corner_rows() -> Iterator[tuple[Any, ...]]:
-    """One row a scenario."""
-    for name in noisy_scenarios():
-        scenario = at_the_corners(name)
-        law = make_law(scenario, cached_design(scenario))
-        agreed = wrong = impossible = 0
-        for first in range(0, RUNS, AT_ONCE):
-            part = range(first, first + AT_ONCE)
-            runs = simulate_runs(scenario, law, seed=SEED, runs=part, steps=STEPS)
-            possible = runs.largest <= scenario.secrecy.alpha
-            keys = possible & (runs.symbol != NO_SYMBOL)
-            agreed += int(keys.sum())
-            wrong += int((keys & (runs.symbol != runs.coin)).sum())
-            impossible += int((~possible).sum())
-        made = RUNS * STEPS
-        yield (
-            name,
-            scenario.secrecy.candidates,
-            RUNS,
-            STEPS,
-            SEED,
-            agreed / made,
-            wilson(agreed, made).low,
-            wrong,
-            clopper_pearson(wrong, agreed, 0.05)[1],
-            impossible,
-        )
+@study("corners", COLUMNS, noisy_scenarios)
+def corner_rows(name: str) -> Iterator[tuple[Any, ...]]:
+    """The row of a scenario."""
+    scenario = at_the_corners(name)
+    law = make_law(scenario, cached_design(scenario))
+    agreed = wrong = impossible = 0
+    for first in range(0, RUNS, AT_ONCE):
+        part = range(first, first + AT_ONCE)
+        runs = simulate_runs(scenario, law, seed=SEED, runs=part, steps=STEPS)
+        possible = runs.largest <= scenario.secrecy.alpha
+        keys = possible & (runs.symbol != NO_SYMBOL)
+        agreed += int(keys.sum())
+        wrong += int((keys & (runs.symbol != runs.coin)).sum())
+        impossible += int((~possible).sum())
+    made = RUNS * STEPS
+    yield (
+        name,
+        scenario.secrecy.candidates,
+        RUNS,
+        STEPS,
+        SEED,
+        agreed / made,
+        wilson(agreed, made).low,
+        wrong,
+        clopper_pearson(wrong, agreed, 0.05)[1],
+        impossible,
+    )

@@ -1,37 +1,23 @@
 """What `text` makes of every plant that is shipped, and of each way of hearing it.
 
 Keys that she knows, up to one relabelling for all steps, and whole messages. The same captures
-before each tap. ``python -m studies.eavesdroppers`` measures and prints them, after the hash of
-the code that did.
+before each tap.
 """
 
-import argparse
-import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from functools import partial
 from typing import Any, Final, NamedTuple
 
-from controller_service.laws.registry import cached_design, make_law
-from plant_service.adapters.registry import open_plant
-from protocol.agreement import NO_SYMBOL
-from protocol.relabelling import best_labels, pairs_of, right_under
 from protocol.statistics import share_over_runs
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies.outputs import heard_by
+from studies.listeners import Counts, heard, one_run
+from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import offline
 from tap_service.capture.channel import View
-from tap_service.eavesdroppers import named
-from wyner.simulate.engine import Runs, simulate_runs, transfer
-from wyner.simulate.engine.link import whole_messages
-from wyner.simulate.engine.taps import transcript
-from wyner.simulate.single import simulate_plant
-from wyner.sweeps.code import code_version
+from wyner.simulate.engine import Runs, Transfer
 
-RUNS, SEED = 10, 43
-TAPS: Final = ("text",)
+RUNS, SEED = 20, 43
+TAPS: Final = ("text", "smoother")
 SHORT: Final = b"Sail at dawn"
 """Where a run is too short for a sentence."""
 
@@ -98,89 +84,60 @@ CONDITIONS: Final = (
 )
 """What is heard of what: each plant's readings alone first."""
 
-
-class Counted(NamedTuple):
-    """What a tap made of a run: keys, those known; messages, those read; seconds of a core."""
-
-    keys: int
-    known: int
-    delivered: int
-    read: int
-    seconds: float
+COLUMNS: Final = (
+    "condition tap runs steps seed keys_of keys keys_low keys_high delivered read read_low "
+    "read_high seconds"
+)
 
 
-def simulated(scenario_name: str, steps: int, run: int) -> Runs:
+def simulated(scenario_name: str, steps: int, run: int, payload: bytes = SHORT) -> Runs:
     """One run of a shipped scenario, with its plant as it is."""
-    scenario = load_scenario(SCENARIOS / f"{scenario_name}.toml")
-    law = make_law(scenario, cached_design(scenario))
-    runs = range(run, run + 1)
-    if scenario.plant.kind == "linear":
-        return simulate_runs(scenario, law, seed=SEED, runs=runs, steps=steps, record=True)
-    opened = partial(open_plant, scenario, SCENARIOS)
-    return simulate_plant(scenario, law, opened, seed=SEED, runs=runs, steps=steps)
+    return _made(Condition(scenario_name, {}, steps), run, payload)[0]
 
 
-def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[Counted]:
+def _made(condition: Condition, run: int, payload: bytes) -> tuple[Runs, Transfer]:
+    scenario = load_scenario(SCENARIOS / f"{condition.scenario}.toml")
+    steps = condition.steps
+    return one_run(scenario, run, seed=SEED, steps=steps, payload=payload, folder=SCENARIOS)
+
+
+def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[Counts]:
     """What each tap makes of a run."""
-    runs = simulated(condition.scenario, condition.steps, run)
-    scenario = runs.scenario
     payload = SENTENCES[run].encode() if condition.sentence else SHORT
-    link = transfer(runs, payloads=[payload])
-    view = View(seed=run, **condition.view)
-    transitions = heard_by(list(transcript(runs, link, 0)), view)
-    truth = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
-    size = scenario.secrecy.candidates
-    messages = whole_messages(link.message_symbol[:, 0].tolist(), size)
-    out = []
-    for kind in map(named, taps):
-        begun = time.process_time()
-        tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))
-        said = {t.k: tap.observe(t).best for t in transitions}
-        said |= {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
-        pairs = pairs_of((said[k], key) for k, key in truth.items() if k in said)
-        known = right_under(pairs, best_labels(pairs, size))
-        whole = tap.belief().whole
-        read = sum(m in whole for m in messages)
-        seconds = time.process_time() - begun
-        out.append(Counted(len(truth), known, len(messages), read, seconds))
-    return out
+    return heard(taps, _made(condition, run, payload), View(seed=run, **condition.view))
 
 
-def tap_rows(
-    count: int = RUNS, only: str = "", jobs: int | None = None, taps: Sequence[str] = TAPS
+@study("eavesdroppers", COLUMNS, lambda: CONDITIONS)
+def rows(
+    one: Condition, count: int = RUNS, taps: Sequence[str] = TAPS
 ) -> Iterator[tuple[Any, ...]]:
-    """One row a condition and tap, of the conditions whose names contain ``only``."""
-    wanted = [one for one in CONDITIONS if only in one.name]
-    with ProcessPoolExecutor(jobs) as pool:
-        found = [[pool.submit(made_of, one, run, taps) for run in range(count)] for one in wanted]
-        for one, waiting in zip(wanted, found, strict=True):
-            by_tap = zip(*(run.result() for run in waiting), strict=True)
-            for tap, counts in zip(taps, by_tap, strict=True):
-                keys = share_over_runs((c.known, c.keys) for c in counts)
-                read = share_over_runs((c.read, c.delivered) for c in counts)
-                keys_of, delivered = sum(c.keys for c in counts), sum(c.delivered for c in counts)
-                seconds = round(sum(c.seconds for c in counts) / count, 1)
-                yield (
-                    one.name, tap, count, one.steps, SEED, keys_of, *keys, delivered, *read,
-                    seconds,
-                )  # fmt: skip
+    """One row a tap."""
+    by_tap = zip(*(made_of(one, run, taps) for run in range(count)), strict=True)
+    for tap, counts in zip(taps, by_tap, strict=True):
+        keys = share_over_runs((c.known, c.keys) for c in counts)
+        read = share_over_runs((c.read, c.delivered) for c in counts)
+        keys_of, delivered = sum(c.keys for c in counts), sum(c.delivered for c in counts)
+        seconds = round(sum(c.seconds for c in counts) / count, 1)
+        yield (
+            one.name, tap, count, one.steps, SEED, keys_of, *keys, delivered, *read, seconds,
+        )  # fmt: skip
 
 
-def _line(row: tuple[Any, ...]) -> str:
-    """A row in words."""
-    name, tap, runs, _, _, keys_of, keys, low, high, delivered, read, _, _, seconds = row
-    share = f"{100 * keys:.1f} % [{100 * low:.1f}, {100 * high:.1f}] of {keys_of} keys"
-    messages = f"{round(read * delivered)} of {delivered} messages" if delivered else "no message"
-    return f"{name}: {tap}, {runs} runs: {share}, {messages}, {seconds} s of a core"
+@table("eavesdroppers", "findings", "eavesdroppers")
+def shown(found: Sequence[Row]) -> Lines:
+    """A line a condition, taps across: keys in %, messages read, seconds of a core."""
+    taps = list(dict.fromkeys(row["tap"] for row in found))
+    cells = {(row["condition"], row["tap"]): row for row in found}
+    lines = [("heard", *(f"`{tap}`" for tap in taps))]
+    for name in dict.fromkeys(row["condition"] for row in found):
+        mine = [cells[name, tap] for tap in taps if (name, tap) in cells]
+        lines.append((name, *(_told(row) for row in mine)))
+    return lines
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Measure what the taps make of every plant.")
-    parser.add_argument("--runs", type=int, default=RUNS, help=f"of a condition (default: {RUNS})")
-    parser.add_argument("--only", default="", help="part of a condition's name (default: all)")
-    parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
-    parser.add_argument("--taps", nargs="+", default=TAPS, help="names (default: text)")
-    args = parser.parse_args()
-    print(code_version("studies.eavesdroppers"))
-    for row in tap_rows(args.runs, args.only, args.jobs, args.taps):
-        print(_line(row), flush=True)
+def _told(row: dict[str, str]) -> str:
+    keys, low, high = (100 * float(row[name]) for name in ("keys", "keys_low", "keys_high"))
+    said = f"{keys:.1f} [{low:.1f}, {high:.1f}]"
+    if "measurements" in row["condition"] or not int(row["delivered"]):
+        return said
+    return f"{said}; {round(float(row['read']) * int(row['delivered']))} of {row['delivered']}"

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple, Self
 from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.bound import NONCE_BITS, Assumption, quantile
 from protocol.secret.extractor import WORDS
+from studies.registry import study
 from tap_service.inference.key_solver import bits_held
 
 TRANSITIONS: Final = 256
@@ -19,7 +20,7 @@ BLOCKS: Final = 40
 EPS: Final = 1e-12
 CLAIM: Final = Assumption(0.3)
 
-CONTROL_COLUMNS: Final = ("control", "rule", "blocks", "breached", "worst_bits", "last_seed")
+CONTROL_COLUMNS: Final = "control rule blocks breached worst_bits last_seed"
 
 
 class KeyRun(NamedTuple):
@@ -106,13 +107,13 @@ CONTROLS: Final[dict[str, Callable[[Random], KeyRun]]] = {
 }
 
 
-def control_rows() -> Iterator[tuple[str, str, int, int, int, int]]:
-    """Blocks that she breaks, by control, with the rule broken and kept."""
-    for control, draw in CONTROLS.items():
-        outcomes = [draw(Random(f"{control} {seed}")) for seed in range(BLOCKS)]
-        for rule, held in (
-            ("broken", [o.broken for o in outcomes]),
-            ("kept", [o.kept for o in outcomes]),
-        ):
-            breached = sum(bits > 0 for bits in held)
-            yield control, rule, BLOCKS, breached, max(held), BLOCKS - 1
+@study("key-controls", CONTROL_COLUMNS, lambda: CONTROLS)
+def control_rows(control: str) -> Iterator[tuple[str, str, int, int, int, int]]:
+    """Blocks that she breaks, with the rule broken and kept."""
+    outcomes = [CONTROLS[control](Random(f"{control} {seed}")) for seed in range(BLOCKS)]
+    for rule, held in (
+        ("broken", [o.broken for o in outcomes]),
+        ("kept", [o.kept for o in outcomes]),
+    ):
+        breached = sum(bits > 0 for bits in held)
+        yield control, rule, BLOCKS, breached, max(held), BLOCKS - 1

@@ -14,6 +14,7 @@ from protocol.convex import Polytope, planar_vertices
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from studies.registry import study
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen
 from wyner.sweeps import SWEEPS
@@ -30,15 +31,12 @@ BURN_IN: Final = 1000
 """Steps that the candidates' distances leave out: until then the loop is on its way."""
 SHOWN_SETS: Final = (0, 1, 2, 3, 4, 6, 8)
 
-DISTANCE_COLUMNS: Final = (
-    "alpha", "runs", "steps", "seed", "distance", "transitions", "in_diff", "expected",
-)  # fmt: skip
+DISTANCE_COLUMNS: Final = "alpha runs steps seed distance transitions in_diff expected"
 TAP_COLUMNS: Final = (
-    "variant", "alpha", "runs", "steps", "seed", "agreements", "nearest_right", "delivered",
-    "read_by_list_decoder",
-)  # fmt: skip
-WIDTH_COLUMNS: Final = ("scenario", "runs", "steps", "seed", "quantile", "distance")
-SET_COLUMNS: Final = ("seed", "kind", "name", "index", "x_1", "x_2")
+    "variant alpha runs steps seed agreements nearest_right delivered read_by_list_decoder"
+)
+WIDTH_COLUMNS: Final = "scenario runs steps seed quantile distance"
+SET_COLUMNS: Final = "seed kind name index x_1 x_2"
 
 
 @cache
@@ -101,7 +99,8 @@ def gauges_of(scenario: Scenario, v: Array) -> Array:
     return out
 
 
-def distance_rows() -> Iterator[tuple[Any, ...]]:
+@study("distance", DISTANCE_COLUMNS)
+def distance_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """Share of transitions in Diff by the candidates' distance, beside the closed form."""
     scenario, law = system("sustained")
     runs, steps = 200, 200
@@ -152,7 +151,8 @@ def tap_row(point: Point, runs: int, steps: int) -> tuple[Any, ...]:
     )
 
 
-def tap_rows(runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> Iterator[tuple[Any, ...]]:
+@study("taps", TAP_COLUMNS)
+def tap_rows(_: None, runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> Iterator[tuple[Any, ...]]:
     """What the taps get under each disturbance of the sweep ``disturbances``, at alpha = 8."""
     file = SWEEPS / "disturbances.toml"
     for point in points_of(load_sweep(file), file.parent):
@@ -160,20 +160,21 @@ def tap_rows(runs: int = TAP_RUNS, steps: int = TAP_STEPS) -> Iterator[tuple[Any
             yield tap_row(point, runs, steps)
 
 
-def width_rows() -> Iterator[tuple[Any, ...]]:
-    """Quantiles of the candidates' distance for each plant."""
+@study("widths", WIDTH_COLUMNS, lambda: PLANTS)
+def width_rows(name: str) -> Iterator[tuple[Any, ...]]:
+    """Quantiles of the candidates' distance of a plant."""
     runs, steps = 30, 200
-    for name in PLANTS:
-        scenario, law = system(name)
-        sample = simulate_runs(
-            scenario, law, seed=SEED, runs=range(runs), steps=BURN_IN + steps, record=True
-        )
-        distance = gauges_of(scenario, centre_distances(sample)[BURN_IN:]).ravel()
-        for q in np.linspace(0, 1, 101).tolist():
-            yield name, runs, steps, SEED, q, float(np.quantile(distance, q))
+    scenario, law = system(name)
+    sample = simulate_runs(
+        scenario, law, seed=SEED, runs=range(runs), steps=BURN_IN + steps, record=True
+    )
+    distance = gauges_of(scenario, centre_distances(sample)[BURN_IN:]).ravel()
+    for q in np.linspace(0, 1, 101).tolist():
+        yield name, runs, steps, SEED, q, float(np.quantile(distance, q))
 
 
-def set_rows() -> Iterator[tuple[Any, ...]]:
+@study("sets", SET_COLUMNS)
+def set_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """Corners of some T_i, trajectories through them, and one step's picture (Fig. 4)."""
     scenario, law = system("sustained")
     for i in SHOWN_SETS:

@@ -2,27 +2,20 @@
 
 The network loses measurements, so that in some steps the plant has no offer. Where she misses the
 measurement after such a step too, nothing tells her that no symbol was carried in it.
-``python -m studies.missed_steps`` puts the table of the data on the page.
 """
 
-import csv
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final, NamedTuple
 
-from controller_service.laws.registry import cached_design, make_law
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
-from studies import DATA
-from studies.outputs import SESSION, Counts, counted, put_together
-from studies.pages import between_marks
-from studies.readings import by_condition, told
+from studies.listeners import SESSION, Counts, by_condition, counted, one_run, put_together, told
+from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
 from studies.signalling import changed
 from tap_service.capture.channel import View
-from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
+from wyner.simulate.engine import Runs, Transfer
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.code import ROOT
 
 RUNS, SEED = 10, 5
 LOST: Final = 0.03
@@ -44,12 +37,10 @@ CONDITIONS: Final = {
     "`sustained`, she misses 10 %": Condition("sustained", 4, 500, 0.1),
 }
 
-PAGE: Final = ROOT / "docs" / "findings.md"
-
 COLUMNS: Final = (
-    "condition", "tap", "runs", "steps", "seed", "lost", "plant_missed", "not_told", "keys_of",
-    "keys", "keys_low", "keys_high", "delivered", "read", "read_low", "read_high",
-)  # fmt: skip
+    "condition tap runs steps seed lost plant_missed not_told keys_of keys keys_low "
+    "keys_high delivered read read_low read_high"
+)
 
 
 def scenario_of(condition: str) -> Scenario:
@@ -89,11 +80,8 @@ class Heard(NamedTuple):
 def made_of(condition: str, run: int) -> Heard:
     """What each eavesdropper makes of a run."""
     of, scenario = CONDITIONS[condition], scenario_of(condition)
-    law = make_law(scenario, cached_design(scenario))
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(run, run + 1), steps=of.steps, record=True
-    )
-    link = transfer(runs, payloads=[SENTENCES[run].encode()[: of.characters]])
+    payload = SENTENCES[run].encode()[: of.characters]
+    runs, link = one_run(scenario, run, seed=SEED, steps=of.steps, payload=payload)
     view = View(loss=of.missed, seed=run)
     transitions = put_together(messages_of(runs, link), view)
     assert runs.missed is not None
@@ -103,32 +91,18 @@ def made_of(condition: str, run: int) -> Heard:
     return Heard(int(missed.sum()), not_told, counts)
 
 
-def missed_rows() -> Iterator[tuple[Any, ...]]:
-    """One row a condition and eavesdropper."""
-    with ProcessPoolExecutor() as pool:
-        found = {
-            condition: [pool.submit(made_of, condition, run) for run in range(RUNS)]
-            for condition in CONDITIONS
-        }
-        for condition, waiting in found.items():
-            runs = [one.result() for one in waiting]
-            totals = sum(run.missed for run in runs), sum(run.not_told for run in runs)
-            by_tap = zip(*(run.counts for run in runs), strict=True)
-            for tap, counts in zip(TAPS, by_tap, strict=True):
-                steps = CONDITIONS[condition].steps
-                yield (condition, tap, RUNS, steps, SEED, LOST, *totals, *told(counts))
+@study("missed-steps", COLUMNS, lambda: CONDITIONS)
+def missed_rows(condition: str) -> Iterator[tuple[Any, ...]]:
+    """One row an eavesdropper."""
+    runs = [made_of(condition, run) for run in range(RUNS)]
+    totals = sum(run.missed for run in runs), sum(run.not_told for run in runs)
+    steps = CONDITIONS[condition].steps
+    by_tap = zip(*(run.counts for run in runs), strict=True)
+    for tap, counts in zip(TAPS, by_tap, strict=True):
+        yield (condition, tap, RUNS, steps, SEED, LOST, *totals, *told(counts))
 
 
-def written(text: str, rows: Sequence[dict[str, str]]) -> str:
-    """The page with the table between its marks."""
-    return between_marks(text, "missed-steps", by_condition(rows, TAPS, CONDITIONS))
-
-
-def recorded() -> list[dict[str, str]]:
-    """The rows of the data file."""
-    with (DATA / "missed-steps.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-if __name__ == "__main__":
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")
+@table("missed-steps", "findings", "missed-steps")
+def shown(rows: Sequence[Row]) -> Lines:
+    """Eavesdroppers down, conditions across."""
+    return by_condition(rows, TAPS, CONDITIONS)

@@ -12,7 +12,7 @@ from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import Interval, normal_mean
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.advice.missed_share import expected_missed_share
+from studies.registry import study
 from wyner.simulate.engine import simulate_runs, transfer
 
 RUNS, STEPS = 100, 500
@@ -25,22 +25,9 @@ LOSSES: Final = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7)
 ROUND_TRIPS: Final = (0.2, 0.6, 0.8, 1.0, 1.2)
 """Mean round trip in periods; each way takes half of it, with half of that as its deviation."""
 
-DIGITS: Final = 12
-"""Of the computed share: those beyond are the machine's algebra's."""
-
 COLUMNS: Final = (
-    "part",
-    "value",
-    "fallback",
-    "runs",
-    "steps",
-    "seed",
-    "expected_missed",
-    *(
-        f"{name}{end}"
-        for name in ("missed", "cost", "bits_per_second")
-        for end in ("", "_low", "_high")
-    ),
+    "part value fallback runs steps seed missed missed_low missed_high "
+    "cost cost_low cost_high bits_per_second bits_per_second_low bits_per_second_high"
 )
 
 
@@ -60,27 +47,33 @@ def _mean(values: Array) -> Interval:
     return normal_mean(float(values.sum()), float((values * values).sum()), len(values))
 
 
-def network_rows() -> Iterator[tuple[Any, ...]]:
-    """Missed steps, control cost and rate by loss and by delay, for each fallback."""
-    base = load_scenario(SCENARIOS / "sustained.toml")
-    law = make_law(base, cached_design(base))
+def points() -> Iterator[tuple[str, float, int]]:
+    """Each loss and each delay, with the seed of its draws."""
     for part, values in (("loss", LOSSES), ("delay", ROUND_TRIPS)):
         for seed, value in enumerate(values, start=FIRST_SEED[part]):
-            for fallback in FALLBACKS:
-                scenario = networked(base, part, value, fallback)
-                runs = simulate_runs(scenario, law, seed=seed, runs=range(RUNS), steps=STEPS)
-                carried = (transfer(runs).message_symbol != NO_SYMBOL).sum(axis=0)
-                bits = float(np.log2(scenario.secrecy.candidates))
-                rate = carried * bits / (STEPS * scenario.plant.period_s)
-                yield (
-                    part,
-                    value,
-                    fallback,
-                    RUNS,
-                    STEPS,
-                    seed,
-                    round(expected_missed_share(scenario) or 0.0, DIGITS),
-                    *_mean(runs.missed_share),
-                    *_mean(runs.mean_cost),
-                    *_mean(rate),
-                )
+            yield part, value, seed
+
+
+@study("network", COLUMNS, points)
+def network_rows(point: tuple[str, float, int]) -> Iterator[tuple[Any, ...]]:
+    """Missed steps, control cost and rate at a loss or a delay, for each fallback."""
+    base = load_scenario(SCENARIOS / "sustained.toml")
+    law = make_law(base, cached_design(base))
+    part, value, seed = point
+    for fallback in FALLBACKS:
+        scenario = networked(base, part, value, fallback)
+        runs = simulate_runs(scenario, law, seed=seed, runs=range(RUNS), steps=STEPS)
+        carried = (transfer(runs).message_symbol != NO_SYMBOL).sum(axis=0)
+        bits = float(np.log2(scenario.secrecy.candidates))
+        rate = carried * bits / (STEPS * scenario.plant.period_s)
+        yield (
+            part,
+            value,
+            fallback,
+            RUNS,
+            STEPS,
+            seed,
+            *_mean(runs.missed_share),
+            *_mean(runs.mean_cost),
+            *_mean(rate),
+        )

@@ -8,6 +8,7 @@ import numpy as np
 from runtime.scenario_file import scenario_of
 from studies.bound.loop import LinearLoop
 from studies.bound.taps import block_left, smoother_left
+from studies.registry import study
 from studies.signalling import changed
 
 SEED: Final = 7
@@ -18,26 +19,12 @@ WEIGHTS: Final = (0.001, 0.005, 0.02, 0.1, 0.5, 2.0)
 KEY_COINS, KEY_EPS = 1000, 1e-12
 
 COLUMNS: Final = (
-    "part",
-    "tap",
-    "weight",
-    "noise",
-    "ratio",
-    "gain",
-    "claimed",
-    "bits",
-    "error",
-    "guess",
-    "key_bits",
-    "coins",
-    "eps",
-    "runs",
-    "steps",
-    "seed",
+    "part tap weight noise ratio gain claimed bits error guess key_bits coins eps runs steps seed"
 )
 
 
-def bound_rows() -> Iterator[tuple[Any, ...]]:
+@study("noise-bound", COLUMNS)
+def bound_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """The paper's plant, M = 4: the bound, three taps, and the bound over the regulator."""
     scenario = scenario_of("packed")
     loop = LinearLoop.of(scenario)
@@ -59,7 +46,7 @@ def bound_rows() -> Iterator[tuple[Any, ...]]:
                 BLOCKS,
                 COINS,
             ),
-            "smoother": (smoother_left(scenario, loop, noise, STEPS, RUNS, SEED), RUNS, STEPS),
+            "smoother": (smoother_left(scenario, noise, STEPS, RUNS, SEED), RUNS, STEPS),
         }
         for tap, (left, runs, steps) in taps.items():
             yield (

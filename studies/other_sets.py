@@ -1,25 +1,17 @@
 """What each eavesdropper makes of `sustained` where the test's set is not D_e made smaller.
 
 A D_e of its own shape, and noise of the plant's own sensors: D_e then does not tell her the set by
-which both ends test. She hears everything. ``python -m studies.other_sets`` puts the table of the
-data on the page.
+which both ends test. She hears everything.
 """
 
-import csv
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from typing import Any, Final
 
-from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
-from studies import DATA
-from studies.outputs import Counts, heard
-from studies.pages import between_marks
-from studies.readings import by_condition, told
+from studies.listeners import Counts, by_condition, heard, one_run, told
+from studies.registry import Lines, Row, study, table
 from studies.signalling import changed
 from tap_service.capture.channel import View
-from wyner.simulate.engine import simulate_runs, transfer
-from wyner.sweeps.code import ROOT
 
 RUNS, STEPS, SEED = 10, 500, 7
 MESSAGE: Final = b"Sail"
@@ -34,12 +26,10 @@ CONDITIONS: Final[dict[str, dict[str, Any]]] = {
 }
 """What is changed of the scenario, by name. D_c is (0.12, 0.12)."""
 
-PAGE: Final = ROOT / "docs" / "findings.md"
-
 COLUMNS: Final = (
-    "condition", "tap", "runs", "steps", "seed", "keys_of", "keys", "keys_low", "keys_high",
-    "delivered", "read", "read_low", "read_high",
-)  # fmt: skip
+    "condition tap runs steps seed keys_of keys keys_low keys_high delivered read read_low "
+    "read_high"
+)
 
 
 def scenario_of(condition: str) -> Scenario:
@@ -47,39 +37,21 @@ def scenario_of(condition: str) -> Scenario:
     return changed("sustained", **CONDITIONS[condition])
 
 
-def other_set_rows() -> Iterator[tuple[Any, ...]]:
-    """One row a condition and eavesdropper."""
-    with ProcessPoolExecutor() as pool:
-        found = {
-            condition: [pool.submit(made_of, condition, run) for run in range(RUNS)]
-            for condition in CONDITIONS
-        }
-        for condition, runs in found.items():
-            by_tap = zip(*(run.result() for run in runs), strict=True)
-            for tap, counts in zip(TAPS, by_tap, strict=True):
-                yield (condition, tap, RUNS, STEPS, SEED, *told(counts))
+@study("other-sets", COLUMNS, lambda: CONDITIONS)
+def other_set_rows(condition: str) -> Iterator[tuple[Any, ...]]:
+    """One row an eavesdropper."""
+    by_tap = zip(*(made_of(condition, run) for run in range(RUNS)), strict=True)
+    for tap, counts in zip(TAPS, by_tap, strict=True):
+        yield (condition, tap, RUNS, STEPS, SEED, *told(counts))
 
 
 def made_of(condition: str, run: int) -> list[Counts]:
     """What each eavesdropper makes of a run."""
-    scenario = scenario_of(condition)
-    law = make_law(scenario, cached_design(scenario))
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
-    )
-    return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), View())
+    made = one_run(scenario_of(condition), run, seed=SEED, steps=STEPS, payload=MESSAGE)
+    return heard(TAPS, made, View())
 
 
-def written(text: str, rows: Sequence[dict[str, str]]) -> str:
-    """The page with the table between its marks."""
-    return between_marks(text, "other-sets", by_condition(rows, TAPS, CONDITIONS))
-
-
-def recorded() -> list[dict[str, str]]:
-    """The rows of the data file."""
-    with (DATA / "other-sets.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-if __name__ == "__main__":
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")
+@table("other-sets", "findings", "other-sets")
+def shown(rows: Sequence[Row]) -> Lines:
+    """Eavesdroppers down, conditions across."""
+    return by_condition(rows, TAPS, CONDITIONS)

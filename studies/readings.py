@@ -1,11 +1,6 @@
-"""What noise of the plant's own sensors leaves: candidates, keys, and the eavesdroppers.
+"""What noise of the plant's own sensors leaves: candidates, keys, and the eavesdroppers."""
 
-``python -m studies.readings`` puts the table of the data on the page.
-"""
-
-import csv
-from collections.abc import Iterable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
 from controller_service.laws.base import CandidateLaw
@@ -13,15 +8,13 @@ from controller_service.laws.registry import make_law, synthesise
 from controller_service.sets.design import SynthesisError
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario, parse_scenario
-from protocol.statistics import Interval, share_over_runs, wilson
+from protocol.statistics import Interval, wilson
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies import DATA
-from studies.outputs import Counts, heard
-from studies.pages import between_marks, markdown_table
+from studies.listeners import Counts, heard, one_run, told
+from studies.registry import Lines, Row, study, table
 from tap_service.capture.channel import View
-from wyner.simulate.engine import simulate_runs, transfer
-from wyner.sweeps.code import ROOT
+from wyner.simulate.engine import simulate_runs
 
 SHARES: Final = (0.05, 0.2, 0.3, 0.5)
 """Half-width of the noise over that of D_c, in each coordinate."""
@@ -37,13 +30,10 @@ TAPS: Final = (
 SHOWN: Final = ("nearest-centre", "list-decoder", "learning", "text")
 """Those of the page's table."""
 
-PAGE: Final = ROOT / "docs" / "control.md"
-
 COLUMNS: Final = (
-    "share", "candidates", "runs", "steps", "seed", "agreed", "agreed_low", "wrong", "impossible",
-    "tap", "heard_runs", "keys_of", "keys", "keys_low", "keys_high", "delivered", "read",
-    "read_low", "read_high",
-)  # fmt: skip
+    "share candidates runs steps seed agreed agreed_low wrong impossible tap heard_runs "
+    "keys_of keys keys_low keys_high delivered read read_low read_high"
+)
 
 
 def noisy(share: float, candidates: int) -> Scenario:
@@ -71,67 +61,33 @@ def largest(share: float) -> tuple[Scenario, CandidateLaw]:
     raise SynthesisError(f"defender.noise: {share:g} of D_c leaves no two candidates")
 
 
-def reading_rows() -> Iterator[tuple[Any, ...]]:
-    """One row a share of noise and eavesdropper."""
-    with ProcessPoolExecutor() as pool:
-        found = {
-            share: [pool.submit(_heard, share, run) for run in range(HEARD)] for share in SHARES
-        }
-        for share in SHARES:
-            scenario, law = largest(share)
-            runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
-            possible = runs.largest <= scenario.secrecy.alpha
-            agreed = possible & (runs.symbol != NO_SYMBOL)
-            count = int(agreed.sum())
-            taps = zip(TAPS, zip(*(one.result() for one in found[share]), strict=True), strict=True)
-            for tap, counts in taps:
-                yield (
-                    share, scenario.secrecy.candidates, RUNS, STEPS, SEED,
-                    count / agreed.size, wilson(count, agreed.size).low,
-                    int((agreed & (runs.symbol != runs.coin)).sum()), int((~possible).sum()),
-                    tap, HEARD, *told(counts),
-                )  # fmt: skip
+@study("readings", COLUMNS, lambda: SHARES)
+def reading_rows(share: float) -> Iterator[tuple[Any, ...]]:
+    """One row an eavesdropper."""
+    scenario, law = largest(share)
+    runs = simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS)
+    possible = runs.largest <= scenario.secrecy.alpha
+    agreed = possible & (runs.symbol != NO_SYMBOL)
+    count = int(agreed.sum())
+    by_tap = zip(*(_heard(share, run) for run in range(HEARD)), strict=True)
+    for tap, counts in zip(TAPS, by_tap, strict=True):
+        yield (
+            share, scenario.secrecy.candidates, RUNS, STEPS, SEED,
+            count / agreed.size, wilson(count, agreed.size).low,
+            int((agreed & (runs.symbol != runs.coin)).sum()), int((~possible).sum()),
+            tap, HEARD, *told(counts),
+        )  # fmt: skip
 
 
 def _heard(share: float, run: int) -> list[Counts]:
     """What each eavesdropper makes of a run."""
     scenario, law = largest(share)
-    runs = simulate_runs(
-        scenario, law, seed=SEED, runs=range(run, run + 1), steps=STEPS, record=True
-    )
-    return heard(TAPS, scenario, runs, transfer(runs, payloads=[MESSAGE]), View())
+    made = one_run(scenario, run, seed=SEED, steps=STEPS, payload=MESSAGE, law=law)
+    return heard(TAPS, made, View())
 
 
-def told(counts: Sequence[Counts]) -> tuple[float, ...]:
-    """Keys, the share right in the end and its interval over runs; the same of messages."""
-    keys = share_over_runs((one.later, one.keys) for one in counts)
-    read = share_over_runs((one.read, one.delivered) for one in counts)
-    return (sum(c.keys for c in counts), *keys, sum(c.delivered for c in counts), *read)
-
-
-def by_condition(
-    rows: Sequence[dict[str, str]], taps: Sequence[str], conditions: Iterable[str]
-) -> str:
-    """A table of keys in % and messages read: eavesdroppers down, conditions across."""
-    cells = {(row["condition"], row["tap"]): row for row in rows}
-    names = tuple(conditions)
-    lines = [("tap", *names)]
-    for tap in taps:
-        lines.append((f"`{tap}`", *(_both(cells[name, tap]) for name in names)))
-    return markdown_table(lines)
-
-
-def _both(row: dict[str, str]) -> str:
-    keys, read = (
-        Interval(*(100 * float(row[name]) for name in (what, f"{what}_low", f"{what}_high")))
-        for what in ("keys", "read")
-    )
-    count = round(float(row["read"]) * int(row["delivered"]))
-    share = f"{count} of {row['delivered']} [{read.low:.0f}, {read.high:.0f}]"
-    return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {share}"
-
-
-def table(rows: Sequence[dict[str, str]]) -> str:
+@table("readings", "control", "readings")
+def shown(rows: Sequence[Row]) -> Lines:
     """The table of docs/control.md: a line a share of noise."""
     lines = [("noise over D_c", "M", "agreed, wrong", *(f"`{tap}`" for tap in SHOWN))]
     for share in SHARES:
@@ -147,25 +103,10 @@ def table(rows: Sequence[dict[str, str]]) -> str:
                 *(_cell(mine[tap]) for tap in SHOWN),
             )
         )
-    return markdown_table(lines)
+    return lines
 
 
 def _cell(row: dict[str, str]) -> str:
     keys = Interval(*(100 * float(row[name]) for name in ("keys", "keys_low", "keys_high")))
     read = round(float(row["read"]) * int(row["delivered"]))
     return f"{keys.value:.3g} [{keys.low:.3g}, {keys.high:.3g}]; {read} of {row['delivered']}"
-
-
-def written(text: str, rows: Sequence[dict[str, str]]) -> str:
-    """The page with the table between its marks."""
-    return between_marks(text, "readings", table(rows))
-
-
-def recorded() -> list[dict[str, str]]:
-    """The rows of the data file."""
-    with (DATA / "readings.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
-if __name__ == "__main__":
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), recorded()), encoding="utf-8")

@@ -20,6 +20,7 @@ from studies.capacity.betting import DisturbanceLaw, best_bet
 from studies.capacity.blocks import chained_bits, finite_keys
 from studies.capacity.price import dither_price
 from studies.capacity.two_step import best_codes, single_step_keys
+from studies.registry import study
 from wyner.simulate.engine import Runs, follow, simulate_runs
 
 SEED: Final = 7
@@ -43,52 +44,16 @@ ALPHAS: Final = (
     10.0,
 )
 RATE_COLUMNS: Final = (
-    "law",
-    "scheme",
-    "alpha",
-    "candidates",
-    "spacing",
-    "runs",
-    "steps",
-    "seed",
-    "agreed",
-    "carried",
-    "bits_per_step",
-    "bits_low",
-    "bits_high",
-    "expected_bits",
+    "law scheme alpha candidates spacing runs steps seed agreed carried bits_per_step "
+    "bits_low bits_high expected_bits"
 )
 PRICE_COLUMNS: Final = (
-    "law",
-    "terminal",
-    "candidates",
-    "spacing",
-    "alpha",
-    "runs",
-    "steps",
-    "seed",
-    "bits_per_step",
-    "state_cost",
-    "state_low",
-    "state_high",
-    "input_effort",
-    "travel",
-    "travel_low",
-    "travel_high",
-    "largest_input",
-    "kx",
-    "ku",
+    "law terminal candidates spacing alpha runs steps seed bits_per_step state_cost "
+    "state_low state_high input_effort travel travel_low travel_high largest_input kx ku"
 )
-CODE_COLUMNS: Final = (
-    "alpha",
-    "single_step",
-    "two_step",
-    "bits_per_step",
-    "volume_bound",
-    "period",
-)
+CODE_COLUMNS: Final = "alpha single_step two_step bits_per_step volume_bound period"
 BLOCK_STEPS: Final = (1, 2, 5, 10, 40)
-BLOCK_COLUMNS: Final = ("alpha", "steps", "bits_per_step", "volume_bound", "finite_bits")
+BLOCK_COLUMNS: Final = "alpha steps bits_per_step volume_bound finite_bits"
 
 
 def changed(name: str, **tables: dict[str, Any]) -> Scenario:
@@ -128,7 +93,8 @@ def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float, expected
     )
 
 
-def rate_rows() -> Iterator[tuple[Any, ...]]:
+@study("signalling-rates", RATE_COLUMNS)
+def rate_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """Message bits a step over alpha: `sustained` with either scheme, packed, and the best bet."""
     for scheme in ("switched", "pipelined"):
         scenario = changed("sustained", secrecy={"scheme": scheme})
@@ -153,7 +119,8 @@ def rate_rows() -> Iterator[tuple[Any, ...]]:
         yield _rate(scenario, simulated(scenario), alpha, bet.spacing, bet.bits)
 
 
-def price_rows() -> Iterator[tuple[Any, ...]]:
+@study("signalling-price", PRICE_COLUMNS)
+def price_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """Costs of the loop from the origin, quiet and at every size, with either terminal set."""
     terminals: dict[str, dict[str, Any]] = {
         "regulator, R = 0.005": {},
@@ -219,7 +186,8 @@ def _mean(values: Array) -> Interval:
     return normal_mean(float(values.sum()), float((values * values).sum()), len(values))
 
 
-def code_rows() -> Iterator[tuple[Any, ...]]:
+@study("two-step", CODE_COLUMNS)
+def code_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """The most keys of one step and of two, just above each alpha."""
     alphas = sorted([7 / 3, *(round(2.0 + 0.125 * k, 3) for k in range(17))])
     for alpha, code in zip(alphas, best_codes(alphas), strict=True):
@@ -234,7 +202,8 @@ def code_rows() -> Iterator[tuple[Any, ...]]:
         )
 
 
-def block_rows() -> Iterator[tuple[Any, ...]]:
+@study("block-codes", BLOCK_COLUMNS)
+def block_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """The chained code over blocks of steps, beside the volume bound and what finite offers do."""
     for steps in BLOCK_STEPS:
         for alpha in (round(1.05 + 0.05 * k, 2) for k in range(180)):

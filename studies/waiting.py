@@ -7,7 +7,6 @@ state, in D_e, finds both candidates possible after one reading; or the offer ha
 other candidate. A symbol is resolved where none of them explains the readings that followed.
 """
 
-import random
 from collections.abc import Iterator, Sequence
 from itertools import product
 from typing import Any, Final
@@ -16,9 +15,12 @@ import numpy as np
 
 from protocol.agreement import Gauge, predict, spread
 from protocol.box_observer import Box, BoxObserver
+from protocol.scenario import Scenario
 from protocol.vectors import Vector
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
+from studies.registry import study
+from wyner.simulate.engine import simulate_runs
 
 ALPHAS: Final = (1.2, 1.7, 2.5, 4.0, 12.0)
 STEPS, SEED, WAITS = 160, 5, 4
@@ -29,87 +31,62 @@ SETTLING: Final = 10
 """First steps, which are not looked at."""
 
 COLUMNS: Final = (
-    "alpha",
-    "offset",
-    "steps",
-    "seed",
-    "waits",
-    "within",
-    "one_step_secret",
-    "one_step_resolved",
-    "offer_secret",
-    "offer_resolved",
+    "alpha offset steps seed waits within one_step_secret one_step_resolved offer_secret "
+    "offer_resolved"
 )
 
 Offer = tuple[Vector, ...]
 
 
-def waiting_rows() -> Iterator[tuple[Any, ...]]:
-    """One row an alpha."""
+class _Offers:
+    """u = K x_hat, with two candidates about half a volt apart."""
+
+    def __init__(self, K: Vector) -> None:
+        self._K = K
+
+    def candidates(self, x: Vector, /) -> Offer:
+        """Around the feedback's, within five volts."""
+        middle = min(max(sum(k * v for k, v in zip(self._K, x, strict=True)), -5.0), 5.0)
+        return ((middle - OFFSET / 2,), (middle + OFFSET / 2,))
+
+
+@study("waiting", COLUMNS, lambda: ALPHAS)
+def waiting_rows(alpha: float) -> Iterator[tuple[Any, ...]]:
+    """The row of an alpha."""
     scenario = load_scenario(SCENARIOS / "encoder.toml")
     observer, K = scenario.observer, scenario.control.gain
     assert observer is not None
     assert K is not None
     gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
-    for alpha in ALPHAS:
-        hers = BoxObserver(
-            observer.A,
-            observer.B,
-            observer.C,
-            tuple(alpha * w for w in observer.disturbance),
-            observer.noise,
-            observer.bounds,
-        )
-        found = list(_symbols(observer, hers, K[0], scenario.initial_state))
-        one_step = [resolved for both, resolved in found if both]
-        pushes = [predict(observer.A, observer.B, (0.0, 0.0), (s * OFFSET / 2,)) for s in (-1, 1)]
-        within = 1.0 + spread(gauge, pushes) <= alpha
-        offered = [resolved for _, resolved in found] if within else []
-        yield (
-            alpha,
-            OFFSET,
-            STEPS,
-            SEED,
-            WAITS,
-            int(within),
-            len(one_step),
-            sum(one_step),
-            len(offered),
-            sum(offered),
-        )
+    widths = tuple(alpha * w for w in observer.disturbance)
+    hers = BoxObserver(observer.A, observer.B, observer.C, widths, observer.noise, observer.bounds)
+    found = list(_symbols(scenario, hers, _Offers(K[0])))
+    one_step = [resolved for both, resolved in found if both]
+    pushes = [predict(observer.A, observer.B, (0.0, 0.0), (s * OFFSET / 2,)) for s in (-1, 1)]
+    within = 1.0 + spread(gauge, pushes) <= alpha
+    offered = [resolved for _, resolved in found] if within else []
+    yield (
+        alpha, OFFSET, STEPS, SEED, WAITS, int(within), len(one_step), sum(one_step),
+        len(offered), sum(offered),
+    )  # fmt: skip
 
 
-def _symbols(
-    observer: BoxObserver, hers: BoxObserver, K: Vector, x: Vector
-) -> Iterator[tuple[bool, bool]]:
+def _symbols(scenario: Scenario, hers: BoxObserver, law: _Offers) -> Iterator[tuple[bool, bool]]:
     """Of each symbol that the defender decoded: both possible in her box; resolved later."""
-    draw = random.Random(SEED)
-
-    def read(x: Vector) -> Vector:
-        noise = (draw.uniform(-w, w) for w in observer.noise)
-        return tuple(v + n for v, n in zip(observer.read(x), noise, strict=True))
-
-    y = read(x)
-    box, her_box = observer.begin(y), hers.begin(y)
-    offers: list[Offer] = []
-    readings, boxes, coins, told, both = [y], [her_box], [], [], []
-    for _ in range(STEPS):
-        centre = sum(k * v for k, v in zip(K, box.centre, strict=True))
-        middle = min(max(centre, -5.0), 5.0) if box.radius[1] < 1 else 0.0
-        offer = ((middle - OFFSET / 2,), (middle + OFFSET / 2,))
-        coin = draw.randrange(2)
-        d = [draw.uniform(-w, w) for w in observer.disturbance]
-        moved = predict(observer.A, observer.B, x, offer[coin])
-        x = tuple(a + b for a, b in zip(moved, d, strict=True))
-        y = read(x)
-        after, her_after = observer.step(box, offer, y), hers.step(her_box, offer, y)
-        box, her_box = after.box, her_after.box
-        offers.append(offer)
-        coins.append(coin)
-        readings.append(y)
-        boxes.append(her_box)
-        told.append(after.possible == (coin,))
-        both.append(len(her_after.possible) == 2)
+    runs = simulate_runs(scenario, law, seed=SEED, runs=range(1), steps=STEPS, record=True)
+    assert runs.x is not None
+    assert runs.candidates is not None
+    readings = [tuple(y) for y in runs.x[:, :, 0].tolist()]
+    offers = [tuple(map(tuple, offer)) for offer in runs.candidates[..., 0].tolist()]
+    box = hers.begin(readings[0])
+    boxes, both = [box], []
+    for offer, y in zip(offers, readings[1:], strict=True):
+        after = hers.step(box, offer, y)
+        box = after.box
+        boxes.append(box)
+        both.append(len(after.possible) == 2)
+    coins = runs.coin[:, 0].tolist()
+    told = (runs.symbol[:, 0] == runs.coin[:, 0]).tolist()
     for k in range(SETTLING, STEPS - WAITS):
         if told[k]:
             window = slice(k, k + WAITS + 1)

@@ -11,15 +11,17 @@ import time
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from runtime.child import Line, ignore_signals, take_line
+from runtime.child import ignore_signals, line_of_child
+from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
-from tap_service.capture.recording import Limits, RotatingLog
+from tap_service.capture.recording import RotatingLog
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import Guess
 from tap_service.sandboxed import sandboxed
@@ -46,7 +48,7 @@ class Assignment:
     run_dir: Path
     names: tuple[str, ...]
     knowledge: dict[str, Knowledge]
-    limits: Limits
+    limits: Bounds
     header: dict[str, Any]
 
 
@@ -108,13 +110,13 @@ def listeners_of(
 def main() -> None:
     """The process: read, decode, report, rest; until the other end says so or is gone."""
     ignore_signals()
-    line = take_line()
+    line = line_of_child()
     os.nice(10)  # the loop and the mirror come first
     with suppress(EOFError, ConnectionError):  # the other end is gone: so is this one
         analyse(line.recv(), line)
 
 
-def analyse(assignment: Assignment, line: Line) -> None:
+def analyse(assignment: Assignment, line: Connection) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
     from runtime.logs import RateLimitedLog, logger
 
@@ -177,7 +179,7 @@ def _report(
     listeners: Listeners,
     reader: CaptureReader,
     transcript: Transcript,
-    line: Line,
+    line: Connection,
     *,
     last: bool,
 ) -> None:

@@ -18,7 +18,8 @@ from runtime.bus_options import (
     noted,
 )
 from runtime.errors import UsageError
-from runtime.options import alone_in, checked, option, picked, run_dir_of
+from runtime.locks import alone_in
+from runtime.options import checked, fine, option, picked, run_dir_of
 
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
@@ -197,16 +198,15 @@ def run_with_knowledge(
     from pathlib import Path
 
     from runtime.bus import TransportError
-    from runtime.errors import DONE
-    from tap_service.capture.recording import Limits
+    from runtime.recording import Bounds
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.fleet import run_taps
+    from tap_service.fleet import TapFleet
     from tap_service.sandboxed import sandboxed
-    from tap_service.service import run_tap
+    from tap_service.service import TapService, run_tap
 
     limits = checked(
-        Limits,
+        Bounds,
         part_bytes=options.part_bytes,
         part_s=options.part_seconds,
         total_bytes=options.total_bytes,
@@ -220,7 +220,7 @@ def run_with_knowledge(
         endpoints_of(options, "tap", "adversary"),
     )
     fleet = fleet_of(options)
-    with_metrics = partial(noted, options.metrics)
+    buses = field, adversary, partial(noted, options.metrics)
 
     def config_of(told: GivenKnowledge | None, loop: str, folder: Path) -> TapConfig:
         assert told is not None, "a fleet's taps are told by loop"
@@ -230,8 +230,6 @@ def run_with_knowledge(
         config = TapConfig(
             run_dir=folder,
             knowledge=told.knowledge.without_secrets(),
-            field=field,
-            adversary=adversary,
             oracle_knowledge=told.oracle,
             names=names or default_names(told.knowledge, clear=view.clear),
             view=view,
@@ -257,16 +255,14 @@ def run_with_knowledge(
                 if not options.check:
                     break
             if options.check:
-                return DONE
+                return fine(f"{len(fleet.loops)} loops")
             with alone_in(run_dir_of(options.run_dir) / "tap"):
-                return run_taps(
-                    fleet, config_in_fleet, field, adversary, partial(noted, options.metrics)
-                )
+                return run_tap(partial(TapFleet, fleet, config_in_fleet), *buses)
         config = config_of(told, loop_of(options.loop), Path(options.run_dir))
         if options.check:
-            return DONE
+            return fine(f"eavesdroppers {', '.join(config.names)}")
         with alone_in(run_dir_of(options.run_dir) / "tap"):
-            return run_tap(config, with_metrics)
+            return run_tap(partial(TapService, config), *buses)
     except TransportError as error:
         raise UsageError(str(error)) from None
     except KnowledgeError as error:

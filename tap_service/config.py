@@ -7,9 +7,8 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.topics import DEFAULT_LOOP
-from runtime.addresses import Addresses
+from runtime.recording import Bounds
 from tap_service.capture.channel import View
-from tap_service.capture.recording import Limits
 from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
 from tap_service.sandboxed import sandboxed
 
@@ -38,8 +37,7 @@ class TapConfig:
     view : View
         What the tap sees, and how well.
     loop : str
-    field, adversary : Endpoints
-    limits : Limits
+    limits : Bounds
         Of the capture; the logs of guesses get an eighth of it each.
     finish_s : float
         Seconds that the heavy eavesdroppers have for their last thoughts.
@@ -47,13 +45,11 @@ class TapConfig:
 
     run_dir: Path
     knowledge: Knowledge
-    field: Addresses
-    adversary: Addresses
     oracle_knowledge: Knowledge | None = None
     names: tuple[str, ...] = DEFAULT
     view: View = default(default_factory=View)
     loop: str = DEFAULT_LOOP
-    limits: Limits = default(default_factory=Limits)
+    limits: Bounds = default(default_factory=Bounds)
     finish_s: float = FINISH_S
 
     def knowledge_of(self, name: str) -> Knowledge:
@@ -78,7 +74,7 @@ class TapConfig:
         }
 
 
-def eighth(limits: Limits) -> Limits:
+def eighth(limits: Bounds) -> Bounds:
     """Bounds of a log of guesses, from the capture's."""
     return limits.model_copy(
         update={

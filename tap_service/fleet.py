@@ -4,26 +4,21 @@ Each loop has a tap of its own, with all that it heard and guessed below the loo
 eavesdroppers, which need a process each, read the recordings afterwards (``wyner score --decode``).
 """
 
-import os
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
 from protocol.topics import every_loop
-from runtime.collection import freeze_startup
-from runtime.errors import DONE, Failure, UsageError
+from runtime.errors import Failure, UsageError
 from runtime.fleet import Fleet, FleetLoop
 from runtime.logs import logger
-from runtime.signals import stop_on_signals
-from tap_service.config import SILENT_S, TapConfig
+from tap_service.config import TapConfig
 from tap_service.eavesdroppers import KnowledgeError
-from tap_service.service import NICENESS, Note, TapService
+from tap_service.service import TapService
 
 if TYPE_CHECKING:
-    from runtime.addresses import Addresses
     from runtime.bus import Bus
 
 TELL_S: Final = 2.0
@@ -47,7 +42,7 @@ class TapFleet:
     def __init__(self, fleet: Fleet, config_of: Callable[[FleetLoop], TapConfig]) -> None:
         self._fleet = fleet
         self._config_of = config_of
-        self._log = logger("tap")
+        self.log = logger("tap")
         self.taps: dict[str, TapService] = {}
         self._by_key: dict[str, TapService] = {}
         self._adversary: Bus | None = None
@@ -60,7 +55,7 @@ class TapFleet:
             self._open(loop)
         for kind in FIELD:
             field.subscribe(every_loop(kind), self._deliver, patient=True)
-        self._log.info("listening on %d of %d loops", len(self.taps), len(self._fleet.loops))
+        self.log.info("listening on %d of %d loops", len(self.taps), len(self._fleet.loops))
 
     def _deliver(self, key: str, payload: bytes, t_ns: int) -> None:
         tap = self._by_key.get(key)
@@ -71,8 +66,9 @@ class TapFleet:
         assert self._adversary is not None
         try:
             tap = TapService(self._config_of(loop))
+            tap.begin()
         except (UsageError, Failure, KnowledgeError, OSError) as error:
-            self._log.error("loop %s: not listened to: %s", loop.id, error)
+            self.log.error("loop %s: not listened to: %s", loop.id, error)
             return
         tap.publish_on(self._adversary, many=True)
         self.taps[loop.id] = tap
@@ -107,11 +103,16 @@ class TapFleet:
             self._end(name, lambda tap: tap.write_beliefs())
 
     def _failed(self, name: str, error: Exception) -> None:
-        self._log.error("loop %s: its tap failed: %s: %s", name, type(error).__name__, error)
+        self.log.error("loop %s: its tap failed: %s: %s", name, type(error).__name__, error)
 
     def _share(self) -> None:
         for tap in self.taps.values():
             tap.share(len(self.taps))
+
+    def close(self) -> None:
+        """End the files of those that were not finished."""
+        for name in list(self.taps):
+            self._end(name, lambda tap: tap.write_beliefs())
 
     def run(self, stopping: threading.Event) -> None:
         """Record and guess until ``stopping``; then settle what is left."""
@@ -137,36 +138,3 @@ class TapFleet:
 def _tell_of(tap: TapService) -> None:
     tap.publish()
     tap.write_beliefs()
-
-
-def run_taps(
-    fleet: Fleet,
-    config_of: Callable[[FleetLoop], TapConfig],
-    field: "Addresses",
-    adversary: "Addresses",
-    note: Note,
-) -> int:
-    """Run the taps of a fleet until SIGTERM or SIGINT; returns the exit code.
-
-    Raises
-    ------
-    runtime.bus.TransportError
-        When a bus cannot be opened.
-    """
-    from runtime.link_watchdog import watched
-    from runtime.zenoh_bus import open_bus
-
-    with ExitStack() as stack:
-        stopping = stack.enter_context(stop_on_signals())
-        field_bus = stack.enter_context(open_bus(field))
-        told_on = stack.enter_context(open_bus(adversary))
-        adversary_bus = stack.enter_context(note(told_on))
-        taps = TapFleet(fleet, config_of)
-        taps.attach(field_bus, adversary_bus)
-        log = logger("tap")
-        buses = field_bus, told_on
-        stack.enter_context(watched(stopping, log, *buses, listens=field_bus, silent_s=SILENT_S))
-        os.nice(NICENESS)
-        freeze_startup()
-        taps.run(stopping)
-    return DONE

@@ -12,7 +12,8 @@ from typing import Any, Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
-from runtime.child import START_S, Guest, GuestError, serve
+from runtime.child import START_S, Guest, serve
+from runtime.errors import GuestError
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import LADDER, Belief, Eavesdropper, Guess, KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld, MessageSymbols

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from pydantic import ValidationError
 from pydantic_core import from_json, to_json
@@ -45,9 +45,8 @@ from tap_service.status import (
 )
 
 if TYPE_CHECKING:
-    from protocol.knowledge import Knowledge
+    from runtime.addresses import Addresses
     from runtime.bus import Bus
-    from tap_service.status import Listener
 
 STATUS_PERIOD_S: Final = 0.2
 """Between two statuses of one eavesdropper."""
@@ -79,8 +78,25 @@ Note = Callable[["Bus"], AbstractContextManager["Bus"]]
 """What else is done with the bus that statuses are published on, such as metrics."""
 
 
-def run_tap(config: TapConfig, note: Note) -> int:
-    """Run until SIGTERM or SIGINT.
+class Listens(Protocol):
+    """A tap, or the taps of a fleet."""
+
+    log: logging.Logger
+
+    def attach(self, field_bus: "Bus", adversary_bus: "Bus") -> None:
+        """Subscribe to the field messages, and publish on the adversary bus."""
+
+    def run(self, stopping: threading.Event) -> None:
+        """Mirror, guess and publish until ``stopping``; then guess what is left."""
+
+    def close(self) -> None:
+        """End the files and the analysis process."""
+
+
+def run_tap(
+    make: Callable[[], Listens], field: "Addresses", adversary: "Addresses", note: Note
+) -> int:
+    """Run until SIGTERM or SIGINT; returns the exit code.
 
     Raises
     ------
@@ -96,13 +112,11 @@ def run_tap(config: TapConfig, note: Note) -> int:
         stopping = stack.enter_context(stop_on_signals())
         # Eavesdroppers are made first: from the moment that a bus is open whoever waits for the
         # tap goes on, and what is said then must be heard.
-        made = Made.of(config)
-        field_bus = stack.enter_context(open_bus(config.field))
-        told_on = stack.enter_context(open_bus(config.adversary))
-        adversary_bus = stack.enter_context(note(told_on))
-        service = TapService(config, made)
+        service = make()
         stack.callback(service.close)
-        service.attach(field_bus, adversary_bus)
+        field_bus = stack.enter_context(open_bus(field))
+        told_on = stack.enter_context(open_bus(adversary))
+        service.attach(field_bus, stack.enter_context(note(told_on)))
         buses = field_bus, told_on
         stack.enter_context(
             watched(stopping, service.log, *buses, listens=field_bus, silent_s=SILENT_S)
@@ -115,42 +129,20 @@ def run_tap(config: TapConfig, note: Note) -> int:
     return DONE
 
 
-class Made(NamedTuple):
-    """The eavesdroppers of a tap: the light ones, the others' names, and what each is told."""
-
-    light: "list[Listener]"
-    heavy: tuple[str, ...]
-    knowledge: "dict[str, Knowledge]"
-
-    @classmethod
-    def of(cls, config: TapConfig) -> Self:
-        """Make them.
-
-        Raises
-        ------
-        KnowledgeError
-            When one cannot be made.
-        """
-        each_once(config.names)
-        knowledge = {name: config.knowledge_of(name) for name in config.names}
-        light = [name for name in config.names if not sandboxed(name).heavy]
-        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
-        listeners_of(heavy, knowledge)  # an error is told here, before anything starts
-        return cls(listeners_of(light, knowledge, logger("tap")), heavy, knowledge)
-
-
 class TapService:
     """The tap between its buses and its files; `run_tap` wires it to Zenoh and to signals."""
 
-    def __init__(self, config: TapConfig, made: Made | None = None) -> None:
+    def __init__(self, config: TapConfig) -> None:
         self.log: logging.Logger = logger("tap")
         self._config = config
-        listeners, heavy, knowledge = made or Made.of(config)
-        header = config.header()
-        guesses = eighth(config.limits)
-        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
-        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
-        self.listeners = Listeners(listeners, self._guesses)
+        each_once(config.names)
+        knowledge = {name: config.knowledge_of(name) for name in config.names}
+        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
+        listeners_of(heavy, knowledge)  # an error is told here, before anything starts
+        light = [name for name in config.names if name not in heavy]
+        self._made = listeners_of(light, knowledge, self.log)
+        self._heavy = heavy, knowledge
+        self._begun = False
         self._clear = config.view.clear
         self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
@@ -168,14 +160,25 @@ class TapService:
         self._restarts = _starts_before(config.run_dir)
         self.heavy: HeavyProcess | None = None
         self._heavy_names = tuple(sandboxed(name).name for name in heavy)
+
+    def begin(self) -> None:
+        """Begin the recordings, and the analysis process; until then nothing is written."""
+        config, header = self._config, self._config.header()
+        guesses = eighth(config.limits)
+        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
+        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
+        self.listeners = Listeners(self._made, self._guesses)
+        heavy, knowledge = self._heavy
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
             self.heavy = HeavyProcess(assignment, self.log)
+        self._begun = True
 
     # --- the wire ---------------------------------------------------------------------------------
 
     def attach(self, field_bus: "Bus", adversary_bus: "Bus") -> None:
-        """Subscribe to the field messages, and publish on the adversary bus."""
+        """Begin, subscribe to the field messages, and publish on the adversary bus."""
+        self.begin()
         for key in self.keys:
             field_bus.subscribe(key, self.deliver, patient=True)
         self.publish_on(adversary_bus)
@@ -406,6 +409,8 @@ class TapService:
 
     def close(self) -> None:
         """End the files and the analysis process."""
+        if not self._begun:
+            return
         self.capture.close()
         self._guesses.close()
         if self.heavy is not None:

@@ -33,7 +33,7 @@ from protocol.schemes.registry import SCHEMES, make_scheme
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
-from wyner.runs.check import CHECKS
+from wyner.runs.check import RULES
 from wyner.runs.evidence_files import KINDS
 
 DOCUMENT: Final = Path(__file__).resolve().parents[1] / "docs" / "architecture.md"
@@ -147,9 +147,9 @@ def _cell(state: str, row: tuple[str, str]) -> str:
 
 
 def check_table() -> str:
-    """What `wyner check` looks at: each of its checks, where it comes from, and what must hold."""
-    lines = ["| check | source | what must hold | counts |", "|---|---|---|---|"]
-    lines += [f"| {c.name} | {c.source} | {c.says} | {c.of} |" for c in CHECKS]
+    """The rules of `wyner check`: where each comes from, and what must hold."""
+    lines = ["| rule | source | what must hold |", "|---|---|---|"]
+    lines += [f"| {rule.name} | {rule.source} | {rule.says} |" for rule in RULES]
     return "\n".join([*lines, ""])
 
 

@@ -13,8 +13,8 @@ from typing import Final
 
 from runtime.errors import needs
 from studies import DATA
-from studies.pages import between_marks
-from studies.secrecy.tables import exact_of, read_rows, share_of
+from studies.registry import between_marks, recorded
+from studies.secrecy.tables import exact_of, share_of
 from wyner.runs.score.report import percent
 
 FOLDER: Final = Path(__file__).resolve().parent.parent / "paper"
@@ -35,7 +35,9 @@ def results(data: Path = DATA) -> str:
     ]
     for study, condition, tap, what in SHOWN:
         rows = [
-            r for r in read_rows(study, data) if r["tap"] == tap and r["condition"] == condition
+            r
+            for r in recorded(f"secrecy-{study}", data)
+            if r["tap"] == tap and r["condition"] == condition
         ]
         keys = share_of(rows, "keys_right_reviewed", "keys")
         lines.append(

@@ -147,27 +147,12 @@ def reproduced(chosen: Iterable[Row]) -> Iterator[tuple[Row, str, float]]:
         yield row, why, (time.monotonic() - began) / 60
 
 
-def told_of_stale() -> int:
-    """A line for each file of docs/data that other code than today's made; 1 when there is one."""
-    from studies import DATA
-    from studies.measurements import MEASUREMENTS, stale
-
-    lines = list(stale(DATA))
-    print(*lines, f"{len(lines)} of {len(MEASUREMENTS)} files have rows of other code", sep="\n")
-    return FAILED if lines else DONE
-
-
 def main(argv: list[str] | None = None) -> int:
     """Run the rows, and say of each whether it holds; 1 when one does not."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--longest", type=float, default=float("inf"), metavar="MINUTES")
     parser.add_argument("--only", default="", metavar="TEXT", help="rows whose command has this")
-    parser.add_argument(
-        "--stale", action="store_true", help="list data files with rows of other code, and end"
-    )
     args = parser.parse_args(argv)
-    if args.stale:
-        return told_of_stale()
     page = rows(PAGE.read_text(encoding="utf-8"))
     chosen = [row for row in page if row.minutes <= args.longest and args.only in row.command]
     held = 0

@@ -15,6 +15,10 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> object:
     """What the library exports, loaded when it is asked for (PEP 562)."""
+    if name == "__version__":
+        from importlib.metadata import version
+
+        return version("wyner")
     if name == "__all__" or not name.startswith("_"):
         from importlib import import_module
 

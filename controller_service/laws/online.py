@@ -1,24 +1,11 @@
 """What the controller's service needs of a law: index and candidates of one state, from tables.
 
-Nothing here loads numerics. A law whose path of one state is :class:`OneState`'s on a planar
-:class:`Lookup` leaves its tables beside the cached design, in a file of plain numbers with a
-checksum; a controller that finds them starts without NumPy, and answers the same to the last bit.
+Nothing here loads numerics.
 """
 
-import hashlib
-import json
-import sys
 from bisect import bisect_right
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
-
-from protocol.scenario import Scenario
-from runtime.cache_folder import cache_folder
-from runtime.files import PUBLIC_FILE, write_atomically
-
-MAGIC: Final = b"wyner-law-1\n"
-"""Version of the tables' file; it goes up when the format changes."""
+from typing import NamedTuple, Protocol
 
 
 class OutsideError(LookupError):
@@ -192,81 +179,3 @@ class Lookup:
                 u = high
             out.append((u,))
         return tuple(out)
-
-
-class _Horizon(NamedTuple):
-    horizon: int
-
-
-class StoredLaw(OneState):
-    """A law read back from its tables."""
-
-    def __init__(self, programs: Lookup, inner: Sequence[Sequence[float]], copies: int) -> None:
-        self.programs = programs
-        self.inner, self.copies = inner, copies
-        self._N = programs.N
-        self.design = _Horizon(programs.N)
-
-
-def _path(scenario: Scenario, folder: Path | None) -> Path:
-    """The file of a law's tables; its name says all that they depend on."""
-    told = [scenario.design_fingerprint(), scenario.control.model_dump_json()]
-    name = hashlib.sha256(json.dumps(told).encode()).hexdigest()
-    return (folder or cache_folder("designs")) / f"{name}.law"
-
-
-def store_law(law: object, scenario: Scenario, folder: Path | None = None) -> bool:
-    """Write a law's tables; False where it is not one of tables alone, or cannot be written."""
-    ours = (OneState.index, OneState.candidates, OneState.answers)
-    if not isinstance(law, OneState) or not isinstance(law.programs, Lookup):
-        return False
-    if (type(law).index, type(law).candidates, type(law).answers) != ours:
-        return False
-    if sys.byteorder != "little":
-        return False
-    p = law.programs
-    tables = (p._facets, p._upper, p._lower)
-    head: dict[str, Any] = {
-        "N": p.N,
-        "u": [p.u_min, p.u_max],
-        "ends": [p._first, p._last],
-        "lines": p._lines,
-        "gains": p._gains,
-        "inner": law.inner,
-        "copies": law.copies,
-        "lengths": [len(column) for table in tables for column in table],
-    }
-    header = json.dumps(head).encode()
-    columns = b"".join(column.tobytes() for table in tables for column in table)
-    body = len(header).to_bytes(8, "little") + header + columns
-    try:
-        data = MAGIC + hashlib.sha256(body).digest() + body
-        write_atomically(_path(scenario, folder), data, PUBLIC_FILE)
-    except OSError:
-        return False
-    return True
-
-
-def stored_law(scenario: Scenario, folder: Path | None = None) -> StoredLaw | None:
-    """The scenario's law from its tables; None where there are none, or they are damaged."""
-    try:
-        data = _path(scenario, folder).read_bytes()
-    except OSError:
-        return None
-    start = len(MAGIC) + 32
-    magic, digest, body = data[: len(MAGIC)], data[len(MAGIC) : start], memoryview(data)[start:]
-    if magic != MAGIC or hashlib.sha256(body).digest() != digest or sys.byteorder != "little":
-        return None
-    size = int.from_bytes(body[:8], "little")
-    head = json.loads(bytes(body[8 : 8 + size]))
-    numbers = body[8 + size :].cast("d")
-    columns, at = [], 0
-    for length in head["lengths"]:
-        columns.append(numbers[at : at + length])
-        at += length
-    p = Lookup()
-    p.N, (p.u_min, p.u_max), (p._first, p._last) = head["N"], head["u"], head["ends"]
-    p._facets, p._upper, p._lower = (Table(*columns[i : i + 4]) for i in (0, 4, 8))
-    p._lines = [tuple(line) for line in head["lines"]]
-    p._gains = [tuple(gain) for gain in head["gains"]]
-    return StoredLaw(p, head["inner"], head["copies"])

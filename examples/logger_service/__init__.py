@@ -1,6 +1,5 @@
 """A service that prints what the plant publishes: what it does on which bus."""
 
-from runtime.health import look_at_status
 from runtime.services import PLANT_FIELD, SERVICES, Ends, Service
 
 SERVICES["logger"] = Service(
@@ -9,5 +8,4 @@ SERVICES["logger"] = Service(
     package="logger_service",
     ends={"field": Ends((), (PLANT_FIELD,))},
     publishes={},
-    health=look_at_status,
 )

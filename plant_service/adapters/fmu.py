@@ -8,8 +8,9 @@ import os
 import shutil
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from plant_service.adapters.base import PlantError
 from protocol.vectors import Vector
@@ -18,6 +19,10 @@ from runtime.files import read_regular
 
 if TYPE_CHECKING:
     from fmpy.model_description import ModelDescription
+
+
+PREFIX: Final = "wyner-fmu-"
+"""Of the name of a folder that holds an FMU's files, below the temporary one."""
 
 
 class Fmu:
@@ -67,7 +72,7 @@ class Fmu:
         self._start = start or {}
         self._start_references = _references(path, references, list(self._start), None)
         self._seed = _references(path, references, [] if seed is None else [seed], None)
-        self.folder = Path(tempfile.mkdtemp(prefix="wyner-fmu-"))
+        self.folder, self._held = _folder()
         try:
             fmpy.extract(str(path), str(self.folder))
         except Exception as error:
@@ -121,12 +126,38 @@ class Fmu:
         """Free the instance and the files that were extracted."""
         self._free()
         shutil.rmtree(self.folder, ignore_errors=True)
+        if self._held is not None:
+            os.close(self._held)
+            self._held = None
 
     def _free(self) -> None:
         instance, self._instance = getattr(self, "_instance", None), None
         if instance is not None:
             instance.terminate()
             instance.freeInstance()
+
+
+def _folder() -> tuple[Path, int | None]:
+    """A new folder for an FMU's files, and the descriptor whose lock says that it is in use.
+
+    The lock goes with the process, however that ends. So what an earlier one has left, killed, is
+    known by it, and goes now. An empty folder is one that is only being made.
+    """
+    import fcntl
+
+    for left in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
+        with suppress(OSError):  # in use, or another user's
+            its = os.open(left, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+            try:
+                fcntl.flock(its, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                if any(left.iterdir()):
+                    shutil.rmtree(left, ignore_errors=True)
+            finally:
+                os.close(its)
+    folder = Path(tempfile.mkdtemp(prefix=PREFIX))
+    held = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    fcntl.flock(held, fcntl.LOCK_EX)
+    return folder, held
 
 
 def _fresh_seed() -> int:

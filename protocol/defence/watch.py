@@ -48,6 +48,13 @@ class Watch(NamedTuple):
         alarm = total > self.burst
         return (0.0 if alarm else total), alarm
 
+    def unheard(self, before: float) -> float:
+        """The sum after a step of which nobody has heard, as at a session's end.
+
+        Above h it makes an alarm with the next reading.
+        """
+        return before if before == NEVER else before + 1.0 - self.share
+
 
 UNWATCHED: Final = Watch(0.5, 0)
 """Of a loop whose coin is private: no step is ever watched, so none is counted."""

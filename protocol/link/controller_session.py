@@ -1,4 +1,4 @@
-"""The controller's side of a session, as data: whose session it serves, and what it answers.
+"""The controller's side of a session: whose it serves, and what it answers.
 
 Rule 6 says that a session is made by the plant, for the one controller that it asks to take it up.
 Here is when a controller takes one up, keeps to it, and lets it go. What was heard is given a name
@@ -6,10 +6,18 @@ by :func:`heard`, relative to the record. :data:`TABLE` has a row for each state
 answer, and the state after it. docs/protocol.md shows the same table, generated from this one.
 """
 
+from math import inf
 from typing import Final, Literal, NamedTuple, get_args
 
 from protocol.link.records import SenderRecord
-from protocol.messages import PlantHello
+from protocol.link.session import SILENCE_S
+from protocol.messages import ControllerHello, Measurement, PlantHello
+
+GREETING_S: Final = 0.1
+"""Seconds between greetings while the plant speaks of a session that is not this process's."""
+
+SILENT_PERIODS: Final = 3
+"""Periods of silence before a plant counts as away; :data:`SILENCE_S` at least."""
 
 State = Literal["greeting", "serving", "elsewhere", "refused"]
 
@@ -107,59 +115,45 @@ class Row(NamedTuple):
     next: State
 
 
-TABLE: Final[dict[tuple[State, Heard], Row]] = {
-    ("greeting", "to anyone"): Row("greet", "greeting"),
-    ("greeting", "to anyone, of a later incarnation"): Row("catch up and greet", "greeting"),
-    ("greeting", "asked, session fits"): Row("serve", "serving"),
-    ("greeting", "asked, session does not fit"): Row("refuse", "greeting"),
-    ("greeting", "asked, new session"): Row("adopt and serve", "serving"),
-    ("greeting", "asked, session unknown"): Row("refuse", "greeting"),
-    ("greeting", "overtaken"): Row("nothing", "greeting"),
-    ("greeting", "to a former incarnation"): Row("remind", "greeting"),
-    ("greeting", "to another, in the session"): Row("step back", "elsewhere"),
-    ("greeting", "to another"): Row("step back", "elsewhere"),
-    ("greeting", "second plant"): Row("nothing", "greeting"),
-    ("greeting", "another model"): Row("say model", "greeting"),
-    ("greeting", "another model, never met"): Row("give up", "refused"),
-    ("greeting", "session not taken up"): Row("remind", "greeting"),
-    ("greeting", "session elsewhere"): Row("nothing", "greeting"),
-    ("greeting", "does not follow"): Row("nothing", "greeting"),
-    ("greeting", "blocks differ"): Row("end and greet", "greeting"),
-    ("serving", "to anyone"): Row("greet", "serving"),
-    ("serving", "to anyone, of a later incarnation"): Row("catch up and greet", "serving"),
-    ("serving", "asked, session fits"): Row("serve", "serving"),
-    ("serving", "asked, session does not fit"): Row("refuse", "serving"),
-    ("serving", "asked, new session"): Row("adopt and serve", "serving"),
-    ("serving", "asked, session unknown"): Row("refuse", "serving"),
-    ("serving", "overtaken"): Row("nothing", "serving"),
-    ("serving", "to a former incarnation"): Row("remind", "serving"),
+DEFAULT: Final[dict[Heard, tuple[Answer, State | None]]] = {
+    "to anyone": ("greet", None),
+    "to anyone, of a later incarnation": ("catch up and greet", None),
+    "asked, session fits": ("serve", "serving"),
+    "asked, session does not fit": ("refuse", None),
+    "asked, new session": ("adopt and serve", "serving"),
+    "asked, session unknown": ("refuse", None),
+    "overtaken": ("nothing", None),
+    "to a former incarnation": ("remind", None),
+    "to another, in the session": ("step back", "elsewhere"),
+    "to another": ("step back", "elsewhere"),
+    "second plant": ("nothing", None),
+    "another model": ("say model", None),
+    "another model, never met": ("give up", "refused"),
+    "session not taken up": ("remind", None),
+    "session elsewhere": ("nothing", None),
+    "does not follow": ("nothing", None),
+    "blocks differ": ("end and greet", None),
+}
+"""What is answered to what is heard, and the state after it (None: the same), unless :data:`EXCEPT`
+says otherwise."""
+
+EXCEPT: Final[dict[tuple[State, Heard], Row]] = {
     ("serving", "to another, in the session"): Row("end and step back", "elsewhere"),
-    ("serving", "to another"): Row("step back", "elsewhere"),
     ("serving", "second plant"): Row("log", "serving"),
-    ("serving", "another model"): Row("say model", "serving"),
-    ("serving", "another model, never met"): Row("give up", "refused"),
-    ("serving", "session not taken up"): Row("remind", "serving"),
-    ("serving", "session elsewhere"): Row("nothing", "serving"),
     ("serving", "does not follow"): Row("end and greet", "greeting"),
     ("serving", "blocks differ"): Row("end and greet", "greeting"),
     ("elsewhere", "to anyone"): Row("greet", "greeting"),
     ("elsewhere", "to anyone, of a later incarnation"): Row("catch up and greet", "greeting"),
-    ("elsewhere", "asked, session fits"): Row("serve", "serving"),
     ("elsewhere", "asked, session does not fit"): Row("refuse", "greeting"),
-    ("elsewhere", "asked, new session"): Row("adopt and serve", "serving"),
     ("elsewhere", "asked, session unknown"): Row("refuse", "greeting"),
-    ("elsewhere", "overtaken"): Row("nothing", "elsewhere"),
     ("elsewhere", "to a former incarnation"): Row("remind", "greeting"),
-    ("elsewhere", "to another, in the session"): Row("step back", "elsewhere"),
-    ("elsewhere", "to another"): Row("step back", "elsewhere"),
-    ("elsewhere", "second plant"): Row("nothing", "elsewhere"),
-    ("elsewhere", "another model"): Row("say model", "elsewhere"),
-    ("elsewhere", "another model, never met"): Row("give up", "refused"),
-    ("elsewhere", "session not taken up"): Row("remind", "elsewhere"),
-    ("elsewhere", "session elsewhere"): Row("nothing", "elsewhere"),
-    ("elsewhere", "does not follow"): Row("nothing", "elsewhere"),
-    ("elsewhere", "blocks differ"): Row("end and greet", "elsewhere"),
     **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
+}
+
+TABLE: Final[dict[tuple[State, Heard], Row]] = {
+    (state, event): EXCEPT.get((state, event), Row(answer, following or state))
+    for state in get_args(State)
+    for event, (answer, following) in DEFAULT.items()
 }
 """(state, what was heard) to the answer and the next state. Some pairs cannot occur: there is no
 second plant while none is served."""
@@ -212,3 +206,90 @@ def heard(
         return "to another"
     former = hello.incarnation < record.incarnation
     return "to a former incarnation" if former else "to another, in the session"
+
+
+class ControllerSession:
+    """How one controller process stands with plants.
+
+    Parameters
+    ----------
+    instance, fingerprint : str
+        The process's id, and its model's.
+    period_s : float
+        The plant's; one that has been silent for several of them is away.
+
+    Attributes
+    ----------
+    state : State
+    plant : str or None
+        The plant process whose session is taken up, if any.
+    plant_at, greeting_at : float
+        When the plant measured, and when this process may greet again.
+    running_s : float
+        Seconds after which a plant that has not measured is away.
+    """
+
+    def __init__(self, instance: str, fingerprint: str, period_s: float) -> None:
+        self.instance, self.fingerprint = instance, fingerprint
+        self.state: State = "greeting"
+        self.plant: str | None = None
+        self.plant_at = self.greeting_at = -inf
+        self.running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
+        self._elsewhere: str | None = None
+
+    def on(self, event: Heard) -> Answer:
+        """What the table says to an event; its state follows."""
+        answer, self.state = TABLE[self.state, event]
+        return answer
+
+    def hears(self, hello: PlantHello, record: SenderRecord, now: float) -> tuple[Heard, Answer]:
+        """The plant spoke: what that is, and what is to be answered."""
+        what = heard(
+            hello,
+            record,
+            instance=self.instance,
+            fingerprint=self.fingerprint,
+            plant=self.plant,
+            running=now - self.plant_at < self.running_s,
+        )
+        answer = self.on(what)
+        if answer in ("step back", "end and step back"):
+            self._elsewhere = hello.session
+        elif self.state != "elsewhere":
+            self._elsewhere = None
+        return what, answer
+
+    def serves(self, measurement: Measurement, record: SenderRecord) -> bool:
+        """Whether a measurement is of the session that was taken up."""
+        return self.plant is not None and measurement.session == record.session
+
+    def stranger(self, measurement: Measurement) -> Answer:
+        """What is answered to a measurement of a session that was not taken up."""
+        elsewhere = measurement.session == self._elsewhere
+        return self.on("session elsewhere" if elsewhere else "session not taken up")
+
+    def may_greet(self, now: float) -> bool:
+        """Whether to greet unasked now; if so, the next time is later."""
+        if now < self.greeting_at:
+            return False
+        self.greeting_at = now + GREETING_S
+        return True
+
+    def hello(
+        self,
+        record: SenderRecord,
+        verdict: Literal["greeting", "accepted", "unknown-session", "other-model"] = "greeting",
+        answered: PlantHello | None = None,
+    ) -> ControllerHello:
+        """Ask the plant which session it is in, or answer its hello.
+
+        The record must have been saved before: no other process may greet as this incarnation.
+        """
+        return ControllerHello(
+            instance=self.instance,
+            incarnation=record.incarnation,
+            fingerprint=self.fingerprint,
+            verdict=verdict,
+            session=answered.session if answered else record.session,
+            answers=answered.instance if answered else None,
+        )

@@ -12,8 +12,23 @@ from protocol.vectors import Vector
 NEW_JOURNAL: Final = "new journal"
 """Why the first session of a journal begins: the plant counts its steps from 0."""
 
+RESUMED: Final = "resumed from the journal"
+"""Why a session that was there before goes on."""
+
+UNKNOWN_THERE: Final = "the controller does not know the session before"
+BLOCKS_DIFFER: Final = "a key block differs from the other end's"
+MET: Final = "the plant began it"
+DOES_NOT_FOLLOW: Final = "a measurement does not follow from the journal"
+ELSEWHERE: Final = "the plant is with another controller"
+
 FELL_BACK: Final = "the machine was started again, and the newest steps may be lost"
 """Why a session ends after a power failure."""
+
+REASONS: Final = {
+    "plant": (NEW_JOURNAL, RESUMED, UNKNOWN_THERE, BLOCKS_DIFFER, FELL_BACK),
+    "controller": (MET, DOES_NOT_FOLLOW, BLOCKS_DIFFER, ELSEWHERE, FELL_BACK),
+}
+"""All that a side may trace of why a session begins or ends there."""
 
 
 class Event(Protocol):
@@ -105,6 +120,8 @@ class Alarm(NamedTuple):
     key stream chose, or, where none did, the nearest one. ``reason``: ``unexplained``, no candidate
     explains the reading; ``another candidate``, not the one that the digit chose; ``digits
     refused``, the plant denies digits that it holds; ``unwatched``, too many steps had no digit.
+    This one may come with a session's first reading, before there is a transition (j = -1): of the
+    last step of the session before nobody has heard.
     """
 
     session: str

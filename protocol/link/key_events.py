@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 from protocol.link.distiller import BlockEnded, Distiller
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
+from protocol.link.effects import Effects, Extract, Notice, Tell
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 
 
@@ -19,37 +19,35 @@ class Appearances(NamedTuple):
         return {"event": "appearances", **self._asdict()}
 
 
-def appeared(keys: Distiller, session: str | None, k: int, count: int) -> Actions:
-    """Actions of an end after its number of links has changed."""
+def appeared(keys: Distiller, session: str | None, k: int, count: int) -> Effects:
+    """What an end does after its number of links has changed."""
     changed = keys.appear(count)
     if not keys.on:
-        return NOTHING_TO_DO
-    notices: tuple[Notice, ...] = ()
+        return
+    yield Tell(Appearances(session, k, count))
     if changed and keys.crowded:
-        notices = (Notice(f"keys stop: {keys.crowded}", "error", "appearances"),)
+        yield Notice(f"keys stop: {keys.crowded}", "error", "appearances")
     elif changed:
         text = f"keys go on: a message leaves {count} {'time' if count == 1 else 'times'} again"
-        notices = (Notice(text, "info", "appearances"),)
-    return Actions(events=(Appearances(session, k, count),), notices=notices)
+        yield Notice(text, "info", "appearances")
 
 
-def extraction_done(keys: Distiller, block: ExtractedBlock | ExtractionFailed) -> Actions:
-    """Actions of an end after a block was extracted, or could not be."""
+def extraction_done(keys: Distiller, block: ExtractedBlock | ExtractionFailed) -> Effects:
+    """What an end does after a block was extracted, or could not be."""
     if isinstance(block, ExtractedBlock):
         keys.extracted(block)
-        return Actions(tasks=keys.tasks())
-    keys.fail(block.reason)
-    return Actions(notices=(Notice(f"no key is made from here on: {block.reason}", "error"),))
+        yield from map(Extract, keys.tasks())
+    else:
+        keys.fail(block.reason)
+        yield Notice(f"no key is made from here on: {block.reason}", "error")
 
 
-def block_notices(keys: Distiller, ended: tuple[BlockEnded, ...]) -> tuple[Notice, ...]:
+def block_notices(keys: Distiller, ended: tuple[BlockEnded, ...]) -> Effects:
     """Log lines of what became of blocks."""
-    notices = []
     for block in ended:
         if block.what == "unequal":
             name = f"key block {block.number} of session {block.session}"
-            notices.append(Notice(f"{name} differs from the partner's", "error"))
+            yield Notice(f"{name} differs from the partner's", "error")
         elif block.what == "confirmed" and block.number == 0 and keys.schedule is not None:
             claim = keys.schedule.assumption.sentence()
-            notices.append(Notice(f"first keys of session {block.session}: {claim}"))
-    return tuple(notices)
+            yield Notice(f"first keys of session {block.session}: {claim}")

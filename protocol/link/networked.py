@@ -6,7 +6,8 @@ from typing import Final
 from pydantic import ValidationError
 
 from protocol.link.channel import Channel
-from protocol.link.peer import NOTHING_TO_DO, Actions, Peer
+from protocol.link.effects import Effects
+from protocol.link.peer import Peer
 from protocol.messages import Measurement, Message, Offer
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 
@@ -48,11 +49,11 @@ class Networked:
         """The end's exit code."""
         return self._end.code
 
-    def start(self, now: float) -> Actions:
+    def start(self, now: float) -> Effects:
         """The end's first word."""
         return self._end.start(now)
 
-    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Effects:
         """A message reached the network: it is lost, is under way from now on, or is there."""
         if kind is not self._kind:
             return self._end.receive(kind, payload, now)
@@ -62,19 +63,19 @@ class Networked:
             return self._end.receive(kind, payload, now)
         arrives = self._channel.arrival(k, now)
         if arrives is None or len(self._under_way) >= UNDER_WAY:
-            return NOTHING_TO_DO
+            return ()
         if arrives <= now:
             return self._end.receive(kind, payload, now)
         self._number += 1
         heapq.heappush(self._under_way, (arrives, self._number, payload))
-        return NOTHING_TO_DO
+        return ()
 
     def wake_at(self) -> float:
         """When the end is due, or the next message is."""
         due = self._end.wake_at()
         return min(due, self._under_way[0][0]) if self._under_way else due
 
-    def wake(self, now: float) -> Actions:
+    def wake(self, now: float) -> Effects:
         """The message that is due, or whatever of the end's was due before it."""
         if self._under_way:
             arrives = self._under_way[0][0]
@@ -83,18 +84,14 @@ class Networked:
                 return self._end.receive(self._kind, payload, now)
         return self._end.wake(now)
 
-    def finish_step(self) -> Actions:
-        """The end's rest of a step."""
-        return self._end.finish_step()
-
-    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Effects:
         """A key block of the end is extracted."""
         return self._end.extracted(block)
 
-    def appear(self, count: int) -> Actions:
+    def appear(self, count: int) -> Effects:
         """How often the end's messages leave."""
         return self._end.appear(count)
 
-    def stop(self, now: float) -> Actions:
+    def stop(self, now: float) -> Effects:
         """The end's last word."""
         return self._end.stop(now)

@@ -1,4 +1,4 @@
-"""The plant's side of a session, as data: how it stands with a controller, and what it answers.
+"""The plant's side of a session: how it stands with a controller, and what it answers.
 
 Rule 6 says that a session belongs to the one controller that the plant asked to take it up. Here is
 how the plant finds that one, keeps to it, and lets another in. What was heard is given a name by
@@ -6,10 +6,15 @@ how the plant finds that one, keeps to it, and lets another in. What was heard i
 and the state after it. docs/protocol.md shows the same table, generated from this one.
 """
 
+from math import inf
 from typing import Final, Literal, NamedTuple, get_args
 
 from protocol.link.records import ReceiverRecord
-from protocol.messages import ControllerHello
+from protocol.link.session import SILENCE_S
+from protocol.messages import ControllerHello, PlantHello
+
+HELLO_S: Final = 0.1
+"""Seconds between hellos until the controller answers."""
 
 State = Literal["looking", "returned", "asked", "unanswered", "accepted", "silent", "refused"]
 
@@ -83,92 +88,59 @@ class Row(NamedTuple):
     next: State
 
 
-TABLE: Final[dict[tuple[State, Heard], Row]] = {
-    ("looking", "greeting of the one asked"): Row("nothing", "looking"),
+DEFAULT: Final[dict[Heard, tuple[Answer, State | None]]] = {
+    "greeting of the one asked": ("nothing", None),
+    "greeting of a former incarnation": ("say whose", None),
+    "greeting in the session": ("ask", "asked"),
+    "greeting in another": ("ask", "asked"),
+    "greeting, session unused": ("begin and ask", "asked"),
+    "accepted": ("work", "accepted"),
+    "unknown session": ("begin anew", "asked"),
+    "answer of another": ("say whose", None),
+    "answer to another": ("nothing", None),
+    "another model": ("say model", None),
+    "another model, never met": ("give up", "refused"),
+    "silence": ("nothing", None),
+    "offer applied": ("nothing", None),
+    "blocks differ": ("begin anew", None),
+}
+"""What is answered to what is heard, and the state after it (None: the same), unless :data:`EXCEPT`
+says otherwise."""
+
+EXCEPT: Final[dict[tuple[State, Heard], Row]] = {
     ("looking", "greeting of a former incarnation"): Row("nothing", "looking"),
-    ("looking", "greeting in the session"): Row("ask", "asked"),
-    ("looking", "greeting in another"): Row("ask", "asked"),
-    ("looking", "greeting, session unused"): Row("begin and ask", "asked"),
     ("looking", "accepted"): Row("nothing", "looking"),
     ("looking", "unknown session"): Row("nothing", "looking"),
-    ("looking", "answer of another"): Row("say whose", "looking"),
-    ("looking", "answer to another"): Row("nothing", "looking"),
-    ("looking", "another model"): Row("say model", "looking"),
-    ("looking", "another model, never met"): Row("give up", "refused"),
-    ("looking", "silence"): Row("nothing", "looking"),
     ("looking", "offer applied"): Row("nothing", "returned"),
-    ("looking", "blocks differ"): Row("begin anew", "looking"),
-    ("returned", "greeting of the one asked"): Row("nothing", "returned"),
     ("returned", "greeting of a former incarnation"): Row("nothing", "returned"),
-    ("returned", "greeting in the session"): Row("ask", "asked"),
     ("returned", "greeting in another"): Row("nothing", "returned"),
     ("returned", "greeting, session unused"): Row("nothing", "returned"),
     ("returned", "accepted"): Row("nothing", "returned"),
     ("returned", "unknown session"): Row("nothing", "returned"),
-    ("returned", "answer of another"): Row("say whose", "returned"),
-    ("returned", "answer to another"): Row("nothing", "returned"),
-    ("returned", "another model"): Row("say model", "returned"),
-    ("returned", "another model, never met"): Row("give up", "refused"),
     ("returned", "silence"): Row("nothing", "looking"),
-    ("returned", "offer applied"): Row("nothing", "returned"),
-    ("returned", "blocks differ"): Row("begin anew", "returned"),
     ("asked", "greeting of the one asked"): Row("ask", "asked"),
-    ("asked", "greeting of a former incarnation"): Row("say whose", "asked"),
-    ("asked", "greeting in the session"): Row("ask", "asked"),
     ("asked", "greeting in another"): Row("say whose", "asked"),
     ("asked", "greeting, session unused"): Row("say whose", "asked"),
-    ("asked", "accepted"): Row("work", "accepted"),
-    ("asked", "unknown session"): Row("begin anew", "asked"),
-    ("asked", "answer of another"): Row("say whose", "asked"),
-    ("asked", "answer to another"): Row("nothing", "asked"),
-    ("asked", "another model"): Row("say model", "asked"),
-    ("asked", "another model, never met"): Row("give up", "refused"),
     ("asked", "silence"): Row("nothing", "unanswered"),
-    ("asked", "offer applied"): Row("nothing", "asked"),
-    ("asked", "blocks differ"): Row("begin anew", "asked"),
     ("unanswered", "greeting of the one asked"): Row("ask", "asked"),
-    ("unanswered", "greeting of a former incarnation"): Row("say whose", "unanswered"),
-    ("unanswered", "greeting in the session"): Row("ask", "asked"),
-    ("unanswered", "greeting in another"): Row("ask", "asked"),
-    ("unanswered", "greeting, session unused"): Row("begin and ask", "asked"),
-    ("unanswered", "accepted"): Row("work", "accepted"),
-    ("unanswered", "unknown session"): Row("begin anew", "asked"),
-    ("unanswered", "answer of another"): Row("say whose", "unanswered"),
-    ("unanswered", "answer to another"): Row("nothing", "unanswered"),
-    ("unanswered", "another model"): Row("say model", "unanswered"),
-    ("unanswered", "another model, never met"): Row("give up", "refused"),
-    ("unanswered", "silence"): Row("nothing", "unanswered"),
     ("unanswered", "offer applied"): Row("nothing", "asked"),
-    ("unanswered", "blocks differ"): Row("begin anew", "unanswered"),
     ("accepted", "greeting of the one asked"): Row("ask", "accepted"),
-    ("accepted", "greeting of a former incarnation"): Row("say whose", "accepted"),
-    ("accepted", "greeting in the session"): Row("ask", "asked"),
     ("accepted", "greeting in another"): Row("say whose", "accepted"),
     ("accepted", "greeting, session unused"): Row("say whose", "accepted"),
-    ("accepted", "accepted"): Row("work", "accepted"),
-    ("accepted", "unknown session"): Row("begin anew", "asked"),
-    ("accepted", "answer of another"): Row("say whose", "accepted"),
-    ("accepted", "answer to another"): Row("nothing", "accepted"),
-    ("accepted", "another model"): Row("say model", "accepted"),
     ("accepted", "another model, never met"): Row("say model", "accepted"),
     ("accepted", "silence"): Row("nothing", "silent"),
-    ("accepted", "offer applied"): Row("nothing", "accepted"),
     ("accepted", "blocks differ"): Row("begin anew", "asked"),
     ("silent", "greeting of the one asked"): Row("ask", "accepted"),
-    ("silent", "greeting of a former incarnation"): Row("say whose", "silent"),
-    ("silent", "greeting in the session"): Row("ask", "asked"),
-    ("silent", "greeting in another"): Row("ask", "asked"),
-    ("silent", "greeting, session unused"): Row("begin and ask", "asked"),
-    ("silent", "accepted"): Row("work", "accepted"),
-    ("silent", "unknown session"): Row("begin anew", "asked"),
-    ("silent", "answer of another"): Row("say whose", "silent"),
-    ("silent", "answer to another"): Row("nothing", "silent"),
-    ("silent", "another model"): Row("say model", "silent"),
     ("silent", "another model, never met"): Row("say model", "silent"),
-    ("silent", "silence"): Row("nothing", "silent"),
     ("silent", "offer applied"): Row("nothing", "accepted"),
     ("silent", "blocks differ"): Row("begin anew", "unanswered"),
     **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
+}
+
+TABLE: Final[dict[tuple[State, Heard], Row]] = {
+    (state, event): EXCEPT.get((state, event), Row(answer, following or state))
+    for state in get_args(State)
+    for event, (answer, following) in DEFAULT.items()
 }
 """(state, what was heard) to the answer and the next state."""
 
@@ -226,3 +198,97 @@ def heard(
     if hello.instance != asked:
         return "answer of another"
     return "accepted" if hello.verdict == "accepted" else "unknown session"
+
+
+class PlantSession:
+    """How one plant process stands with controllers, and when it says hello.
+
+    Parameters
+    ----------
+    instance, fingerprint : str
+        The process's id, and its model's.
+    record : ReceiverRecord
+        As it was read, or made.
+    now : float
+
+    Attributes
+    ----------
+    state : State
+    controller : str or None
+        The controller process that this process asked last, if any.
+    hello_at, answered_at : float
+        When a hello is due, and when the controller was heard.
+    """
+
+    def __init__(self, instance: str, fingerprint: str, record: ReceiverRecord, now: float) -> None:
+        self.instance, self.fingerprint = instance, fingerprint
+        self.controller: str | None = None
+        self.state: State = first_state(record)
+        self.hello_at = -inf
+        self.answered_at = now
+        self._met = record.transitions > 0 or record.sessions > 1
+        self._taken_up = ("", "")
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the controller asked has accepted this session since this process began."""
+        return self.state in WORKING
+
+    def on(self, event: Heard) -> Answer:
+        """What the table says to an event; its state follows."""
+        answer, self.state = TABLE[self.state, event]
+        return answer
+
+    def hears(self, hello: ControllerHello, record: ReceiverRecord, now: float) -> Answer:
+        """The controller spoke: what is to be answered."""
+        what = heard(
+            hello,
+            record,
+            instance=self.instance,
+            fingerprint=self.fingerprint,
+            asked=self.controller,
+            met=self._met,
+        )
+        answer = self.on(what)
+        if answer in ("ask", "begin and ask"):
+            self.controller = hello.instance
+        if hello.instance == self.controller:
+            self.answered_at = now
+        return answer
+
+    def took_up(self, session: str) -> bool:
+        """The controller has taken up ``session``; True where that is news."""
+        self._met = True
+        before, self._taken_up = self._taken_up, (self.controller or "", session)
+        return before != self._taken_up
+
+    def due_at(self, *, waiting: bool) -> float:
+        """When a hello is due, or the controller has been silent for long.
+
+        While an applied offer waits for its tick nobody expects it to speak.
+        """
+        if not self.accepted:
+            return self.hello_at
+        return inf if waiting else max(self.hello_at, self.answered_at + SILENCE_S)
+
+    def hello_due(self, now: float) -> bool:
+        """Whether to say hello now; if so, the next one is due later."""
+        silent = now >= self.answered_at + SILENCE_S  # as in due_at, to the last bit
+        if silent:
+            self.on("silence")
+        due = (silent or not self.accepted) and now >= self.hello_at
+        if due:
+            self.hello_at = now + HELLO_S
+        return due
+
+    def hello(self, record: ReceiverRecord) -> PlantHello:
+        """Ask the controller to take up this session, or look for one."""
+        return PlantHello(
+            instance=self.instance,
+            session=record.session,
+            controller=None if self.state in TO_ANYONE else self.controller,
+            incarnation=record.incarnation,
+            fingerprint=self.fingerprint,
+            transitions=record.transitions,
+            applied_k=record.applied_k,
+        )

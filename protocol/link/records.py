@@ -1,12 +1,14 @@
 """What each end must not forget, as its journal keeps it."""
 
-from typing import Final, Literal, NamedTuple
+from typing import Final, Generic, Literal, NamedTuple, TypeVar
 
 from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Estimate
 from protocol.defence.watch import NEVER
+from protocol.link.step import IDLE, Step
 from protocol.messages import Offer
-from protocol.secret.nonces import Copy
+from protocol.secret.nonces import Contribution, Copy
+from protocol.secret.stream import Part
 from protocol.vectors import Vector
 
 INITIAL_ID: Final = "initial"
@@ -116,3 +118,24 @@ class ReceiverRecord(NamedTuple):
     def s(self) -> int:
         """What the automaton is doing, by number."""
         return self.state[0]
+
+
+R = TypeVar("R", bound=SenderRecord | ReceiverRecord)
+
+
+class Loaded(NamedTuple, Generic[R]):
+    """What a journal holds; a new one holds nothing.
+
+    ``step`` follows the record and is to be counted again, or at the plant was begun and not read.
+    ``rows`` are those of key blocks that are still needed, ``parts`` the digits of the key stream
+    that are left, ``symbols`` those of the frame under way that have left the plant's record.
+    ``fell_back``: the machine was started again since the last save, and the newest saves may be
+    missing.
+    """
+
+    record: R | None = None
+    step: Step = IDLE
+    rows: tuple[Contribution, ...] = ()
+    parts: tuple[Part, ...] = ()
+    symbols: str = ""
+    fell_back: bool = False

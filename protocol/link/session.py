@@ -1,6 +1,6 @@
 """Exactly once over a network that loses, repeats, delays and reorders, with processes that die.
 
-Both ends are sans I/O: what was heard goes in, actions come out, and nothing is sent before it is
+Both ends are sans I/O: what was heard goes in, effects come out, and nothing is sent before it is
 saved. The controller's is ``controller_service/core.py``, the plant's ``plant_service/core.py``.
 Here is what they share. The rules are those of docs/protocol.md, numbered there and here:
 
@@ -47,7 +47,7 @@ from protocol.defence.watch import UNWATCHED, Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.messages import Offer, SendCommand
+from protocol.messages import Measurement, Offer, SendCommand
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
 from protocol.schemes.registry import make_scheme
@@ -58,6 +58,25 @@ from protocol.vectors import Vector
 
 SILENCE_S: Final = 2.0
 """Seconds after which a partner that does not answer counts as away, and another may come in."""
+
+
+class Counted(NamedTuple):
+    """What a transition comes to, for both ends alike.
+
+    Parameters
+    ----------
+    verdict : AgreementResult
+    state : tuple of int
+        The scheme's, after it.
+    carry : Carry
+    digits : tuple of int
+        Those of the key stream that served.
+    """
+
+    verdict: AgreementResult
+    state: tuple[int, ...]
+    carry: Carry
+    digits: tuple[int, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +147,26 @@ class Rules:
         if self.predicted:
             return self.agreement.verdict_at(predictions, x_next)
         return self.agreement.verdict(x, candidates, x_next)
+
+    def count(
+        self,
+        record: SenderRecord | ReceiverRecord,
+        offer: Offer,
+        x_next: Vector,
+        digits: tuple[int, ...],
+    ) -> Counted:
+        """Judge the transition that an applied offer made of ``record``; advance the automaton.
+
+        The key is what the test returns (equations 21 and 22), at both ends. Under the key stream
+        it is the last of the ``digits`` that served.
+        """
+        scheme = self.scheme
+        box = self.box(record.estimate, record.k - record.applied_k - 1, record.x)
+        verdict = self.judge(record.x, offer.candidates, offer.predictions, x_next, box)
+        state, carry = scheme.follow(record.state, verdict.symbol)
+        if scheme.from_stream and digits:
+            carry = carry._replace(pad=digits[-1])
+        return Counted(verdict, state, carry, digits)
 
     def fails(self, verdict: AgreementResult, expected: int) -> bool:
         """Whether a transition fails its test.
@@ -233,6 +272,11 @@ def _output_rule(scenario: Scenario) -> OutputRule | None:
     return OutputRule(observer, gauge, scenario.secrecy.alpha, Fallback.of(scenario))
 
 
+def reports(record: SenderRecord, measurement: Measurement) -> bool:
+    """Whether a measurement reports a transition that the controller's record does not have yet."""
+    return record.offer is not None and measurement.applied_k != record.applied_k
+
+
 class Truth(NamedTuple):
     """What a step really came to, where an attack or a noisy sensor says otherwise.
 
@@ -309,21 +353,19 @@ class CountedTransition(NamedTuple):
         record: SenderRecord | ReceiverRecord,
         offer: Offer,
         x_next: Vector,
-        verdict: AgreementResult,
-        after: tuple[int, ...],
-        carry: Carry,
+        counted: Counted,
         message_symbol: int,
         contribution: Contribution | None,
         coin: int = NO_SYMBOL,
         u: Vector = (),
         truth: Truth | None = None,
-        keyed: bool = False,
         expected: int = NO_SYMBOL,
         delivered: SendCommand | None = None,
         recovered: bytes | None = None,
         refused: bool = False,
     ) -> Self:
         """The transition that an applied offer made of ``record``, which came before it."""
+        verdict, after, carry, digits = counted
         carried, position = carry.pad != NO_SYMBOL, offer.position
         return cls(  # by place, which takes half the time: both ends do it in each step
             offer.session,
@@ -347,7 +389,7 @@ class CountedTransition(NamedTuple):
             coin,
             u,
             truth,
-            keyed,
+            bool(digits),
             expected,
             delivered,
             recovered,

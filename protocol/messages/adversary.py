@@ -5,7 +5,7 @@ from typing import Annotated, ClassVar, Final, Self
 
 from pydantic import Field, model_validator
 
-from protocol.messages.base import Count, Message
+from protocol.messages.base import MALFORMED, Count, Message, Metric
 from protocol.vectors import FiniteVector
 
 
@@ -43,7 +43,7 @@ class TapStatus(Message):
         Entropy of the message given all that she heard, in bits, by her own account. None: this
         kind does not compute it.
     given : str
-        What she expects of a message, as ``English sentences``: that entropy is given it too.
+        Which kind of text she takes the message for, as ``German``: that entropy is given it too.
     failed : str
         Why she does not guess at present; empty: she does. The other fields then keep her last
         words.
@@ -75,11 +75,11 @@ class TapStatus(Message):
     t_ns: Count
     name: str
     steps: Count
-    lost: Count
-    mirrored: Count
-    dropped: Count
+    lost: Annotated[Count, Metric("tap_lost", "transitions of which the tap lacks a message")]
+    mirrored: Annotated[Count, Metric("tap_mirrored", "messages in the tap's recording")]
+    dropped: Annotated[Count, Metric("tap_dropped", "messages that the tap heard and lost")]
     behind: Count
-    malformed: Count
+    malformed: Annotated[Count, MALFORMED]
     foreign: Count = 0
     late: Count = 0
     jumped: Count = 0
@@ -93,16 +93,33 @@ class TapStatus(Message):
     failed: str = ""
     A: tuple[FiniteVector, ...] = ()
     B: tuple[FiniteVector, ...] = ()
-    key_blocks: Count = 0
-    key_bits_held: Annotated[int, Field(ge=-1)] = -1
-    copies: Count = 0
-    copies_missed: Count = 0
+    key_blocks: Annotated[
+        Count, Metric("keys_blocks_attacked", "key blocks that the eavesdropper went for")
+    ] = 0
+    key_bits_held: Annotated[
+        int, Field(ge=-1), Metric("keys_bits_held", "bits of their rows that she can compute")
+    ] = -1
+    copies: Annotated[
+        Count, Metric("keys_copies", "first copies that were sent, as far as she can tell")
+    ] = 0
+    copies_missed: Annotated[
+        Count, Metric("keys_copies_missed", "first copies that she missed")
+    ] = 0
     missed_at_most: float = 1.0
     missed_direction: str = ""
     copies_absent: Count = 0
     key_steps_unplaced: Count = 0
-    claim_refuted: bool = False
-    misses_in_bursts: bool = False
+    claim_refuted: Annotated[
+        bool,
+        Metric(
+            "keys_claim_refuted",
+            "whether she misses less than the operator claims (eps_E)",
+            now=True,
+        ),
+    ] = False
+    misses_in_bursts: Annotated[
+        bool, Metric("keys_misses_in_bursts", "whether her misses come in bursts", now=True)
+    ] = False
     tail_k: tuple[int, ...] = ()
     tail_symbol: tuple[int, ...] = ()
     tail_probability: FiniteVector = ()

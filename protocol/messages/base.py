@@ -1,5 +1,6 @@
 """What all messages share: the wire's version, the types of fields, the encoding."""
 
+from dataclasses import dataclass
 from typing import Annotated, ClassVar, Final, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
@@ -20,6 +21,22 @@ Copy = Literal[0, 1]
 Nonce = Annotated[str, StringConstraints(pattern=NONCE_FORM)]
 BlockNumber = Annotated[int, Field(ge=-1)]
 Tag = Annotated[str, StringConstraints(pattern=r"^([0-9a-f]{32})?$")]
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """Of a field of a status that Prometheus is told: a count, or what is so ``now``."""
+
+    name: str
+    help: str
+    now: bool = False
+
+
+MALFORMED: Final = Metric("malformed", "messages that were no messages")
+KEYS_MADE: Final = Metric("keys_made", "keys of confirmed blocks since this process began")
+BLOCKS_LOST: Final = Metric("keys_blocks_lost", "key blocks that made no key since then")
+DIGITS_LEFT: Final = Metric("keys_digits_left", "unused digits of the key stream", now=True)
+KEYS_STOPPED: Final = Metric("keys_stopped", "whether the newest block made no key", now=True)
 
 
 class Message(BaseModel):

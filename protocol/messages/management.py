@@ -8,10 +8,16 @@ from typing import Annotated, Any, ClassVar, Final, Literal, Self
 from pydantic import ConfigDict, Field, StringConstraints, model_validator
 
 from protocol.messages.base import (
+    BLOCKS_LOST,
+    DIGITS_LEFT,
+    KEYS_MADE,
+    KEYS_STOPPED,
+    MALFORMED,
     Count,
     Fingerprint,
     Identifier,
     Message,
+    Metric,
     SessionId,
 )
 from protocol.vectors import FiniteVector
@@ -213,12 +219,52 @@ class _Status(Message):
 
     The ends build theirs by ``model_construct``, which takes a quarter of the time of validation;
     tests validate what they publish.
+
+    Attributes
+    ----------
+    transitions, agreements : int
+        Transitions of the session; key symbols agreed on.
+    malformed, unexplained : int
+        Messages that could not be read; transitions that no candidate explains.
+    automaton : int
+        The scheme's state s.
+    frame_symbols, frame_length : int
+        Symbols so far of the frame under way, and in all.
+    keys_made, key_blocks_lost : int
+        Keys of confirmed blocks, and blocks that made none, since this process began.
+    keys_of_block, key_block_steps : int
+        Keys and steps of the last confirmed block.
+    keys_refused : str
+        Why no key is made any more; empty while some are.
+    keys_stopped : str
+        Why the session's newest block made no key; empty once a later one has made some.
+    digits_left : int
+        Digits of the key stream that this end holds.
+    appearances : int
+        How often a message leaves this end on the field bus.
     """
 
     seq: Count
     t_ns: Count
     phase: str
     detail: str = ""
+    transitions: Count
+    malformed: Annotated[Count, MALFORMED]
+    agreements: Annotated[
+        Count, Metric("agreements", "transitions on which a key symbol was agreed")
+    ]
+    automaton: Count
+    frame_symbols: Count
+    frame_length: Count
+    unexplained: Count = 0
+    keys_made: Annotated[Count, KEYS_MADE] = 0
+    keys_of_block: Count = 0
+    key_block_steps: Count = 0
+    keys_refused: str = ""
+    keys_stopped: Annotated[str, KEYS_STOPPED] = ""
+    key_blocks_lost: Annotated[Count, BLOCKS_LOST] = 0
+    digits_left: Annotated[Count, DIGITS_LEFT] = 0
+    appearances: Count = 1
 
     def on_file(self) -> bytes:
         """The status as a file may keep it, without `SECRET_FIELDS` and `SECRET_PREFIXES`."""
@@ -241,40 +287,26 @@ class PlantStatus(_Status):
     ----------
     k, x : int, tuple of float
         The step, and the state x(k), n numbers.
-    transitions, agreements, symbol_errors : int
-        Transitions of the session; key symbols agreed on; those of them that are not the coin.
-    missed, late, malformed : int
-        Steps without an offer in time; offers after their step; messages that could not be read.
-    outside, unexplained : int
-        Transitions whose disturbance left D_c; those that no candidate explains.
+    symbol_errors : int
+        Key symbols agreed on that are not the coin.
+    missed, late : int
+        Steps without an offer in time; offers after their step.
+    outside : int
+        Transitions whose disturbance left D_c.
     rate_hz : float
         Transitions a second, over the last few seconds.
-    automaton : int
-        The scheme's state s.
     last_message, message_k : str, int
         The last whole message, and the step at which it was whole (-1: none by this process).
-    partial, frame_symbols, frame_length : str, int, int
-        The text so far of the frame under way; its symbols so far, and in all.
+    partial : str
+        The text so far of the frame under way.
     latency_counts : tuple of int
         Offers by the seconds from a step's first measurement to its offer: a bin for each bound of
         `LATENCY_BOUNDS_S`, not cumulative, and one above them.
     sampled_late_s, actuated_after_s : tuple of float
         Median, 99th percentile and largest of the last steps, in seconds; empty in lock-step.
-    keys_made, key_blocks_lost : int
-        Keys of confirmed blocks, and blocks that made none, since this process began.
-    keys_of_block, key_block_steps : int
-        Keys and steps of the last confirmed block.
-    keys_refused : str
-        Why no key is made any more; empty while some are.
-    keys_stopped : str
-        Why the session's newest block made no key; empty once a later one has made some.
-    digits_left : int
-        Digits of the key stream that this end holds.
     key_blocks_begun : int
         Blocks begun by all incarnations. Each adds ``eps_sec`` to the distance from perfect keys,
         whatever became of it.
-    appearances : int
-        How often a message leaves this end on the field bus.
     pictured_k, pictured_x, pictured_candidates, pictured_x_next, pictured_gauges, pictured_symbol
         One transition, to be drawn in the plane as in the paper's Fig. 4; ``pictured_k`` is -1
         where there is none.
@@ -294,39 +326,26 @@ class PlantStatus(_Status):
     phase: Literal["greeting", "running", "stopped", "refused"]
     session: SessionId
     sessions: Count
-    k: Count
+    k: Annotated[Count, Metric("steps", "steps that the plant made, missed ones too")]
     x: FiniteVector
-    transitions: Count
-    missed: Count
-    late: Count
-    malformed: Count
-    agreements: Count
-    symbol_errors: Count
+    missed: Annotated[Count, Metric("missed_steps", "steps without an offer in time")]
+    late: Annotated[Count, Metric("late_offers", "offers that came after their step")]
+    symbol_errors: Annotated[
+        Count, Metric("symbol_errors", "agreements on a symbol that was not applied")
+    ]
     rate_hz: float
-    automaton: Count
     recovered_symbols: Count
-    messages: Count
+    messages: Annotated[Count, Metric("messages_recovered", "whole messages that the plant has")]
     last_message: str = ""
     message_k: Annotated[int, Field(ge=-1)] = -1
     latency_counts: tuple[Count, ...] = ()
     partial: str = ""
-    frame_symbols: Count
-    frame_length: Count
-    frames_refused: Count
+    frames_refused: Annotated[Count, Metric("frames_refused", "frames that failed their check")]
     outside: Count = 0
-    unexplained: Count = 0
     sampled_late_s: FiniteVector = ()
     actuated_after_s: FiniteVector = ()
     overruns: Count = 0
-    keys_made: Count = 0
-    keys_of_block: Count = 0
-    key_block_steps: Count = 0
-    keys_refused: str = ""
-    keys_stopped: str = ""
-    key_blocks_lost: Count = 0
-    digits_left: Count = 0
     key_blocks_begun: Count = 0
-    appearances: Count = 1
     pictured_k: Annotated[int, Field(ge=-1)] = -1
     pictured_x: FiniteVector = ()
     pictured_candidates: tuple[FiniteVector, ...] = ()
@@ -368,7 +387,7 @@ class PlantStatus(_Status):
 class ControllerStatus(_Status):
     """What the controller knows, for the dashboard.
 
-    Fields that are not listed are those of `PlantStatus`.
+    ``session`` and ``k`` are those of `PlantStatus`.
 
     Attributes
     ----------
@@ -387,6 +406,7 @@ class ControllerStatus(_Status):
         Alarms since this process began, and the step of the last one (-1: none).
     alarm_reading, alarm_expected, alarm_gauge : tuple of float, tuple of float, float
         What was read after that step, what was expected, and how far apart they are, in D_c.
+        Nothing is expected where too many steps had no digit of the key stream.
     """
 
     topic: ClassVar[str] = "management/controller/status"
@@ -394,31 +414,24 @@ class ControllerStatus(_Status):
     session: SessionId | None
     k: Annotated[int, Field(ge=-1)]
     set_index: Annotated[int, Field(ge=-1)]
-    transitions: Count
-    agreements: Count
-    malformed: Count
-    automaton: Count
     sending: str = ""
-    frame_symbols: Count
-    frame_length: Count
     queue: Count
-    delivered: Count
-    unexplained: Count = 0
-    watched: Count = 0
-    unwatched: Count = 0
-    alarms: Count = 0
+    delivered: Annotated[
+        Count, Metric("messages_delivered", "messages of which every symbol was counted")
+    ]
+    watched: Annotated[
+        Count, Metric("watched_steps", "transitions tested by a key's candidate")
+    ] = 0
+    unwatched: Annotated[
+        Count, Metric("unwatched_steps", "transitions that no key watched, of a keyed coin")
+    ] = 0
+    alarms: Annotated[
+        Count, Metric("alarms", "transitions whose test failed and made an alarm")
+    ] = 0
     alarm_k: Annotated[int, Field(ge=-1)] = -1
     alarm_reading: FiniteVector = ()
     alarm_expected: FiniteVector = ()
     alarm_gauge: float = 0.0
-    keys_made: Count = 0
-    keys_of_block: Count = 0
-    key_block_steps: Count = 0
-    keys_refused: str = ""
-    keys_stopped: str = ""
-    key_blocks_lost: Count = 0
-    digits_left: Count = 0
-    appearances: Count = 1
 
     def alarm_sentence(self) -> str:
         """The alarms and the last one, in words; empty where there is none."""
@@ -427,10 +440,10 @@ class ControllerStatus(_Status):
         read, expected = (
             ", ".join(f"{v:.4g}" for v in x) for x in (self.alarm_reading, self.alarm_expected)
         )
-        return (
-            f"ALARMS: {self.alarms}, the last at step {self.alarm_k}: read ({read}), expected "
-            f"({expected})"
-        )
+        told = f"ALARMS: {self.alarms}, the last at step {self.alarm_k}"
+        if not self.alarm_expected:
+            return f"{told}: too many steps had no digit of the key stream"
+        return f"{told}: read ({read}), expected ({expected})"
 
 
 Status = PlantStatus | ControllerStatus

@@ -1,4 +1,4 @@
-"""``[attack]``: who lies about the plant, from which step on, and what she knows."""
+"""``[attack]``: the attacker: which attack, from which step on, and what the attacker knows."""
 
 import json
 from typing import Annotated, Any, Literal
@@ -22,7 +22,7 @@ class Attack(ScenarioTable, extra="allow"):
     onset: Annotated[int, Field(ge=1)]
     """The first step whose reading, input or message is not the true one."""
     knows: tuple[Known, ...] = ("model", "bus", "coins")
-    """What she is told: A, B, D_c and U; the public offers; the coins under keys that she holds."""
+    """What the attacker is told: A, B, D_c, U; public offers; the coins of keys that Eve has."""
 
     @property
     def options(self) -> dict[str, Any]:

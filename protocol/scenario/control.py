@@ -131,13 +131,11 @@ class Control(ScenarioTable):
                 f"{candidates} candidates (secrecy.candidates)"
             )
 
-    def coin_problems(self) -> Iterator[str]:
+    def why_unseen(self) -> Iterator[str]:
         """Why a coin that comes from keys would not catch a spoofed sensor under this law."""
         if not names_a_file(self.law):
             yield (
-                f"defence.coin: got 'keys' beside control.law = {self.law!r}, expected law "
-                "'packed': this law does not keep its candidates apart, and a spoofed sensor stays "
-                "unseen"
+                f"control.law = {self.law!r} does not keep its candidates apart, expected 'packed'"
             )
 
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:  # noqa: ARG002

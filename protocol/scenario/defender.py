@@ -43,7 +43,7 @@ class Defender(ScenarioTable):
     model: str | None = None
     """A nonlinear f_c: the function predict(x, u), as 'file.py:predict'; A and B linearise it."""
     disturbance: Resisted
-    """D_c, which both ends know and she does not: it decides what a key is."""
+    """D_c, which both ends know and Eve does not: it decides what a key is."""
     noise: NoiseSet | None = None
     """N, what both ends take the sensors to add at most; none where not given."""
     bounds: tuple[Positive, ...] | None = None

@@ -55,14 +55,13 @@ class PackedControl(Control):
         if len(self.costs) != 1:
             yield f"control.costs: got {len(self.costs)} costs, expected one for law packed"
 
-    def coin_problems(self) -> Iterator[str]:
+    def why_unseen(self) -> Iterator[str]:
         """Whether candidates are so close that a spoofed sensor may stay unseen."""
         spacing = self.alphabet.spacing
         if spacing < CERTAIN:
             yield (
-                f"defence.coin: got 'keys' beside control.alphabet.spacing = {spacing:g}, "
-                f"expected a spacing of {CERTAIN:g} or more: closer candidates are not told apart "
-                "in every step"
+                f"control.alphabet.spacing = {spacing:g} does not tell candidates apart in every "
+                f"step, expected {CERTAIN:g} or more"
             )
 
     def policy(self, n: int, m: int) -> Policy:
@@ -74,6 +73,6 @@ class PackedControl(Control):
     def design_key(self, secrecy: Secrecy) -> dict[str, Any]:
         """The alphabet depends on M and D_e too."""
         key = super().design_key(secrecy)
-        hers = secrecy.disturbance
-        shape = {} if hers is None else {"D_e": hers.model_dump(exclude_none=True)}
+        wider = secrecy.disturbance
+        shape = {} if wider is None else {"D_e": wider.model_dump(exclude_none=True)}
         return {**key, **shape, "candidates": secrecy.candidates, "alpha": secrecy.alpha}

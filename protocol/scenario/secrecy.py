@@ -19,7 +19,7 @@ class Secrecy(ScenarioTable):
     """
 
     alpha: Annotated[float, Field(ge=1, allow_inf_nan=False)]
-    """D_e = alpha D_c, her set; 1: she knows what the ends know."""
+    """D_e = alpha D_c, Eve's set; 1: Eve knows what the ends know."""
     disturbance: ConvexSet | None = None
     """Of another shape than D_c: D_e is alpha times this, and must contain D_c."""
     candidates: Annotated[int, Field(ge=2, le=256)] = 2

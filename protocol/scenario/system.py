@@ -51,7 +51,7 @@ class Scenario(Brief, ScenarioTable):
     plant: SerializeAsAny[Annotated[PlantTable, by_kind("kind", "linear", plant_table)]]
     """What is simulated or driven."""
     defender: Defender
-    """What both ends know of the plant, and she does not."""
+    """What both ends know of the plant, and Eve does not."""
     control: SerializeAsAny[Annotated[Control, by_kind("law", "sustained", law_table)]]
     """How the candidate inputs are computed."""
     secrecy: Secrecy
@@ -63,7 +63,7 @@ class Scenario(Brief, ScenarioTable):
     tap: TapView = TapView()
     """The eavesdropper's place."""
     keys: Keys | None = None
-    """What the operator claims that she misses; distilled keys rest on it."""
+    """What the operator claims that Eve misses; distilled keys rest on it."""
     defence: DefenceTable = DefenceTable()
     """How the controller tests what it is told."""
     attack: Attack | None = None
@@ -194,7 +194,7 @@ class Scenario(Brief, ScenarioTable):
 
     @property
     def eavesdropper_set(self) -> ConvexSet:
-        """D_e, the disturbances that she finds possible (equation 10)."""
+        """D_e, the disturbances that Eve finds possible (equation 10)."""
         return self.eavesdropper_shape.scaled(self.secrecy.alpha)
 
     @property
@@ -255,7 +255,10 @@ class Scenario(Brief, ScenarioTable):
                 "defender.disturbance (D within D_c), or may_leave_defender_set = true"
             )
         if self.defence.keyed:
-            problems += self.control.coin_problems()
+            problems += [
+                f"defence.coin: got 'keys', and a spoofed sensor would stay unseen: {why}"
+                for why in self.control.why_unseen()
+            ]
         problems += self.defence.problems(self.keys, self.link)
         if scheme_named(self.secrecy.scheme).from_stream:
             problems += needs_keys(f"secrecy.scheme: {self.secrecy.scheme!r}", self.keys)
@@ -347,7 +350,7 @@ class Scenario(Brief, ScenarioTable):
 
         A scheme in a file of the user's enters with the SHA-256 of the file, too.
         Compared over the management bus only: on the field bus it would let an eavesdropper test
-        her guesses.
+        Eve's guesses.
         """
         scheme, source = scheme_named(self.secrecy.scheme), source_of(self.secrecy.scheme)
         own = (source,) if source else ()

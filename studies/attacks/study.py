@@ -6,10 +6,9 @@ reads with the eavesdropper `nearest-centre`; one matrix for all steps she solve
 """
 
 import hashlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
-from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
@@ -21,10 +20,9 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array, Flags
 from protocol.scenario import Scenario
 from protocol.secret.bound import Assumption
-from studies import DATA
 from studies.attacks.learner import rotation_learner
 from studies.attacks.watermark import gaussian_passes, packed
-from studies.secrecy.study import append_rows
+from studies.registry import study
 from studies.signalling import changed
 from tap_service import eavesdroppers
 from tap_service.inference.key_solver import bits_held
@@ -32,9 +30,6 @@ from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.attacks import ONSET, Attacked, Keys, attack_runs
 from wyner.simulate.engine.defences import make_defence
 from wyner.simulate.engine.taps import transcript
-from wyner.sweeps.code import code_version
-
-FILE: Final = DATA / "attacks.csv"
 
 SEED: Final = 7
 RUNS: Final = 8000
@@ -57,10 +52,9 @@ MISSED: Final[dict[Who, float]] = {"secret": 0.3, "false claim": 0.0}
 """Share of copies that she misses in truth."""
 
 COLUMNS: Final = (
-    "task", "version", "group", "attack", "defence", "key", "scenario", "M", "runs", "onset",
-    "steps", "seed", "held", "unseen", "false_alarms", "honest_steps", "away", "away_error",
-    "away_largest", "shown_largest", "theory", "key_bits",
-)  # fmt: skip
+    "group attack defence key scenario M runs onset steps seed held unseen false_alarms "
+    "honest_steps away away_error away_largest shown_largest theory key_bits"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,11 +123,6 @@ DISTURBANCES: Final[dict[str, dict[str, Any]]] = {
     "constant corner of D_c": {"kind": "constant", "half_widths": [0.12, 0.12]},
 }
 """Every disturbance of the sweep ``disturbances`` that stays in D_c, and its corner for ever."""
-
-
-def version() -> str:
-    """Of the code that the rows come from."""
-    return code_version("studies.attacks.study")
 
 
 def tasks() -> Iterator[Task]:
@@ -295,7 +284,8 @@ def packed_deviation(scenario: Scenario) -> float:
     return float(offsets.std())
 
 
-def measure(task: Task) -> dict[str, object]:
+@study("attacks", COLUMNS, tasks)
+def measure(task: Task) -> Iterator[dict[str, object]]:
     """One row."""
     found, keys = attacked(task)
     scenario, _ = loop_of(task.scenario, task.candidates, task.disturbance)
@@ -303,9 +293,7 @@ def measure(task: Task) -> dict[str, object]:
     bits = sum(make_defence(name, scenario.n, task.candidates).key_bits for name in task.defences)
     honest = task.runs * (task.onset - 1 + (task.steps if task.attack == "none" else 0))
     unseen = [] if task.attack == "none" else found.undetected().tolist()
-    return {
-        "task": task.id,
-        "version": version(),
+    yield {
         "group": task.group,
         "attack": task.attack if not task.eye else f"{task.attack}, eye {task.eye:g}",
         "defence": task.defence,
@@ -327,16 +315,3 @@ def measure(task: Task) -> dict[str, object]:
         "theory": "" if passed is None else f"{passed:.6f}",
         "key_bits": f"{bits:g}",
     }
-
-
-def add_rows(path: Path = FILE, measure_all: "Measured | None" = None) -> None:
-    """Measure what the file lacks, in the study's order."""
-    append_rows(path, COLUMNS, tasks(), measure_all or in_turn, version())
-
-
-Measured = Callable[[list[Any]], Iterable[dict[str, object]]]
-
-
-def in_turn(todo: list[Any]) -> Iterable[dict[str, object]]:
-    """In this process."""
-    return map(measure, todo)

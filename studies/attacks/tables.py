@@ -1,18 +1,13 @@
 """The tables of docs/attacks.md, from the study's rows, and the lines of a defence of one's own."""
 
-import csv
 from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
 from protocol.statistics import wilson
-from studies.attacks.study import FILE, SETTLED, Task, attacked
-from studies.pages import between_marks, markdown_table
+from studies.attacks.study import SETTLED, Task, attacked
+from studies.registry import Lines, Row, table
 from wyner.simulate.engine.attacks import ONSET
-from wyner.sweeps.code import ROOT
-from wyner.sweeps.grid import SweepError
 
-PAGE: Final = ROOT / "docs" / "attacks.md"
 SHOWN: Final = (1, 2, 3, 5)
 GROUPS: Final = ("limit", "key", "size", "eye", "bus")
 """Those of one table, in this order; `matrix` and `honest` have one each."""
@@ -27,26 +22,6 @@ KEYS: Final = {
 
 OWN_RUNS: Final = 1000
 OWN_ATTACKS: Final = ("ghost", "ghost who sees exactly", "replay", "stuck", "covert, 0.3")
-
-Row = dict[str, str]
-
-
-def rows_of(path: Path = FILE) -> list[Row]:
-    """The rows of the study.
-
-    Raises
-    ------
-    SweepError
-        When there are none.
-    """
-    try:
-        with path.open(encoding="utf-8", newline="") as file:
-            rows = list(csv.DictReader(file))
-    except OSError as error:
-        raise SweepError(f"{path}: cannot be read: {error.strerror}") from None
-    if not rows:
-        raise SweepError(f"{path}: has no rows")
-    return rows
 
 
 def unseen(row: Row) -> list[int]:
@@ -64,7 +39,8 @@ def share(count: int, runs: int) -> str:
     return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"
 
 
-def main_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+@table("attacks", "attacks", "attacks")
+def main_table(rows: Sequence[Row]) -> Lines:
     """Who attacks, what stands against her, who has the key, and what became of it."""
     lines: list[tuple[str, ...]] = [
         (
@@ -92,7 +68,8 @@ def main_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     return lines
 
 
-def matrix_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+@table("matrix", "attacks", "attacks")
+def matrix_table(rows: Sequence[Row]) -> Lines:
     """Shares unseen after ten steps: attacks down, defences across, key had and not had."""
     mine = [r for r in rows if r["group"] == "matrix"]
     heads = list(dict.fromkeys((r["defence"], r["key"]) for r in mine))
@@ -107,7 +84,8 @@ def matrix_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     return lines
 
 
-def honest_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
+@table("honest", "attacks", "attacks")
+def honest_table(rows: Sequence[Row]) -> Lines:
     """False alarms by disturbance."""
     mine = [r for r in rows if r["group"] == "honest"]
     lines: list[tuple[str, ...]] = [("disturbance", "honest steps", "alarms")]
@@ -115,21 +93,6 @@ def honest_table(rows: Sequence[Row]) -> list[tuple[str, ...]]:
     total = sum(int(r["honest_steps"]) for r in mine)
     lines.append(("all", f"{total:,}", str(sum(int(r["false_alarms"]) for r in mine))))
     return lines
-
-
-TABLES: Final = {"matrix": matrix_table, "attacks": main_table, "honest": honest_table}
-
-
-def written(text: str, rows: Sequence[Row]) -> str:
-    """The page with its tables between their marks."""
-    for name, make in TABLES.items():
-        text = between_marks(text, name, markdown_table(make(rows)))
-    return text
-
-
-def write() -> None:
-    """Put the tables on the page."""
-    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), rows_of()), encoding="utf-8")
 
 
 def own(defence: str) -> str:

@@ -17,10 +17,11 @@ from controller_service.sets.terminal import feedback_gain
 from protocol.scenario import Scenario
 from runtime.scenario_file import scenario_of
 from studies.capacity.price import dither_price
+from studies.registry import study
 
 SIZES: Final = (2, 3, 4, 5, 6, 8, 12, 16)
 SCENARIO: Final = "packed"
-COLUMNS: Final = ("scenario", "dither", "M", "pass", "variance", "state_price", "input_price")
+COLUMNS: Final = "scenario dither M pass variance state_price input_price"
 
 
 def least(mu: float) -> float:
@@ -54,7 +55,8 @@ def spacing(scenario: Scenario) -> float:
     return Separation.of(scenario.B, scenario.defender.disturbance).sigma()
 
 
-def price_rows() -> Iterator[tuple[Any, ...]]:
+@study("dither-price", COLUMNS)
+def price_rows(_: None) -> Iterator[tuple[Any, ...]]:
     """What each dither adds to the means of x'x and u'u on the paper's plant, by 1/M."""
     scenario = scenario_of(SCENARIO)
     price = dither_price(np.array(scenario.A), np.array(scenario.B), feedback_gain(scenario))

@@ -12,12 +12,14 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array
 from protocol.scenario import Scenario
 from studies.bound.loop import LinearLoop
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.smoother import Smoother
+from wyner.simulate.engine import simulate_runs
 
 TAIL: Final = 16
 """Steps that she goes on watching after a block's last coin."""
@@ -112,21 +114,21 @@ def block_left(
     return Left(*_mean(surprise), *_mean(right))
 
 
-def smoother_left(
-    scenario: Scenario, loop: LinearLoop, noise: float, steps: int, runs: int, seed: int
-) -> Left:
-    """What `smoother` leaves, who is told the policy and hears measurements alone."""
+def smoother_left(scenario: Scenario, noise: float, steps: int, runs: int, seed: int) -> Left:
+    """What `smoother` leaves, who is told the policy and hears measurements alone.
+
+    The loop begins at the origin, where no constraint is ever active.
+    """
     rng = np.random.default_rng(seed)
     view = View(view="measurements", noise=noise)
-    widths = np.array(scenario.plant.disturbance.half_widths)
-    M = len(loop.offsets)
+    start = {"initial_state": (0.0,) * scenario.n}
+    there = scenario.model_copy(update={"plant": scenario.plant.model_copy(update=start)})
+    law = make_law(there, cached_design(there))
+    made = simulate_runs(there, law, seed=seed, runs=range(runs), steps=steps, record=True)
+    assert made.x is not None
     bits, whole = [], []
-    for _ in range(runs):
-        coins = rng.integers(0, M, steps)
-        x = np.zeros((steps + 1, len(loop.A)))
-        for k in range(steps):
-            u = loop.K @ x[k] + loop.offsets[coins[k]]
-            x[k + 1] = loop.A @ x[k] + loop.B @ u + rng.uniform(-1, 1, len(widths)) * widths
+    for place in range(runs):
+        x, coins = made.x[:, :, place], made.coin[:, place].tolist()
         heard = [tuple(v) for v in (x + noise * rng.standard_normal(x.shape)).tolist()]
         tap = Smoother(view.knowledge(scenario.knowledge()))
         for k in range(steps):

@@ -1,13 +1,14 @@
 """The figures of docs/attacks.md."""
 
+import math
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from protocol.statistics import wilson
-from studies.figures.rows import plain_rows
-from wyner.drawing.style import COLOURS, MARKERS
+from protocol.statistics import Interval, wilson
+from studies.figures.rows import bars, figure, plain_rows
+from wyner.drawing.style import COLOURS
 
 SHOWN_STEPS = 12
 
@@ -18,6 +19,7 @@ LINES = {
 }
 
 
+@figure("undetected", "attacks", size=(6.4, 3.8))
 def draw_undetected(figure: Figure, data: Path) -> str:
     """Share of attacked runs without an alarm, by steps since the onset."""
     rows = plain_rows(data / "attacks.csv")
@@ -33,20 +35,8 @@ def draw_undetected(figure: Figure, data: Path) -> str:
         left = [int(n) for n in row["unseen"].split()]
         runs, seed, size = row["runs"], row["seed"], row["M"]
         found = [wilson(left[n], runs) for n in steps]
-        value = np.array([f.value for f in found])
-        axes.errorbar(
-            steps + 0.15 * max(0, place - 1),
-            np.where(value > 0, value, np.nan),
-            yerr=[
-                [max(0.0, f.value - f.low) for f in found],
-                [max(0.0, f.high - f.value) for f in found],
-            ],
-            fmt=MARKERS[place],
-            color=COLOURS[place],
-            mfc="none",
-            capsize=2,
-            label=label,
-        )
+        shown = [f if f.value > 0 else Interval(math.nan) for f in found]
+        bars(axes, (steps + 0.15 * max(0, place - 1)).tolist(), shown, place, label=label)
     axes.plot(steps, float(size) ** -steps, color="0.4", ls="--", lw=1, label="$M^{-n}$")
     axes.set_yscale("log")
     axes.set_ylim(2e-5, 2)
@@ -59,6 +49,7 @@ def draw_undetected(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("dither-price", "dither-price", size=(6.4, 3.8))
 def draw_dither(figure: Figure, data: Path) -> str:
     """What a dither costs against how often one who does not know it passes."""
     rows = plain_rows(data / "dither-price.csv")

@@ -6,7 +6,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from studies.figures.rows import plain_rows
+from studies.figures.rows import figure, plain_rows
 from wyner.drawing.style import COLOURS
 
 ALPHA: Final = 3.0
@@ -30,6 +30,7 @@ TEXTS: Final = (
 )
 
 
+@figure("idea", "sets", size=(9.0, 3.6))
 def draw_idea(figure: Figure, data: Path) -> str:
     """Three panels of one step: what is offered, what both ends see, what she sees."""
     rows = plain_rows(data / "sets.csv")

@@ -1,14 +1,15 @@
 """The figure of docs/keys.md."""
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.figure import Figure
 
 from protocol.statistics import wilson
-from studies.figures.rows import plain_rows
-from wyner.drawing.style import COLOURS
+from studies.figures.rows import bars, figure, plain_rows
 
 
+@figure("key-controls", "key-controls", size=(7.4, 4.6))
 def draw_controls(figure: Figure, data: Path) -> str:
     """Blocks that she breaks, with each rule broken and kept."""
     rows = plain_rows(data / "key-controls.csv")
@@ -17,17 +18,11 @@ def draw_controls(figure: Figure, data: Path) -> str:
     for i, (rule, marker) in enumerate((("broken", "s"), ("kept", "o"))):
         for place, control in enumerate(controls):
             row = next(r for r in rows if (r["control"], r["rule"]) == (control, rule))
+            found = wilson(row["breached"], row["blocks"])
             share = row["breached"] / row["blocks"]
-            _, low, high = wilson(row["breached"], row["blocks"])
-            axes.errorbar(
-                [share],
-                [place + 0.2 * (i - 0.5)],
-                xerr=[[max(0.0, share - low)], [max(0.0, high - share)]],
-                fmt=marker,
-                color=COLOURS[1 - i],
-                capsize=2,
-                label=f"rule {rule}" if place == 0 else None,
-            )
+            label = f"rule {rule}" if place == 0 else None
+            style: dict[str, Any] = {"fmt": marker, "mfc": None, "label": label}
+            bars(axes, [place + 0.2 * (i - 0.5)], [found], 1 - i, lying=True, **style)
             axes.annotate(
                 f"{row['worst_bits']} bit",
                 (share, place + 0.2 * (i - 0.5)),

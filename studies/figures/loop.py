@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from protocol.statistics import Interval, normal_mean, wilson
-from studies.figures.rows import FigureError, plain_rows
+from studies.figures.rows import FigureError, band, bars, columns, figure, intervals, plain_rows
 from studies.loops import BURN_IN
 from wyner.drawing.style import COLOURS, MARKERS
 from wyner.sweeps.grid import SweepError
@@ -62,33 +62,18 @@ def note_of(points: Sequence[Summary], text: str = "bars and bands") -> str:
 
 
 def curve(
-    axes: Axes, points: Sequence[Summary], label: str, place: int, *, bars: bool = False
+    axes: Axes, points: Sequence[Summary], label: str, place: int, *, marked: bool = False
 ) -> None:
     """Rate against alpha with its interval."""
-    alphas = [alpha_of(s) for s in points]
-    rates = [s.rate for s in points]
-    value = [r.value for r in rates]
-    colour, marker = COLOURS[place], MARKERS[place]
-    if bars:
-        errors = [[r.value - r.low for r in rates], [r.high - r.value for r in rates]]
-        axes.errorbar(
-            alphas,
-            value,
-            yerr=errors,
-            fmt=marker,
-            color=colour,
-            mfc="none",
-            capsize=2,
-            label=label,
-            lw=0.8,
-        )
+    alphas, rates = [alpha_of(s) for s in points], [s.rate for s in points]
+    if marked:
+        bars(axes, alphas, rates, place, label=label, lw=0.8)
         return
-    axes.fill_between(
-        alphas, [r.low for r in rates], [r.high for r in rates], color=colour, alpha=0.2, lw=0
-    )
-    axes.plot(alphas, value, color=colour, label=label, lw=1.4)
+    band(axes, alphas, rates, place)
+    axes.plot(alphas, [r.value for r in rates], color=COLOURS[place], label=label, lw=1.4)
 
 
+@figure("rate-paper", "fig7-paper", "fig7-paper-20", size=(6.4, 4.2))
 def draw_paper(figure: Figure, data: Path) -> str:
     """Fig. 7: the rate under the paper's law."""
     many, printed = summaries(data, "fig7-paper"), summaries(data, "fig7-paper-20")
@@ -96,7 +81,7 @@ def draw_paper(figure: Figure, data: Path) -> str:
     for place, (start, points) in enumerate(by(many, start_of).items()):
         curve(axes, points, f"{start}, {points[0].runs} runs", place)
     for place, (start, points) in enumerate(by(printed, start_of).items()):
-        curve(axes, points, f"{start}, {points[0].runs} runs", place, bars=True)
+        curve(axes, points, f"{start}, {points[0].runs} runs", place, marked=True)
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
     axes.set_ylabel("message rate (bit/s)")
     axes.set_title("Law paper: rate against alpha (the paper's Fig. 7)")
@@ -105,13 +90,14 @@ def draw_paper(figure: Figure, data: Path) -> str:
     return note_of([*many, *printed])
 
 
+@figure("rate-sustained", "fig7-sustained", "sustained-long", size=(6.4, 4.2))
 def draw_sustained(figure: Figure, data: Path) -> str:
     """The rate under the law that keeps talking, with both ceilings."""
     short, long = summaries(data, "fig7-sustained"), summaries(data, "sustained-long")
     axes = figure.subplots()
     for place, (start, points) in enumerate(by(short, start_of).items()):
         curve(axes, points, f"{start}, {points[0].first['steps']} steps", place)
-    curve(axes, long, f"{long[0].first['steps']} steps", 3, bars=True)
+    curve(axes, long, f"{long[0].first['steps']} steps", 3, marked=True)
     alphas, ceiling = [], []
     for s in long:
         p = s.counts["agreements"] / s.counts["tested"]
@@ -130,31 +116,18 @@ def draw_sustained(figure: Figure, data: Path) -> str:
     return note_of([*short, *long])
 
 
+@figure("distance", "distance", size=(6.4, 4.0))
 def draw_distance(figure: Figure, data: Path) -> str:
     """Probability of Diff against the candidates' distance, closed form beside simulation."""
     rows = [r for r in plain_rows(data / "distance.csv") if r["transitions"] >= FEWEST]
     axes = figure.subplots()
     for place, alpha in enumerate(sorted({r["alpha"] for r in rows})):
         mine = [r for r in rows if r["alpha"] == alpha]
-        x = [r["distance"] for r in mine]
+        x, expected = columns(mine, "distance", "expected")
         shares = [wilson(r["in_diff"], r["transitions"]) for r in mine]
-        errors = [[s.value - s.low for s in shares], [s.high - s.value for s in shares]]
-        colour = COLOURS[place]
-        axes.plot(
-            x,
-            [r["expected"] for r in mine],
-            color=colour,
-            lw=1.2,
-            label=f"closed form, α = {alpha:g}",
-        )
-        axes.errorbar(
-            *(x, [s.value for s in shares]),
-            yerr=errors,
-            fmt=MARKERS[place],
-            color=colour,
-            mfc="none",
-            lw=0.8,
-        )
+        label = f"closed form, α = {alpha:g}"
+        axes.plot(x, expected, color=COLOURS[place], lw=1.2, label=label)
+        bars(axes, x, shares, place, lw=0.8, capsize=0)
     axes.set_xlabel("distance of the two centres, g(c₀ − c₁), in units of D_c")
     axes.set_ylabel("probability that x(k+1) is in Diff")
     axes.set_title("When agreements happen (law sustained)")
@@ -167,6 +140,7 @@ def draw_distance(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("disturbances", "disturbances", "taps", size=(9.0, 4.2))
 def draw_disturbances(figure: Figure, data: Path) -> str:
     """Rate, wrongly decoded coins, and what the taps get, by kind of disturbance."""
     points = summaries(data, "disturbances")
@@ -217,20 +191,10 @@ def _share(right: int, of: int, runs: int) -> Interval:
 
 def _bars(axes: Axes, y: Sequence[int], values: Sequence[Interval], place: int, label: str) -> None:
     """Points with intervals, lying; each series a little lower than the one before."""
-    errors = [[v.value - v.low for v in values], [v.high - v.value for v in values]]
-    axes.errorbar(
-        [v.value for v in values],
-        [v + 0.2 * (place - 1) for v in y],
-        xerr=errors,
-        fmt=MARKERS[place],
-        color=COLOURS[place],
-        mfc="none",
-        lw=0.9,
-        capsize=2,
-        label=label,
-    )
+    bars(axes, [v + 0.2 * (place - 1) for v in y], values, place, lying=True, lw=0.9, label=label)
 
 
+@figure("price", "price", size=(8.0, 3.8))
 def draw_price(figure: Figure, data: Path) -> str:
     """State cost and input effort of each law."""
     points = summaries(data, "price")
@@ -264,6 +228,7 @@ def draw_price(figure: Figure, data: Path) -> str:
     return note_of(points) + "; of costs: normal intervals"
 
 
+@figure("plants", "settled", "widths", size=(8.0, 3.8))
 def draw_plants(figure: Figure, data: Path) -> str:
     """The channel of other plants, and how far apart their candidates are."""
     settled = [row for row in plain_rows(data / "settled.csv") if row["group"] == "plant"]
@@ -273,21 +238,11 @@ def draw_plants(figure: Figure, data: Path) -> str:
         colour = COLOURS[place]
         for start, line in (("x(0)", "-"), ("origin", ":")):
             group = [row for row in settled if (row["name"], row["start"]) == (name, start)]
-            alphas = [row["alpha"] for row in group]
-            low, high = ([row[key] for row in group] for key in ("bits_low", "bits_high"))
-            left.fill_between(alphas, low, high, color=colour, alpha=0.2, lw=0)
-            left.plot(
-                alphas,
-                [row["bits"] for row in group],
-                line,
-                color=colour,
-                marker=MARKERS[place],
-                mfc="none",
-            )
+            alphas, bits = columns(group, "alpha", "bits")
+            band(left, alphas, intervals(group, "bits"), place)
+            left.plot(alphas, bits, line, color=colour, marker=MARKERS[place], mfc="none")
         mine = [r for r in widths if r["scenario"] == name]
-        right.plot(
-            [r["distance"] for r in mine], [r["quantile"] for r in mine], color=colour, label=name
-        )
+        right.plot(*columns(mine, "distance", "quantile"), color=colour, label=name)
     left.axhline(0.5, color="k", ls="--", lw=1)
     left.set_ylim(0, 0.55)
     left.set_xlabel(r"$\alpha$")
@@ -308,6 +263,7 @@ def draw_plants(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("sets", "sets", size=(9.0, 4.4))
 def draw_sets(figure: Figure, data: Path) -> str:
     """Some T_i with trajectories through them; Fig. 4 for one step."""
     rows = plain_rows(data / "sets.csv")

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from studies.figures.rows import plain_rows
-from wyner.drawing.style import COLOURS, MARKERS
+from studies.figures.rows import bars, figure, intervals, plain_rows
+from wyner.drawing.style import MARKERS
 
 SHOWN = (
     ("loss", "loss of a message, each way"),
@@ -13,6 +13,7 @@ SHOWN = (
 )
 
 
+@figure("network", "network", size=(7.4, 5.0))
 def draw_network(figure: Figure, data: Path) -> str:
     """Cost above, rate below; losses on the left, delays on the right."""
     rows = plain_rows(data / "network.csv")
@@ -24,17 +25,12 @@ def draw_network(figure: Figure, data: Path) -> str:
             plot = axes[row][column]
             for place, fallback in enumerate(dict.fromkeys(r["fallback"] for r in rows)):
                 own = [r for r in rows if r["part"] == part and r["fallback"] == fallback]
-                plot.errorbar(
+                bars(
+                    plot,
                     [r["value"] for r in own],
-                    [r[name] for r in own],
-                    yerr=[
-                        [r[name] - r[f"{name}_low"] for r in own],
-                        [r[f"{name}_high"] - r[name] for r in own],
-                    ],
+                    intervals(own, name),
+                    place,
                     fmt=f"{MARKERS[place]}-",
-                    color=COLOURS[place],
-                    mfc="none",
-                    capsize=2,
                     lw=1,
                     label=fallback,
                 )

@@ -5,10 +5,11 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from protocol.statistics import normal
-from studies.figures.rows import plain_rows
-from wyner.drawing.style import COLOURS, MARKERS
+from studies.figures.rows import bars, figure, plain_rows
+from wyner.drawing.style import COLOURS
 
 
+@figure("noise-bound", "noise-bound", size=(8.0, 4.0))
 def draw_bound(figure: Figure, data: Path) -> str:
     """Bits left of a coin against her noise: bound, taps and claim; and the law as a lever."""
     rows = plain_rows(data / "noise-bound.csv")
@@ -23,16 +24,7 @@ def draw_bound(figure: Figure, data: Path) -> str:
             left.plot(x, y, color=COLOURS[0], label="any tap, proved")
             left.fill_between(x, y, color=COLOURS[0], alpha=0.12, lw=0)
             continue
-        left.errorbar(
-            x,
-            y,
-            yerr=[normal(r["bits"], r["error"]).width / 2 for r in own],
-            fmt=MARKERS[place],
-            color=COLOURS[place],
-            mfc="none",
-            capsize=2,
-            label=tap,
-        )
+        bars(left, x, [normal(r["bits"], r["error"]) for r in own], place, label=tap)
     left.set_xlabel("her noise over the half-width of $\\mathcal{D}_c$")
     left.set_ylabel("bits left of a coin")
     left.set_ylim(bottom=0)

@@ -1,12 +1,43 @@
-"""The rows of a figure's data file."""
+"""The registry of figures, and the rows of their data files."""
 
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, NamedTuple
 
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from protocol.statistics import Interval
+from wyner.drawing.style import COLOURS, MARKERS
 from wyner.sweeps.grid import Row, SweepError
 from wyner.sweeps.results import read_table
 
 Rows = list[Row]
+
+
+Draw = Callable[[Figure, Path], str]
+
+
+class Kind(NamedTuple):
+    """One figure: how it is drawn, from which data files, and its size in inches."""
+
+    draw: Draw
+    data: tuple[str, ...]
+    size: tuple[float, float]
+
+
+FIGURES: Final[dict[str, Kind]] = {}
+"""The figures."""
+
+
+def figure(name: str, *data: str, size: tuple[float, float]) -> Callable[[Draw], Draw]:
+    """Register a function that draws from the folder of the data, and returns the note."""
+
+    def register(draw: Draw) -> Draw:
+        FIGURES[name] = Kind(draw, data, size)
+        return draw
+
+    return register
 
 
 class FigureError(Exception):
@@ -28,3 +59,41 @@ def _number(text: str) -> Any:
         except ValueError:
             continue
     return text
+
+
+def columns(rows: Rows, *names: str) -> list[list[Any]]:
+    """Columns of rows."""
+    return [[row[name] for row in rows] for name in names]
+
+
+def intervals(rows: Rows, name: str) -> list[Interval]:
+    """A column of rows with its limits, ``name_low`` and ``name_high``."""
+    return [Interval(row[name], row[f"{name}_low"], row[f"{name}_high"]) for row in rows]
+
+
+def bars(
+    axes: Axes,
+    at: Sequence[float],
+    values: Sequence[Interval],
+    place: int,
+    *,
+    lying: bool = False,
+    **style: Any,
+) -> None:
+    """Points with intervals: the marker and colour of a place among the series."""
+    middle = [v.value for v in values]
+    reach = [
+        [max(v.value - v.low, 0.0) for v in values],
+        [max(v.high - v.value, 0.0) for v in values],
+    ]
+    x, y = (middle, at) if lying else (at, middle)
+    style = {"fmt": MARKERS[place], "color": COLOURS[place], "mfc": "none", "capsize": 2} | style
+    axes.errorbar(x, y, xerr=reach if lying else None, yerr=None if lying else reach, **style)
+
+
+def band(
+    axes: Axes, at: Sequence[float], values: Sequence[Interval], place: int, alpha: float = 0.2
+) -> None:
+    """The intervals of a curve, filled."""
+    low, high = [v.low for v in values], [v.high for v in values]
+    axes.fill_between(at, low, high, color=COLOURS[place], alpha=alpha, lw=0)

@@ -3,14 +3,16 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from matplotlib.figure import Figure
 
 from protocol.statistics import Interval
-from studies.figures.rows import FigureError, plain_rows
-from studies.secrecy.tables import Row, read_rows, share_of
+from studies.figures.rows import FigureError, bars, figure, intervals, plain_rows
+from studies.registry import Row, recorded
+from studies.secrecy.tables import share_of
 from wyner.drawing.style import COLOURS, MARKERS
+from wyner.sweeps.grid import SweepError
 
 MARKS: Final = {
     "set-membership": ("o", "0.5"),
@@ -33,9 +35,9 @@ def rows_of(study: str, data: Path) -> list[Row]:
         When they cannot be read.
     """
     try:
-        return read_rows(study, data)
-    except OSError as error:
-        raise FigureError(f"{error.filename}: cannot be read: {error.strerror}") from None
+        return recorded(f"secrecy-{study}", data)
+    except SweepError as error:
+        raise FigureError(str(error)) from None
 
 
 def note_of(rows: Sequence[Row], text: str = "95 % bootstrap intervals over runs") -> str:
@@ -87,18 +89,21 @@ def against_alpha(
     return note_of(rows)
 
 
+@figure("secrecy-alpha", "secrecy-alpha", size=(7.0, 3.8))
 def draw_alpha(figure: Figure, data: Path) -> str:
     """Key symbols right against alpha, per eavesdropper: the paper's rule beside the truth."""
     taps, what = ("set-membership", "nearest-centre"), "agreed key symbols guessed right"
     return against_alpha(figure, data, taps, "keys_right_reviewed", "keys", what)
 
 
+@figure("secrecy-alpha-bits", "secrecy-alpha", size=(7.0, 3.8))
 def draw_alpha_bits(figure: Figure, data: Path) -> str:
     """Message symbols right against alpha: one threshold against all of them."""
     taps = ("set-membership", "nearest-centre", "list-decoder")
     return against_alpha(figure, data, taps, "bits_right", "bits", "message bits right")
 
 
+@figure("secrecy-view", "secrecy-view", size=(7.5, 4.2))
 def draw_views(figure: Figure, data: Path) -> str:
     """Message bits right under an imperfect view, by tap."""
     rows = rows_of("view", data)
@@ -123,6 +128,7 @@ def draw_views(figure: Figure, data: Path) -> str:
     return note_of(rows)
 
 
+@figure("secrecy-learning", "secrecy-learning", size=(7.0, 3.8))
 def draw_learning(figure: Figure, data: Path) -> str:
     """When the learner first had the whole message, beside when the plant had it."""
     rows = [r for r in rows_of("learning", data) if int(r["plant_k"]) >= 0]
@@ -146,24 +152,27 @@ def draw_learning(figure: Figure, data: Path) -> str:
     return note_of(rows, "every run is counted, 95 % Wilson intervals in the table")
 
 
+@figure("secrecy-shape", "secrecy-shape", size=(6.4, 3.6))
 def draw_shapes(figure: Figure, data: Path) -> str:
     """Keys named right against the shape of D_e, by tap."""
     rows = plain_rows(data / "secrecy-shape.csv")
     axes = figure.subplots()
     for place, tap in enumerate(dict.fromkeys(r["tap"] for r in rows)):
         mine = [r for r in rows if r["tap"] == tap]
-        axes.errorbar(
-            [r["width_1"] for r in mine],
-            [r["right"] for r in mine],
-            yerr=[
-                [r["right"] - r["right_low"] for r in mine],
-                [r["right_high"] - r["right"] for r in mine],
-            ],
+        mine_at = [r["width_1"] for r in mine]
+        style: dict[str, Any] = {
+            "fmt": "-",
+            "marker": MARKERS[place],
+            "mfc": "none" if place else None,
+        }
+        bars(
+            axes,
+            mine_at,
+            intervals(mine, "right"),
+            place,
             marker=MARKERS[place],
-            color=COLOURS[place],
-            mfc="none" if place else None,
-            capsize=2,
             label=tap,
+            **style,
         )
     axes.axhline(0.5, color="0.6", ls=":", lw=1)
     axes.set_xlabel(r"half-width of $\mathcal{D}_e$ in $x_1$ ($x_2$: 0.96; $\mathcal{D}_c$: 0.12)")

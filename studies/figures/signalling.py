@@ -6,13 +6,15 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from protocol.statistics import Interval
 from studies.figures.loop import alpha_of, summaries
-from studies.figures.rows import plain_rows
+from studies.figures.rows import band, columns, figure, plain_rows
 from wyner.drawing.style import COLOURS, MARKERS
 
 PAPERS_START = "[4.0,-2.0]"
 
 
+@figure("signalling-rates", "signalling-rates", "fig7-paper", size=(7.4, 4.6))
 def draw_rates(figure: Figure, data: Path) -> str:
     """Bits a step over alpha: the two laws of Fig. 7, either scheme, packed, and the best bet."""
     rows = plain_rows(data / "signalling-rates.csv")
@@ -68,6 +70,7 @@ def _points(rows: list[dict[str, Any]], **where: str) -> list[tuple[float, float
     return [(r["alpha"], r["bits_per_step"]) for r in found]
 
 
+@figure("signalling-price", "signalling-price", size=(8.0, 3.8))
 def draw_price(figure: Figure, data: Path) -> str:
     """State cost and actuator travel against the bits that count by the paper's rule."""
     rows = plain_rows(data / "signalling-price.csv")
@@ -78,21 +81,11 @@ def draw_price(figure: Figure, data: Path) -> str:
             (left, "state_cost", "state_low", "state_high"),
             (right, "travel", "travel_low", "travel_high"),
         ):
-            axes.fill_between(
-                [r["bits_per_step"] for r in mine],
-                [r[low] for r in mine],
-                [r[high] for r in mine],
-                color=COLOURS[place],
-                alpha=0.2,
-                lw=0,
-            )
-            axes.plot(
-                [r["bits_per_step"] for r in mine],
-                [r[key] for r in mine],
-                marker=MARKERS[place],
-                color=COLOURS[place],
-                label=f"$\\mathcal{{T}}_0$ by {name}",
-            )
+            bits, value = columns(mine, "bits_per_step", key)
+            limits = zip(value, *columns(mine, low, high), strict=True)
+            band(axes, bits, [Interval(*v) for v in limits], place)
+            label = f"$\\mathcal{{T}}_0$ by {name}"
+            axes.plot(bits, value, marker=MARKERS[place], color=COLOURS[place], label=label)
     left.set_ylabel(r"mean $|x(k+1)|^2$")
     right.set_ylabel(r"mean $|u(k+1) - u(k)|$")
     for axes in (left, right):
@@ -107,6 +100,7 @@ def draw_price(figure: Figure, data: Path) -> str:
     )
 
 
+@figure("two-step", "two-step", size=(6.4, 3.8))
 def draw_codes(figure: Figure, data: Path) -> str:
     """Keys of one step and of two, beside the volume bound."""
     rows = plain_rows(data / "two-step.csv")
@@ -114,13 +108,8 @@ def draw_codes(figure: Figure, data: Path) -> str:
     alphas = [r["alpha"] for r in rows]
     single = [math.log2(r["single_step"]) for r in rows]
     axes.step(alphas, single, where="post", color=COLOURS[0], label="one step, exact")
-    axes.step(
-        alphas,
-        [r["bits_per_step"] for r in rows],
-        where="post",
-        color=COLOURS[1],
-        label="two steps, best found",
-    )
+    two = [r["bits_per_step"] for r in rows]
+    axes.step(alphas, two, where="post", color=COLOURS[1], label="two steps, best found")
     axes.plot(alphas, [r["volume_bound"] for r in rows], "k--", lw=1, label="volume bound")
     axes.set_xlabel(r"$\alpha$ (just above)")
     axes.set_ylabel("bits a step by the paper's rule")
@@ -130,36 +119,21 @@ def draw_codes(figure: Figure, data: Path) -> str:
     return "Codes by exact clique search on grids of a quarter and of a third of D_c's half-length"
 
 
+@figure("block-codes", "block-codes", size=(6.8, 4.2))
 def draw_blocks(figure: Figure, data: Path) -> str:
     """The chained code over more and more steps, up to the volume bound, and the void beyond."""
     rows = plain_rows(data / "block-codes.csv")
     axes = figure.subplots()
     for place, steps in enumerate(dict.fromkeys(r["steps"] for r in rows)):
         mine = [r for r in rows if r["steps"] == steps]
-        axes.step(
-            [r["alpha"] for r in mine],
-            [r["bits_per_step"] for r in mine],
-            where="post",
-            lw=1.2,
-            color=COLOURS[place],
-            label=f"chained over {steps} step{'s' if steps > 1 else ''}",
-        )
+        label = f"chained over {steps} step{'s' if steps > 1 else ''}"
+        curve = columns(mine, "alpha", "bits_per_step")
+        axes.step(*curve, where="post", lw=1.2, color=COLOURS[place], label=label)
     first = [r for r in rows if r["steps"] == rows[0]["steps"]]
-    axes.plot(
-        [r["alpha"] for r in first],
-        [r["volume_bound"] for r in first],
-        "k--",
-        lw=1,
-        label=r"volume bound $\log_2\alpha$",
-    )
-    axes.step(
-        [r["alpha"] for r in first],
-        [r["finite_bits"] for r in first],
-        "k:",
-        where="post",
-        lw=1,
-        label="finite offers, certain at their ends too",
-    )
+    alphas, bound, finite = columns(first, "alpha", "volume_bound", "finite_bits")
+    axes.plot(alphas, bound, "k--", lw=1, label=r"volume bound $\log_2\alpha$")
+    label = "finite offers, certain at their ends too"
+    axes.step(alphas, finite, "k:", where="post", lw=1, label=label)
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
     axes.set_ylabel("bits a step by the paper's rule; true: 0")
     axes.set_title("Keys of the applied inputs: the limit, and codes that reach it")

@@ -1,25 +1,17 @@
-"""The reading study: whole messages, read by one who hears badly, and how sure she was.
+"""The reading study: whole messages, read by one who hears badly, and how sure she was."""
 
-``python -m studies.secrecy.reading`` adds to ``docs/data/secrecy-reading.csv`` the runs that
-it lacks, each as it is made; a run that is there already is not made again.
-"""
-
-import argparse
 import hashlib
-import multiprocessing
 import random
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
-from studies import DATA
+from studies.registry import study
 from studies.secrecy.runs import simulate, text_of
 from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import (
     STATED,
-    append_rows,
     described,
     heard_by,
     offline,
@@ -31,11 +23,8 @@ from tap_service.capture.channel import View
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Eavesdropper
 from tap_service.eavesdroppers.text import Text
-from tap_service.inference.english import AnyBytes
+from tap_service.inference.expectation import any_bytes
 from wyner.runs.score.score import score
-from wyner.sweeps.code import code_version
-
-FILE: Final = DATA / "secrecy-reading.csv"
 
 RUNS: Final = 30
 """Seeds of a condition of `packed`."""
@@ -55,9 +44,8 @@ ANY_BYTES: Final = "text, any bytes"
 """`text`, who expects no language: beside her on messages that have none."""
 
 COLUMNS: Final = (
-    "task", "version", "condition", "tap", "seed", "steps", "keys", "keys_right", "bits",
-    "bits_right", "messages", "messages_exact", *STATED,
-)  # fmt: skip
+    "condition tap seed steps keys keys_right bits bits_right messages messages_exact" + STATED
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,11 +128,6 @@ def readings(taps: Sequence[str] = ("text", "smoother")) -> Iterator[Reading]:
                 yield Reading(f"{name}, loss 30 %", tap, seed, name, view=view)
 
 
-def version() -> str:
-    """Of the code that the rows come from."""
-    return code_version("studies.secrecy.reading")
-
-
 def payload_of(reading: Reading) -> bytes:
     """Its message, by its seed."""
     rng = random.Random(f"reading {reading.scenario} {reading.payload} {reading.seed}")
@@ -155,21 +138,20 @@ def payload_of(reading: Reading) -> bytes:
     return SENTENCES[(reading.seed - FIRST_SEED) % len(SENTENCES)].encode("ascii")
 
 
-def measure(reading: Reading) -> dict[str, object]:
+@study("secrecy-reading", COLUMNS, readings)
+def measure(reading: Reading) -> Iterator[dict[str, object]]:
     """One row."""
     payload = payload_of(reading)
     run = simulate(reading.steps, reading.seed, name=reading.scenario, payloads=[payload])
     knowledge = reading.view.knowledge(run.scenario.knowledge())
     begun = time.process_time()
     if reading.tap == ANY_BYTES:
-        tap: Eavesdropper = Text(knowledge, AnyBytes(), live=False)
+        tap: Eavesdropper = Text(knowledge, any_bytes(), live=False)
     else:
         tap = offline(named(reading.tap), knowledge)
     said = output_about(tap, heard_by(run, reading.view))
     scored = score(run.truth, said)
-    return {
-        "task": reading.id,
-        "version": version(),
+    yield {
         "condition": reading.condition,
         "tap": reading.tap,
         "seed": reading.seed,
@@ -182,22 +164,3 @@ def measure(reading: Reading) -> dict[str, object]:
         "messages_exact": int(scored.messages.right),
         **stated_by(said.belief, payload, begun),
     }
-
-
-def add_rows(path: Path = FILE, jobs: int = 1, only: str = "") -> None:
-    """Measure what the file lacks, of the conditions and taps that contain ``only``."""
-    wanted = (r for r in readings() if only in f"{r.tap}: {r.condition}")
-    context = multiprocessing.get_context("spawn")
-    with context.Pool(jobs, maxtasksperchild=20) as pool:
-        append_rows(
-            path, COLUMNS, wanted, lambda todo: pool.imap_unordered(measure, todo), version()
-        )
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Measure the reading study.")
-    parser.add_argument("--jobs", type=int, default=1, help="processes (default: 1)")
-    parser.add_argument("--only", default="", help="part of 'TAP: CONDITION' (default: all)")
-    parser.add_argument("--output", type=Path, default=FILE, help="file (default: the shipped one)")
-    args = parser.parse_args()
-    add_rows(args.output, args.jobs, args.only)

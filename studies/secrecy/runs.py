@@ -1,8 +1,7 @@
 """Seeded runs of the closed loop for the secrecy study.
 
 A run is the public transcript, message by message, and beside it the truth that only the scoring
-sees. The loop is the system's own: the law's candidates, the agreement rule, the scheme and the
-frames, all from their modules; random draws come from one seeded generator a run.
+sees. The loop is the engine's; random draws come from one seeded generator a run.
 """
 
 import random
@@ -12,19 +11,21 @@ from functools import cache
 from itertools import accumulate
 from typing import Final
 
+import numpy as np
+
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from protocol.agreement import NO_SYMBOL, predict
-from protocol.link.session import rules_of
+from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array, Symbols
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
-from protocol.schemes.base import encrypt
-from protocol.schemes.framing import IDLE, encode_frame, frame_length
-from protocol.vectors import Vector
+from protocol.schemes.framing import encode_frame, frame_length
+from protocol.schemes.registry import make_scheme
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.runs.score.score import Truth
-from wyner.simulate.single import closed_loop
+from wyner.simulate.engine import Between, simulate_runs, transfer
+from wyner.simulate.engine.taps import public_messages
 
 SENTENCES: Final = (
     "We sail at dawn.",
@@ -97,6 +98,36 @@ def raw_symbols(text: bytes) -> bytes:
     return bytes(byte >> place & 1 for byte in text for place in range(7, -1, -1))
 
 
+class _Chance(Between):
+    """All that a run draws, from one generator: a cover where nothing is carried, the coin, d.
+
+    Whether it carries is known from the verdicts before, so that a step is drawn at a time.
+    """
+
+    at_once = 1
+
+    def __init__(self, scenario: Scenario, draw: random.Random) -> None:
+        secrecy = scenario.secrecy
+        self._draw, self._size, self._alpha = draw, secrecy.candidates, secrecy.alpha
+        self._widths = scenario.plant.disturbance.half_widths
+        self._scheme = make_scheme(secrecy.scheme, secrecy.candidates)
+        self._state = self._scheme.initial
+        self.covers: list[int] = []
+
+    def block(self, k: int, steps: int) -> tuple[Array, Symbols]:  # noqa: ARG002
+        """See :meth:`wyner.simulate.engine.draws.Draws.block`."""
+        carries = self._scheme.pad(self._state) != NO_SYMBOL
+        self.covers.append(0 if carries else self._draw.randrange(self._size))
+        coin = self._draw.randrange(self._size)
+        d = [self._draw.uniform(-w, w) for w in self._widths]
+        return np.array(d)[None, :, None], np.array([[coin]])
+
+    def settled(self, k: int, symbol: Symbols, largest: Array) -> None:  # noqa: ARG002
+        """The automaton moves on."""
+        agreed = int(symbol[0]) if largest[0] <= self._alpha else NO_SYMBOL
+        self._state, _ = self._scheme.advance(self._state, agreed)
+
+
 def simulate(
     steps: int,
     seed: int,
@@ -123,61 +154,35 @@ def simulate(
     """
     rng = random.Random(f"secrecy study {name} {seed}")
     scenario = scenario_at(name, alpha)
-    law = law_of(name)
     if payloads is None:
         payloads = (text_of(rng),)
     size = scenario.secrecy.candidates
+    stream = b"".join(encode_frame(p, size) for p in payloads)
     if raw:
         stream = raw_symbols(b" ".join(payloads))
-    else:
-        stream = b"".join(encode_frame(p, size) for p in payloads)
-    ends = list(accumulate(frame_length(len(payload), size) for payload in payloads))
-    widths = scenario.plant.disturbance.half_widths
     session = f"{rng.getrandbits(64):016x}"
-    rules = rules_of(scenario)
-    scheme, judge = rules.scheme, rules.judge
-    state = scheme.initial
-    messages: list[Measurement | Offer] = []
-    keys: dict[tuple[str, int], int] = {}
-    symbols: dict[tuple[str, int], int] = {}
+    chance = _Chance(scenario, rng)
+    runs = simulate_runs(
+        scenario,
+        law_of(name),
+        seed=seed,
+        runs=range(1),
+        steps=steps,
+        record=True,
+        draws=chance,
+        between=chance,
+    )
+    link = transfer(runs, symbols=stream, covers=np.array(chance.covers)[:, None])
+    if corrupt is not None:
+        wrong = (link.message_symbol != NO_SYMBOL) & (link.p == corrupt + 1)
+        link.cipher[wrong] = (link.cipher[wrong] + 1) % size
+    keys = {(session, k): key for k, key in enumerate(link.agreed[:, 0].tolist()) if key >= 0}
+    sent = {(session, k): v for k, v in enumerate(link.message_symbol[:, 0].tolist()) if v >= 0}
     whole: list[tuple[int, bytes]] = []
-    sent = bytearray()
-    cover = 0
-
-    def toss(_k: int) -> int:
-        nonlocal cover
-        if scheme.pad(state) == NO_SYMBOL:
-            cover = rng.randrange(size)
-        return rng.randrange(size)
-
-    def move(_k: int, x: Vector, u: Vector) -> Vector:
-        centre = predict(scenario.A, scenario.B, x, u)
-        return tuple(c + rng.uniform(-w, w) for c, w in zip(centre, widths, strict=True))
-
-    def measured(k: int, x: Vector, after: Vector) -> Measurement:
-        return Measurement.model_construct(
-            session=session, k=k, x=x, applied_k=k - 1, x_after=after
-        )
-
-    for t in closed_loop(law.candidates, judge, toss, move, scenario.initial_state, steps):
-        messages.append(measured(t.k, t.x, t.x if t.k else ()))
-        pad, cipher = scheme.pad(state), cover
-        if pad != NO_SYMBOL:
-            p = len(sent)
-            symbol = stream[p] if p < len(stream) else IDLE
-            cipher = encrypt(symbol, pad, size)
-            if corrupt == p:
-                cipher = (cipher + 1) % size
-            sent.append(symbol)
-            symbols[session, t.k] = symbol
-            if not raw and corrupt is None and len(sent) in ends:
-                whole.append((t.k, payloads[ends.index(len(sent))]))
-        messages.append(
-            Offer.model_construct(session=session, k=t.k, candidates=t.candidates, cipher=cipher)
-        )
-        state, carry = scheme.advance(state, t.verdict.symbol)
-        if carry.agreed != NO_SYMBOL:
-            keys[session, t.k] = carry.agreed
-    messages.append(measured(steps, t.x_next, t.x_next))
-    truth = Truth(size, keys, symbols, tuple(whole), steps)
-    return Run(scenario, tuple(messages), truth, bytes(sent), tuple(payloads))
+    if not raw and corrupt is None:
+        at = [k for _, k in sent]
+        ends = accumulate(frame_length(len(payload), size) for payload in payloads)
+        whole = [(at[end - 1], p) for end, p in zip(ends, payloads, strict=True) if end <= len(at)]
+    truth = Truth(size, keys, sent, tuple(whole), steps)
+    messages = tuple(public_messages(runs, link, 0, session))
+    return Run(scenario, messages, truth, bytes(sent.values()), tuple(payloads))

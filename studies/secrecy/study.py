@@ -1,21 +1,14 @@
-"""The secrecy study: which eavesdropper is measured under which condition, and a row for each run.
+"""The secrecy study: which eavesdropper is measured under which condition, a row a run."""
 
-``python -m studies.figures --measure NAME`` adds to a figure's data the rows that they lack,
-for one run costs seconds to minutes here: what this code has measured is not measured again.
-"""
-
-import csv
 import hashlib
 import random
-import sys
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from protocol.knowledge import Knowledge
-from runtime.files import PUBLIC_FILE, replacing
+from studies.registry import study
 from studies.secrecy.runs import Run, simulate, text_of
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
@@ -24,7 +17,6 @@ from tap_service.eavesdroppers.base import Belief, Eavesdropper
 from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.eavesdroppers.text import Text
 from wyner.runs.score.score import TapOutput, score
-from wyner.sweeps.code import code_version, same_code
 
 RUNS: Final = 100
 """Seeds of a condition with a stated target; the others have a fifth of them."""
@@ -38,11 +30,11 @@ ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
 """The paper's."""
 
 COLUMNS: Final = (
-    "task", "version", "study", "condition", "tap", "seed", "steps", "keys", "keys_right",
-    "keys_right_reviewed", "early_keys", "early_right", "bits", "bits_right", "messages",
-    "messages_exact", "whole_claimed", "list_peak", "candidates_left", "solved_k", "plant_k",
-)  # fmt: skip
-STATED: Final = ("probability", "likeliest_exact", "bits_left", "message_bits", "cpu_s")
+    "study condition tap seed steps keys keys_right keys_right_reviewed early_keys "
+    "early_right bits bits_right messages messages_exact whole_claimed list_peak "
+    "candidates_left solved_k plant_k"
+)
+STATED: Final = " probability likeliest_exact bits_left message_bits cpu_s"
 """What is recorded besides of the views, where `text` states how sure she is."""
 
 EARLY: Final = 200
@@ -74,14 +66,6 @@ def described(view: View) -> str:
     return "View(" + ", ".join(f"{name}={getattr(view, name)!r}" for name in HEARD) + ")"
 
 
-class Identified(Protocol):
-    """What is measured, with an id of its own."""
-
-    @property
-    def id(self) -> str:
-        """A hash of what is measured and how."""
-
-
 @dataclass(frozen=True, slots=True)
 class Task:
     """One run of one eavesdropper under one condition."""
@@ -102,11 +86,6 @@ class Task:
         text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
         text += f", view={described(self.view)}, raw={self.raw!r})"
         return hashlib.sha256(text.encode()).hexdigest()[:12]
-
-
-def version() -> str:
-    """Of the code that the rows come from."""
-    return code_version("studies.secrecy.study")
 
 
 def tasks(runs: int = RUNS) -> Iterator[Task]:
@@ -171,11 +150,6 @@ def output_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOut
     return TapOutput(tap.name, session, live, reviewed, tap.belief(), tap.message_symbols())
 
 
-def columns_of(study: str) -> tuple[str, ...]:
-    """The columns of a study's file."""
-    return (*COLUMNS, *STATED) if study == "view" else COLUMNS
-
-
 def stated_by(belief: Belief, payload: bytes, begun: float) -> dict[str, object]:
     """How sure she is of a message, what she says is left of it, and what it took her since."""
     bits = 8 * len(payload)  # no message leaves more
@@ -210,9 +184,7 @@ def measure(task: Task) -> dict[str, object]:
         text = b" ".join(run.payloads)[: len(run.stream) // 8]
         exact, messages = float(said.belief.message == text), 1
     decoding = getattr(tap, "decoding", None)
-    row = {
-        "task": task.id,
-        "version": version(),
+    return {
         "study": task.study,
         "condition": task.condition,
         "tap": task.tap,
@@ -234,69 +206,19 @@ def measure(task: Task) -> dict[str, object]:
         "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,
         **stated_by(said.belief, run.payloads[0], begun),
     }
-    return {column: row[column] for column in columns_of(task.study)}
 
 
-def _rows_in(path: Path, columns: Sequence[str]) -> list[dict[str, str]]:
-    """The whole rows of a file; none where it has other columns."""
-    lines = path.read_text(encoding="utf-8").splitlines(keepends=True) if path.exists() else []
-    reader = csv.DictReader([line for line in lines if line.endswith("\n")])
-    return list(reader) if reader.fieldnames == list(columns) else []
+def _registered(name: str) -> None:
+    columns = COLUMNS + STATED if name == "view" else COLUMNS
+
+    def mine() -> Iterator[Task]:
+        return (task for task in tasks() if task.study == name)
+
+    def rows(task: Task) -> Iterator[dict[str, object]]:
+        yield measure(task)
+
+    study(f"secrecy-{name}", columns, mine)(rows)
 
 
-def append_rows(
-    path: Path,
-    columns: Sequence[str],
-    tasks: Iterable[Identified],
-    measure_all: Callable[[list[Any]], Iterable[dict[str, object]]],
-    version: str,
-) -> None:
-    """Add the rows that a file lacks, each as it is made; a run that is there is not made again.
-
-    A task's row that other code made is measured anew: it goes before the first is measured.
-
-    Parameters
-    ----------
-    path : Path
-        A CSV file; a last line that a kill has torn is dropped.
-    columns : sequence of str
-        ``task`` holds the task's ``id``.
-    tasks : iterable
-    measure_all : callable
-        The rows of a list of tasks, in any order.
-    version : str
-        Of today's code.
-    """
-    wanted = {task.id: task for task in tasks}
-    kept = [
-        row
-        for row in _rows_in(path, columns)
-        if row["task"] not in wanted or same_code(row["version"], version)
-    ]
-    done = {row["task"] for row in kept}
-    todo = [task for id, task in wanted.items() if id not in done]
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with (
-        replacing(path, PUBLIC_FILE) as partial,
-        partial.open("w", encoding="utf-8", newline="") as file,
-    ):
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(kept)
-    with path.open("a", encoding="utf-8", newline="") as file:
-        writer = csv.DictWriter(file, columns, lineterminator="\n")
-        for number, row in enumerate(measure_all(todo), 1):
-            writer.writerow(row)
-            file.flush()
-            print(f"\r{number} of {len(todo)} runs", end="", file=sys.stderr, flush=True)
-        print(file=sys.stderr)
-
-
-def measure_study(study: str) -> Callable[[Path], None]:
-    """The measurement of one study: it adds the rows that its file lacks, each as it is made."""
-
-    def add_rows(path: Path) -> None:
-        mine = (t for t in tasks() if t.study == study)
-        append_rows(path, columns_of(study), mine, lambda todo: map(measure, todo), version())
-
-    return add_rows
+for each in STUDIES:
+    _registered(each)

@@ -1,43 +1,16 @@
-"""The tables of docs/findings.md, from the study's rows.
+"""The tables of docs/findings.md, from the rows of the secrecy studies."""
 
-``python -m studies.secrecy.tables`` writes them between their marks on the page; with
-``--measure`` it first adds the rows that their data lack.
-"""
-
-import argparse
-import csv
-from collections import Counter
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+import math
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Final
 
-from protocol.statistics import Interval
-from studies import DATA
-from studies.pages import between_marks, markdown_table
-from studies.secrecy.study import ALL_READ, measure_study
+from protocol.statistics import CONFIDENCE, Interval, wilson
+from studies.registry import Lines, Row, table
+from studies.secrecy.study import ALL_READ
 from tap_service.inference.message_reader import SURE
 from wyner.runs.score.report import over_runs, percent
 from wyner.runs.score.score import Proportion
-from wyner.sweeps.code import ROOT
-
-PAGE: Final = ROOT / "docs" / "findings.md"
-
-TABLES: Final = ("ladder", "learning", "view")
-"""Studies whose table the page shows; that of alpha is a figure."""
-
-Row = dict[str, str]
-
-
-def read_rows(study: str, data: Path = DATA) -> list[Row]:
-    """The rows of a study.
-
-    Raises
-    ------
-    OSError
-        When its file cannot be read.
-    """
-    with (data / f"secrecy-{study}.csv").open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
 
 
 def share_of(rows: Sequence[Row], right: str, of: str) -> Interval:
@@ -50,24 +23,17 @@ def exact_of(rows: Sequence[Row]) -> Interval:
     return share_of(rows, "messages_exact", "messages")
 
 
-def codes_of(rows: Sequence[Row]) -> str:
-    """The states of the code that made rows, each with how many where there are several."""
-    found = Counter(row["version"].partition("+")[2] or row["version"] for row in rows)
-    if len(found) == 1:
-        return next(iter(found))
-    return ", ".join(f"{code} ({count})" for code, count in found.most_common())
-
-
-def table(study: str) -> list[tuple[str, ...]]:
+@table("ladder", "findings", "secrecy-ladder")
+@table("learning", "findings", "secrecy-learning")
+@table("view", "findings", "secrecy-view")
+def by_tap(rows: Sequence[Row]) -> Lines:
     """One line a condition and eavesdropper."""
-    rows = read_rows(study)
     conditions = list(dict.fromkeys(r["condition"] for r in rows))
     found = dict.fromkeys((r["condition"], r["tap"]) for r in rows)
     groups = sorted(found, key=lambda group: conditions.index(group[0]))  # stable by tap
     lines: list[tuple[str, ...]] = [
         (
             "condition", "tap", "runs", "key symbols", "first 200", "bits", "messages", "list",
-            "code",
         )
     ]  # fmt: skip
     for condition, tap in groups:
@@ -83,12 +49,12 @@ def table(study: str) -> list[tuple[str, ...]]:
                 percent(share_of(mine, "bits_right", "bits")),
                 percent(exact_of(mine)),
                 str(peaks[len(peaks) // 2]) if peaks else "-",
-                codes_of(mine),
             )
         )
     return lines
 
 
+@table("beside", "findings", "secrecy-view")
 def against_the_smoother(rows: Sequence[Row]) -> str:
     """Where `text` stands beside `smoother`, on the runs before both."""
     by = {(r["condition"], r["tap"], r["seed"]): r for r in rows}
@@ -125,25 +91,131 @@ def against_the_smoother(rows: Sequence[Row]) -> str:
     return told + (f" Wrong claims of `text`: {'; '.join(wrong)}." if wrong else "")
 
 
-def write_tables() -> None:
-    """Put the tables between their marks on the page."""
-    parts = {study: markdown_table(table(study)) for study in TABLES}
-    parts["beside"] = against_the_smoother(read_rows("view"))
-    put_on_page(parts)
+HEAD: Final = (
+    "condition", "tap", "runs", "keys right", "likeliest is it", "share", "claimed and it",
+    "bits left", "seconds of a core",
+)  # fmt: skip
+STATED_HEAD: Final = (
+    "stated", "messages", "stated on average", "right", "share right", "P[as few]", "P[as many]",
+)  # fmt: skip
+
+STATED: Final = (0.0, 0.01, 0.1, 0.5, 0.9, 0.99, 1.0)
+"""Ends of the probabilities that are counted together."""
 
 
-def put_on_page(parts: Mapping[str, str]) -> None:
-    """Put each text between its marks on the page."""
-    text = PAGE.read_text(encoding="utf-8")
-    for name, part in parts.items():
-        text = between_marks(text, name, part)
-    PAGE.write_text(text, encoding="utf-8")
+def _share(right: int, of: int) -> str:
+    if not of:
+        return "-"
+    return wilson(right, of).scaled(100.0).text(".1f", " %")
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="Write the tables of docs/findings.md.")
-    parser.add_argument("--measure", action="store_true", help="add first what their data lack")
-    if parser.parse_args().measure:
-        for name in TABLES:
-            measure_study(name)(DATA / f"secrecy-{name}.csv")
-    write_tables()
+def _median(values: Sequence[float]) -> float:
+    return sorted(values)[len(values) // 2]
+
+
+def median(values: Sequence[float]) -> Interval:
+    """The median with its 95 % limits: those values between which it lies by the signs alone."""
+    ordered, count = sorted(values), len(values)
+    below = 0.0  # P[at most so many of count values are below the median]
+    for rank in range(count // 2 + 1):
+        below += math.comb(count, rank) / 2**count
+        if below > (1 - CONFIDENCE) / 2:
+            break
+    if rank == 0:  # too few values: none bounds it
+        return Interval(_median(values))
+    return Interval(_median(values), ordered[rank - 1], ordered[count - rank])
+
+
+@table("reading", "findings", "secrecy-reading")
+def results(rows: Sequence[Row]) -> Lines:
+    """One line a condition and tap."""
+    lines: list[tuple[str, ...]] = [HEAD]
+    for condition, tap in sorted({(r["condition"], r["tap"]) for r in rows}):
+        mine = [r for r in rows if (r["condition"], r["tap"]) == (condition, tap)]
+        right = [float(r["keys_right"]) / int(r["keys"]) for r in mine if int(r["keys"])]
+        exact = sum(int(r["likeliest_exact"]) > 0 for r in mine)
+        claimed = sum(int(r["messages_exact"]) > 0 for r in mine)
+        left = [float(r["bits_left"]) for r in mine if r["bits_left"]]
+        whole = _median([float(r["message_bits"]) for r in mine])
+        bits = f"{median(left).text('.1f')} of {whole:.0f}" if left else "-"
+        cost = _median([float(r["cpu_s"]) for r in mine])
+        lines.append(
+            (
+                condition,
+                tap,
+                str(len(mine)),
+                f"{100 * sum(right) / len(right):.1f} %" if right else "-",
+                f"{exact} of {len(mine)}",
+                _share(exact, len(mine)),
+                str(claimed),
+                bits,
+                f"{cost:.0f}",
+            )
+        )
+    return lines
+
+
+def by_stated(rows: Sequence[Row]) -> Iterator[tuple[float, float, list[tuple[float, int]]]]:
+    """Classes of what `text` stated: from, to, and of each message the probability and whether it
+    was the one. A tap that hears no ciphertext symbol states nothing.
+    """
+    stated = [
+        (float(r["probability"]), int(r["likeliest_exact"]))
+        for r in rows
+        if r["tap"] == "text" and r["probability"] and "measurements" not in r["condition"]
+    ]
+    for low, high in pairwise(STATED):
+        mine = [(p, x) for p, x in stated if low <= p < high or (high == 1.0 and p >= low)]
+        if mine:
+            yield low, high, mine
+
+
+def tails(stated: Sequence[float], right: int) -> tuple[float, float]:
+    """P[as few right] and P[as many], exactly, where each comes true as often as it is stated."""
+    among = [1.0]  # probability of each count
+    for p in stated:
+        among = [a * (1 - p) + b * p for a, b in zip([*among, 0.0], [0.0, *among], strict=True)]
+    return sum(among[: right + 1]), sum(among[right:])
+
+
+@table("reliability", "findings", "secrecy-reading", "secrecy-view")
+def reliability(readings: Sequence[Row], views: Sequence[Row]) -> Lines:
+    """How often what ``text`` states comes true, by what she states."""
+    rows = [*readings, *views]
+    lines: list[tuple[str, ...]] = [STATED_HEAD]
+    for low, high, mine in by_stated(rows):
+        right = sum(x for _, x in mine)
+        few, many = tails([p for p, _ in mine], right)
+        lines.append(
+            (
+                f"{low:g} to {high:g}",
+                str(len(mine)),
+                f"{sum(p for p, _ in mine) / len(mine):.4f}",
+                str(right),
+                _share(right, len(mine)),
+                f"{few:.3f}",
+                f"{many:.3f}",
+            )
+        )
+    return lines
+
+
+@table("misstated", "findings", "secrecy-reading", "secrecy-view")
+def misstated(readings: Sequence[Row], views: Sequence[Row]) -> str:
+    """Of which classes an exact test rejects what was stated."""
+    rows = [*readings, *views]
+    outside, least = [], 1.0
+    for low, high, mine in by_stated(rows):
+        right = sum(x for _, x in mine)
+        few, many = tails([p for p, _ in mine], right)
+        least = min(least, few, many)
+        if min(few, many) < (1 - CONFIDENCE) / 2:
+            what = "more" if few < many else "less"
+            outside.append(
+                f"{low:g} to {high:g}, where {what} is stated than {right} of {len(mine)} bears out"
+            )
+    if not outside:
+        return (
+            f"No class is off by an exact test: no tail is below 2.5 %, the least is {least:.3f}."
+        )
+    return f"Off by an exact test, at 2.5 % a tail: {'; '.join(outside)}."

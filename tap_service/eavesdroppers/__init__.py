@@ -7,7 +7,7 @@ user's own. Modules are loaded when they are asked for.
 from typing import Final
 
 from protocol.knowledge import Knowledge
-from protocol.plugins import UnknownError, load_class
+from protocol.plugins import UnknownError, checked_class, load_class
 from protocol.secret.blocks import schedule_of
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
@@ -74,5 +74,21 @@ def named(name: str) -> type[Eavesdropper]:
     """
     try:
         return load_class(name, LADDER, Eavesdropper)  # type: ignore[type-abstract]
+    except UnknownError as error:
+        raise KnowledgeError(str(error)) from None
+
+
+def sound(one: str | type[Eavesdropper]) -> type[Eavesdropper]:
+    """A class of an eavesdropper, as it is or by its name, that has all that it needs.
+
+    Raises
+    ------
+    KnowledgeError
+        With one line, when there is no such eavesdropper, or the class lacks a name or a method.
+    """
+    if isinstance(one, str):
+        return named(one)
+    try:
+        return checked_class(one, one.__name__, Eavesdropper)  # type: ignore[type-abstract]
     except UnknownError as error:
         raise KnowledgeError(str(error)) from None

@@ -148,8 +148,8 @@ class Belief:
         Entropy of the message given all that she heard, in bits, where she computes it. It stands
         beside what her guesses are measured to leave, and the less counts.
     given : str
-        What she expects of a message, where she computes that, as ``English sentences``: the
-        entropy is right for messages of which that is true, and for no others.
+        Which kind of text she takes the message for, where she computes that, as ``German``: the
+        entropy rests on what she expects of that kind.
     keys : KeysHeld, optional
         What she holds of the keys, where she attacks them.
     """

@@ -2,9 +2,10 @@
 
 What was missed is inferred as exactly as the law allows (:mod:`tap_service.inference.front`), and
 nothing is decided step by step: each step keeps its probabilities, and a search over whole messages
-weighs them together with English, the frame's length, the silence after it and its check
-(:mod:`tap_service.inference.message_search`), under each likely threshold, which is one for all
-steps (:mod:`tap_service.inference.thresholds`). She says how sure she is, and how many bits are
+weighs them together with what is expected of a text
+(:mod:`tap_service.inference.expectation`), the frame's length, the silence after it and its check
+(:mod:`tap_service.inference.message_search`), under the thresholds that are likely
+(:mod:`tap_service.inference.thresholds`). She says how sure she is, and how many bits are
 left. She has to hear what came after before she can infer what was lost, so she reads all that she
 keeps anew each time she has heard twice as much as before and when a message should be over; where
 that cannot be told, when she has heard a quarter more, and half more where it is over. Where
@@ -27,7 +28,7 @@ from tap_service.eavesdroppers.base import (
     even,
     nearest,
 )
-from tap_service.inference.english import AnyBytes, English, english
+from tap_service.inference.expectation import Expectation, expected
 from tap_service.inference.from_outputs import inferred
 from tap_service.inference.front import Inference
 from tap_service.inference.inferred import Inferred
@@ -59,8 +60,8 @@ class Text(Eavesdropper):
     Parameters
     ----------
     knowledge : Knowledge
-    language : English or AnyBytes, optional
-        What she expects of a message; English by default.
+    language : Expectation, optional
+        What she expects of a message; by default :func:`~.expectation.expected`.
     live : bool
         Whether she reads as she listens, or when she is asked alone.
     beam : int
@@ -73,7 +74,7 @@ class Text(Eavesdropper):
     def __init__(
         self,
         knowledge: Knowledge,
-        language: English | AnyBytes | None = None,
+        language: Expectation | None = None,
         *,
         live: bool = True,
         beam: int = BEAM,
@@ -101,9 +102,9 @@ class Text(Eavesdropper):
 
     @cached_property
     def _reader(self) -> MessageReader:
-        """Made when she first reads: who only names her needs no model of English."""
+        """Made when she first reads: who only names her needs no model of a text."""
         return MessageReader(
-            self.scheme, self._language or english(), certain=self._sure, beam=self._beam
+            self.scheme, self._language or expected(), certain=self._sure, beam=self._beam
         )
 
     def observe(self, transition: Transition) -> Guess:
@@ -222,7 +223,7 @@ class Text(Eavesdropper):
             A=self._model.A,
             B=self._model.B,
             bits_left=self._bits + sum(m.bits_left for m in self._open) if newest else None,
-            given=(self._language or English).expects,
+            given=newest[0].kind if newest else "",
         )
 
     def message_symbols(self) -> MessageSymbols:

@@ -11,8 +11,9 @@ import numpy as np
 
 from protocol.arrays import Flags, Indices
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES, START, block_bytes, digits_of
+from tap_service.inference.counts import OTHER, class_of
+from tap_service.inference.english import plausibility
 from tap_service.inference.hypotheses import Hypotheses
-from tap_service.inference.language_model import OTHER, class_of, table
 from tap_service.inference.symbol_paths import SymbolPaths
 
 IDLE_SHARE: Final = 0.97
@@ -68,7 +69,7 @@ class FrameScores:
         self._block = block_bytes(size) if framed else 1
         longest = max(self._block, LENGTH_BYTES)
         self._block_digits = np.array([0, *(digits_of(n, size) for n in range(1, longest + 1))])
-        self._ratios = table()
+        self._ratios = plausibility()
         share = np.full(size, 1e-6)
         share[0], share[START] = IDLE_SHARE, 1 - IDLE_SHARE
         self._idle_scores = np.log(size * share)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import Array, Flags, Indices
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES, block_bytes, digits_of, frame_length
-from tap_service.inference.english import AnyBytes, Contexts, English
+from tap_service.inference.expectation import ByKind, Expectation, State
 from tap_service.inference.lattice import Lattice
 
 FAR: Final = 25.0
@@ -52,7 +52,7 @@ class Beam:
         "text", "next", "check", "node",
     )  # fmt: skip
 
-    def __init__(self, count: int, nodes: int, longest: int, dtype: type) -> None:
+    def __init__(self, count: int, nodes: int, longest: int, dtype: type, state: State) -> None:
         self.length = np.zeros(count, dtype=np.intp)  # index of the payload's length
         self.alpha = np.zeros((count, nodes))
         self.level = np.zeros(count)  # log weight, without alpha and what is under way
@@ -65,13 +65,13 @@ class Beam:
         self.next = np.zeros(count, dtype=np.intp)  # row of what is expected of the next byte
         self.check = np.zeros((count, CHECK_BYTES), dtype=np.intp)
         self.node = np.zeros(count, dtype=np.intp)  # in the graph of what was taken together
-        self.at = Contexts.start(count)
+        self.state = state
 
     def take(self, rows: Indices) -> None:
         """Keep some rows, in this order."""
         for name in self.columns:
             setattr(self, name, getattr(self, name)[rows])
-        self.at = self.at.take(rows)
+        self.state = self.state.take(rows)
 
 
 class Growth:
@@ -80,7 +80,7 @@ class Growth:
     Parameters
     ----------
     lattice : Lattice
-    language : English or AnyBytes
+    language : Expectation
     lengths : integer array
         Payloads' lengths that are followed.
     most : int
@@ -88,13 +88,14 @@ class Growth:
     """
 
     def __init__(
-        self, lattice: Lattice, language: English | AnyBytes, lengths: NDArray[np.intp], most: int
+        self, lattice: Lattice, language: Expectation, lengths: NDArray[np.intp], most: int
     ) -> None:
         self._lattice, self._language, self.most = lattice, language, most
         self._size, self._lengths = lattice.size, lengths
         self.plan = Plan(lengths.tolist(), lattice.size)
         self._begun = [zlib.crc32(int(n).to_bytes(LENGTH_BYTES, "big")) for n in lengths]
         self._next = _CERTAIN
+        self._by_kind: ByKind = {}
 
     def expect(self, beam: Beam, rows: Indices) -> None:
         """Set what is expected of the next byte of some rows: text, or the check.
@@ -103,20 +104,22 @@ class Growth:
         """
         n = self._lengths[beam.length[rows]]
         tail = beam.count[rows] - n
-        parts = [_CERTAIN]
+        parts, by_kind = [_CERTAIN], list[ByKind]()
         others = np.setdiff1d(np.arange(len(beam.next)), rows)
         others = others[beam.next[others] >= 256]
         if len(others):
             used, back = np.unique(beam.next[others], return_inverse=True)
             beam.next[others] = 256 + back.reshape(-1)
             parts.append(self._next[used])
+            by_kind.append({i: p[used - 256] for i, p in self._by_kind.items()})
         for text, last in ((rows[tail < -1], False), (rows[tail == -1], True)):
             if not len(text):
                 continue
-            p, back = self._language.next(beam.at.take(text))
-            beam.next[text] = sum(map(len, parts)) + back
-            parts.append(_cumulated(self._language.last(p) if last else p))
-        self._next = np.concatenate(parts)
+            p, each = self._language.next(beam.state.take(text), last=last)
+            beam.next[text] = sum(map(len, parts)) + np.arange(len(text))
+            parts.append(_cumulated(p))
+            by_kind.append(each)
+        self._next, self._by_kind = np.concatenate(parts), _together(by_kind, parts[1:])
         for row in rows[tail == 0].tolist():
             payload = beam.text[row, : self._lengths[beam.length[row]]].tobytes()
             check = zlib.crc32(payload, self._begun[beam.length[row]])
@@ -217,7 +220,7 @@ class Growth:
             beam.level[rows] += np.log(np.maximum(p, 1e-300))
             beam.low[rows] -= byte.astype(beam.low.dtype) * unit[rows]
             beam.text[rows, beam.count[rows]] = byte
-            beam.at = _merged(beam.at, rows, byte)
+            self._go_on(beam, rows, byte)
             beam.said[rows] = 0.0
             beam.done[rows] += 1
             beam.count[rows] += 1
@@ -225,6 +228,28 @@ class Growth:
         ended = self.plan.place[i, j] + 1 == self.plan.digits[i, j]
         beam.done[ended] = 0
         beam.low[ended] = 0
+
+    def _go_on(self, beam: Beam, rows: Indices, byte: Indices) -> None:
+        """Let the texts of some rows have one more byte."""
+        text = beam.next[rows] >= 256
+        rows, byte = rows[text], byte[text]
+        which = beam.next[rows] - 256
+        after = self._language.after(beam.state.take(rows), byte, self._by_kind, which)
+        at, shares = beam.state
+        for name in ("last", "word", "before"):
+            getattr(at, name)[rows] = getattr(after.at, name)
+        shares[rows] = after.shares
+
+
+def _together(by_kind: Sequence[ByKind], parts: Sequence[Array]) -> ByKind:
+    """What kinds say of the rows of several parts, none where a part has no such kind."""
+    if len(by_kind) == 1:
+        return by_kind[0]
+    none = [np.zeros((len(part), 256), dtype=np.float32) for part in parts]
+    return {
+        i: np.concatenate([one.get(i, zeros) for one, zeros in zip(by_kind, none, strict=True)])
+        for i in sorted(set().union(*by_kind))
+    }
 
 
 def _cumulated(p: Array) -> Array:
@@ -235,14 +260,6 @@ def _cumulated(p: Array) -> Array:
 
 
 _CERTAIN: Final = _cumulated(np.eye(256))
-
-
-def _merged(at: Contexts, rows: Indices, byte: Indices) -> Contexts:
-    """Contexts of which some had one more byte."""
-    after = at.take(rows).after(byte)
-    out = Contexts(at.last.copy(), at.word.copy(), at.before.copy())
-    out.last[rows], out.word[rows], out.before[rows] = after.last, after.word, after.before
-    return out
 
 
 def finite(top: Array) -> Array:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from protocol.arrays import Array, Indices, Narrow
 from protocol.schemes.framing import CHECK_BYTES, LENGTH_BYTES
-from tap_service.inference.english import distinct
+from tap_service.inference.counts import distinct
 from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_beam import NEGLIGIBLE, Beam
 from tap_service.inference.message_halves import Halves
@@ -69,7 +69,7 @@ class Graph:
 
     def merge(self, beam: Beam) -> None:
         """Take together what goes on alike."""
-        text = beam.at
+        text, shares = beam.state
         first, node = distinct(beam.length, text.last, text.word, text.before)
         order = np.argsort(node, kind="stable")
         at = np.searchsorted(node[order], np.arange(len(first)))
@@ -77,6 +77,8 @@ class Graph:
         share = np.exp(beam.score - top[node])
         total = np.add.reduceat(share[order], at)
         share /= total[node]
+        mean = np.zeros((len(first), shares.shape[1]))
+        np.add.at(mean, node, share[:, None] * shares)
         ends = np.append(at[1:], len(order)) - 1
         drawn: list[Array] = []
         for heat in HEATS:
@@ -104,6 +106,7 @@ class Graph:
         alpha = np.zeros((len(first), beam.alpha.shape[1]))
         np.add.at(alpha, node, weight[:, None] * beam.alpha)
         beam.take(best)
+        beam.state = beam.state._replace(shares=mean)
         scale = np.maximum(alpha.max(axis=1), 1e-300)  # one that nothing heard allows has none
         beam.alpha, beam.level = alpha / scale[:, None], level + np.log(scale)
         beam.score = top + np.log(total)

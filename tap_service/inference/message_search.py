@@ -10,7 +10,7 @@ she claims for what she found.
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,17 +20,16 @@ from protocol.schemes.framing import (
     CHECK_BYTES,
     LENGTH_BYTES,
     START,
-    Deframer,
     block_bytes,
     digits_of,
-    encode_frame,
     frame_length,
 )
-from tap_service.inference.english import AnyBytes, English
+from tap_service.inference.expectation import Expectation
 from tap_service.inference.lattice import BEGINS, SHORT_SHARE, Lattice
-from tap_service.inference.message_beam import FAR, NEGLIGIBLE, Beam, Growth, Plan, finite
+from tap_service.inference.message_beam import FAR, NEGLIGIBLE, Beam, Growth, finite
 from tap_service.inference.message_graph import (
     DRAWN,
+    HEATS,
     Drawn,
     Graph,
     check_symbols,
@@ -56,6 +55,9 @@ FEWEST: Final = 200
 
 LEAST_CHECKED: Final = 1e-4
 """Share of texts whose check the transcript holds that is told from none: rounding."""
+
+CLEARLY: Final = float(np.log(20))
+"""Log ratio by which silence must be likelier than a message for none to be searched."""
 
 NEARLY: Final = float(np.log(4))
 """Log ratio behind the likeliest up to which the end of a message under way is waited for."""
@@ -86,8 +88,6 @@ class Found:
         Entropy of the list before the checks, in bits.
     ends : array, shape (K + 1, E)
         Log weight that the best one ends at each node.
-    any : float
-        Log weight of messages of any bytes whatever.
     under_way : bytes
         The likeliest beginning of a message that the transcript does not hold to its end.
     open : float
@@ -96,6 +96,8 @@ class Found:
         Steps in which those of them that are nearly the likeliest may be over; -1 where none is.
     unsent : float
         Bits of the likeliest of them that the transcript does not hold.
+    check : float
+        Bits that the check says of the message.
     longest : float
         Bits that a message holds, its length's included, given what says how long it is.
     unchecked : bytes
@@ -110,11 +112,11 @@ class Found:
     kept: float
     surprise: float
     ends: Array
-    any: float
     under_way: bytes
     open: float
     missing: int
     unsent: float
+    check: float
     longest: float
     unchecked: bytes
     unchecked_ends: Array
@@ -125,55 +127,23 @@ class Found:
         return self.plain + float(np.log(max(1 - self.kept, TINY)))
 
 
-@dataclass(frozen=True)
-class AnyMessage:
-    """What is known of a message of which every byte is as likely.
+class Opened(NamedTuple):
+    """Messages of which the transcript does not hold the last symbols.
 
     Parameters
     ----------
-    bits_left : float
-        Its entropy, given that its check holds.
-    payload : bytes
-        Of the likeliest symbols, its check not looked at; what is known of it where it is under
-        way.
-    ends : array, shape (K + 1, E)
-        Log weight that it ends at each node.
+    total, best : float
+        Log weight of all of them, and of the likeliest.
+    text : bytes
+        What is known of that one.
     missing : int
-        Steps in which it should be over; 0 where the transcript holds it.
+        Symbols that they lack.
     """
 
-    bits_left: float
-    payload: bytes
-    ends: Array
+    total: float
+    best: float
+    text: bytes
     missing: int
-
-
-class Opened:
-    """What is known of messages that the transcript does not hold to their end."""
-
-    def __init__(self) -> None:
-        self.best = self.total = -np.inf
-        self.text = b""
-        self.missing: dict[int, float] = {}  # symbols, and the log weight of the likeliest
-        self.unsent = 0.0
-
-    def add(self, total: float, best: float, text: bytes, unsent: float) -> None:
-        """Add some of log weight ``total``, the likeliest of them ``text``, of log weight ``best``.
-
-        Of that one ``unsent`` bits are not in the transcript.
-        """
-        self.total = float(np.logaddexp(self.total, total))
-        if best > self.best:
-            self.best, self.text, self.unsent = best, text, unsent
-
-    def lack(self, symbols: int, weight: float) -> None:
-        """The likeliest that lacks so many symbols has this log weight."""
-        self.missing[symbols] = max(self.missing.get(symbols, -np.inf), weight)
-
-    def soonest(self) -> int:
-        """Symbols that those lack which are nearly the likeliest, at least; -1 where none is."""
-        likely = [n for n, weight in self.missing.items() if weight > self.best - NEARLY]
-        return min(likely, default=-1) if np.isfinite(self.best) else -1
 
 
 class Ended:
@@ -185,6 +155,9 @@ class Ended:
         self.total = self.listed = -np.inf
         self.unchecked = (-np.inf, b"", np.zeros(0), 0)
         """Log weight of the likeliest before its check, it, its nodes and their first step."""
+        self.check = 0.0
+        self.drawn: list[tuple[float, float]] = []
+        """Log weights of texts of a length before their check, and their entropy in bits."""
 
     def add(self, text: bytes, score: float, plain: float, alpha: Array, low: int) -> None:
         """Add one with its log weights, its check's included and not, and where it ends."""
@@ -197,11 +170,13 @@ class MessageSearch:
     Parameters
     ----------
     lattice : Lattice
+    language : Expectation
     beam : int
+        Hypotheses kept from symbol to symbol.
     """
 
-    def __init__(self, lattice: Lattice, beam: int = BEAM) -> None:
-        self._lattice, self.beam = lattice, beam
+    def __init__(self, lattice: Lattice, language: Expectation, beam: int = BEAM) -> None:
+        self._lattice, self._language, self.beam = lattice, language, beam
         self._size = lattice.size
         self._header = digits_of(LENGTH_BYTES, self._size)
         self._single = block_bytes(self._size) == 1
@@ -252,9 +227,10 @@ class MessageSearch:
             best = np.logaddexp(best, start + self._after(n, 0, len(start)) + p)
         return best
 
-    def message(self, begin: Array) -> float:
-        """Log weight that a message of any length and bytes follows, which costs no search."""
-        return float(np.logaddexp.reduce(self._of_any_length(self.starts(begin)).ravel()))
+    def silent(self, begin: Array) -> bool:
+        """Whether silence alone after ``begin`` is clearly likelier than a message of any bytes."""
+        message = float(np.logaddexp.reduce(self._of_any_length(self.starts(begin)).ravel()))
+        return self._lattice.none_after(begin) > message + CLEARLY
 
     def _lengths(self, start: Array) -> tuple[NDArray[np.intp], Array, Array, int] | None:
         """Likely lengths: they, their alphas and levels, and the first step of the window.
@@ -322,11 +298,8 @@ class MessageSearch:
 
     # --- the payload ------------------------------------------------------------------------------
 
-    def find(
-        self, begin: Array, language: English | AnyBytes, beam: int | None = None
-    ) -> Found | None:
+    def find(self, begin: Array) -> Found | None:
         """Search the frame that comes next after ``begin``, log weights of nodes."""
-        self.beam = beam or self.beam
         start = self.starts(begin)
         if not np.isfinite(start).any():
             return None
@@ -334,21 +307,27 @@ class MessageSearch:
         if begun is None:
             return None
         lengths, alphas, level, low = begun
-        growth = Growth(self._lattice, language, lengths, self.beam)
+        growth = Growth(self._lattice, self._language, lengths, self.beam)
         plan = growth.plan
         dtype = np.int64 if self._single else object
-        hypotheses = Beam(len(lengths), alphas.shape[1], int(lengths.max()) + CHECK_BYTES, dtype)
+        hypotheses = Beam(
+            len(lengths),
+            alphas.shape[1],
+            int(lengths.max()) + CHECK_BYTES,
+            dtype,
+            self._language.start(len(lengths)),
+        )
         hypotheses.length = np.arange(len(lengths))
         hypotheses.alpha, hypotheses.level = alphas, level
         hypotheses.score = self._weights(alphas, level, plan.total, low)
         likely = hypotheses.score.copy()
         growth.expect(hypotheses, np.arange(len(lengths)))
-        kept, opened, ended = 0.0, Opened(), Ended()
+        kept, ended = 0.0, Ended()
+        opened: list[Opened] = []
         graph = Graph()
         graph.begin(hypotheses)
         for j in range(int(plan.total.max())):
-            sizes = lengths[hypotheses.length]
-            self._open(opened, hypotheses, sizes, plan.total[hypotheses.length] - j, low)
+            opened += self._open(hypotheses, lengths, plan.total[hypotheses.length] - j, low)
             count = hypotheses.alpha.shape[1] // self._lattice.states + self._lattice.wait
             ahead = self._rows(np.maximum(plan.total - 1 - j, 0), low + 1, count)
             moved = growth.symbol(hypotheses, ahead, j, low)
@@ -372,7 +351,7 @@ class MessageSearch:
                 hypotheses.take(np.flatnonzero(~over))
         p = np.exp(likely - np.logaddexp.reduce(likely))
         longest = float(p @ (8 * lengths - np.log2(np.maximum(p, 1e-300))))
-        return self._found(ended, kept, opened, float(np.logaddexp.reduce(likely)), longest)
+        return self._found(ended, kept, opened, longest)
 
     def _over(
         self, ended: "Ended", beam: Beam, sizes: Indices, totals: Indices, j: int, low: int
@@ -392,7 +371,7 @@ class MessageSearch:
         return over
 
     def _drawn(
-        self, ended: "Ended", opened: "Opened", graph: Graph, beam: Beam, over: Flags, low: int
+        self, ended: "Ended", opened: list[Opened], graph: Graph, beam: Beam, over: Flags, low: int
     ) -> None:
         """Draw messages that are over but for their check, and judge them by it."""
         rows = np.flatnonzero(over)
@@ -400,6 +379,9 @@ class MessageSearch:
         share = np.exp(all_of_them - np.logaddexp.reduce(beam.score))
         count = max(int(share * DRAWN), FEWEST)
         drawn = graph.draw(rows, beam.score[rows], np.random.default_rng(0), count)
+        as_likely = drawn.scores[: len(drawn.scores) // len(HEATS), -1]  # drawn by their weights
+        entropy = float((all_of_them - as_likely).mean() / np.log(2))
+        ended.drawn.append((all_of_them, max(entropy, 0.0)))
         first = int(drawn.scores[:, -1].argmax())
         node, text = int(drawn.nodes[first, -1]), drawn.texts[first].tobytes()
         best = float(drawn.scores[first, -1])
@@ -407,7 +389,8 @@ class MessageSearch:
             ended.unchecked = (best, text, beam.alpha[node].copy(), low)
         checked = self._checked(opened, beam, rows, low, (best - all_of_them, text))
         ended.total = float(np.logaddexp(ended.total, all_of_them + checked))
-        texts, plain, nodes, mass = self._joined(drawn, beam, rows, low)
+        texts, plain, nodes, mass, heard = self._joined(drawn, beam, rows, low)
+        ended.check = max(ended.check, heard)
         ended.listed = float(np.logaddexp(ended.listed, mass + checked))
         if not len(texts):
             return
@@ -418,7 +401,7 @@ class MessageSearch:
             ended.add(texts[i].tobytes(), float(plain[i] + gain[i]), float(plain[i]), alpha[i], low)
 
     def _checked(
-        self, opened: "Opened", beam: Beam, rows: Indices, low: int, best: tuple[float, bytes]
+        self, opened: list[Opened], beam: Beam, rows: Indices, low: int, best: tuple[float, bytes]
     ) -> float:
         """Log share of texts in ``rows`` whose check the transcript holds to its end.
 
@@ -437,9 +420,9 @@ class MessageSearch:
         under_way = float(np.logaddexp.reduce(weights))
         if under_way == -np.inf:
             return 0.0
-        opened.add(under_way, under_way + best[0], best[1], 0.0)
         for j in np.flatnonzero(np.isfinite(weights)).tolist():
-            opened.lack(total - j, float(weights[j]) + best[0])
+            weight = float(weights[j])
+            opened.append(Opened(weight, weight + best[0], best[1], total - j))
         share = np.exp(under_way - float(np.logaddexp.reduce(beam.score[rows])))
         return float(np.log(max(1.0 - share, LEAST_CHECKED)))
 
@@ -463,10 +446,11 @@ class MessageSearch:
 
     def _joined(
         self, drawn: Drawn, beam: Beam, rows: Indices, low: int
-    ) -> tuple[NDArray[np.uint8], Array, Indices, float]:
+    ) -> tuple[NDArray[np.uint8], Array, Indices, float, float]:
         """Messages that may have their check: they, log weights, nodes; and that of all looked at.
 
-        What was drawn, put together anew by halves, where symbols are bits.
+        What was drawn, put together anew by halves, where symbols are bits. Last come the bits that
+        the check says of any message.
         """
         symbols = None
         if self._size & (self._size - 1) == 0 and drawn.texts.shape[1] > 1:
@@ -476,16 +460,15 @@ class MessageSearch:
         if symbols is None:
             once = first_of_each(drawn.texts)
             plain = drawn.scores[once, -1]
-            return drawn.texts[once], plain, drawn.nodes[once, -1], np.logaddexp.reduce(plain)
+            return drawn.texts[once], plain, drawn.nodes[once, -1], np.logaddexp.reduce(plain), 0.0
         first, second, ends = drawn.halves(drawn.middle())
         a, b, mass = join(first, second, symbols)
         texts = np.hstack([first.texts[a], second.texts[b]])
-        return texts, first.scores[a] + second.scores[b], ends[b], mass
+        said = float((symbols * np.log2(np.maximum(self._size * symbols, TINY))).sum())
+        return texts, first.scores[a] + second.scores[b], ends[b], mass, said
 
-    def _open(
-        self, opened: "Opened", beam: Beam, sizes: Indices, missing: Indices, low: int
-    ) -> None:
-        """Count the hypotheses of which the transcript holds no further symbol."""
+    def _open(self, beam: Beam, lengths: Indices, missing: Indices, low: int) -> Iterator[Opened]:
+        """The hypotheses of which the transcript holds no further symbol, by what they lack."""
         E = self._lattice.states
         left = np.zeros((beam.alpha.shape[1] // E, E))
         have = self._lattice.left[low : low + len(left)]
@@ -494,18 +477,18 @@ class MessageSearch:
             return
         with np.errstate(divide="ignore"):
             weight = beam.level + beam.said + np.log(beam.alpha @ left.ravel())
-        row = int(weight.argmax())
-        payload = max(int(missing[row]) - digits_of(CHECK_BYTES, self._size), 0)
-        text = beam.text[row, : min(beam.count[row], sizes[row])].tobytes()
-        unsent = payload * float(np.log2(self._size))
-        opened.add(float(np.logaddexp.reduce(weight)), float(weight[row]), text, unsent)
         for symbols in np.unique(missing).tolist():
-            opened.lack(symbols, float(weight[missing == symbols].max()))
+            rows = np.flatnonzero(missing == symbols)
+            row = rows[weight[rows].argmax()]
+            text = beam.text[row, : min(beam.count[row], lengths[beam.length[row]])].tobytes()
+            total = float(np.logaddexp.reduce(weight[rows]))
+            yield Opened(total, float(weight[row]), text, symbols)
 
-    def _found(
-        self, ended: "Ended", kept: float, opened: "Opened", likely: float, longest: float
-    ) -> Found:
+    def _found(self, ended: "Ended", kept: float, opened: list[Opened], longest: float) -> Found:
         """What a search gives back, with ``kept`` the log of what was not dropped."""
+        under_way = max(opened, key=lambda one: one.best, default=Opened(-np.inf, -np.inf, b"", 0))
+        lacking = min((o.missing for o in opened if o.best > under_way.best - NEARLY), default=-1)
+        unsent = max(under_way.missing - digits_of(CHECK_BYTES, self._size), 0)
         ends = self._nodes(np.zeros(0), 0)
         found = sorted(ended.list, key=lambda e: -e[0])[:KEPT]
         surprise = 0.0
@@ -515,6 +498,10 @@ class MessageSearch:
             surprise = float(-(p * np.log2(np.maximum(p, 1e-300))).sum())
             # what is not on the list is at best as likely as the least likely that is
             surprise -= rest * float(np.log2(max(p.min(), 1e-300)))
+            if ended.drawn:
+                masses, bits = np.array(ended.drawn).T
+                share = np.exp(masses - np.logaddexp.reduce(masses))
+                surprise = float(share @ (bits - np.log2(np.maximum(share, TINY))))
             weight, _, _, alpha, at = found[0]
             ends = self._weighing(self._nodes(alpha, at), weight)
         listed = ended.listed if self._single else ended.total
@@ -526,11 +513,11 @@ class MessageSearch:
             float(np.exp(min(listed - ended.total, 0.0) + kept)) if followed else 0.0,
             surprise - kept / float(np.log(2)),
             ends,
-            likely,
-            opened.text,
-            opened.total,
-            -1 if (symbols := opened.soonest()) < 0 else int(symbols / self._lattice.rate),
-            opened.unsent,
+            under_way.text,
+            float(np.logaddexp.reduce([o.total for o in opened], initial=-np.inf)),
+            -1 if lacking < 0 else int(lacking / self._lattice.rate),
+            unsent * float(np.log2(self._size)),
+            ended.check,
             longest,
             ended.unchecked[1],
             self._weighing(
@@ -560,55 +547,3 @@ class MessageSearch:
                 if number == count:
                     out = self._nodes(nodes, first)
         return out
-
-    def any_bytes(self, begin: Array, rng: np.random.Generator, count: int = 24) -> AnyMessage:
-        """What is known of a message of any bytes, by drawing from all that are possible.
-
-        Of the likeliest length. What the transcript does not hold of one under way is unknown.
-        """
-        begun = self._lengths(self.starts(begin))
-        assert begun is not None  # found before
-        lengths, alphas, level, low = begun
-        plan, E = Plan(lengths.tolist(), self._size), self._lattice.states
-        weights = self._weights(alphas, level, plan.total, low)
-        best, p = int(weights.argmax()), np.exp(weights - np.logaddexp.reduce(weights))
-        total = int(plan.total[best])
-        ends = self._after_any(alphas[best], low, total)
-        # the first takes the likeliest symbol each time, the others are drawn
-        alpha, number = np.tile(alphas[best], (1 + count, 1)), np.arange(1 + count)
-        said, symbols = 0.0, bytearray()
-        for j in range(total):
-            matrices = self._lattice.window(low, alpha.shape[1] // E)
-            low += 1
-            ahead = self._rows(np.array([total - 1 - j]), low, matrices.shape[2] // E)[0]
-            fits = alpha @ (matrices @ np.exp(ahead - finite(ahead.max()))).T
-            going = fits.sum(axis=1) > 0
-            unheard = int((number[~going] > 0).sum())
-            said += unheard * (total - j) * float(np.log2(self._size))
-            if not going.any():
-                break
-            alpha, fits, number = alpha[going], fits[going], number[going]
-            share = fits.cumsum(axis=1)
-            symbol = (share < rng.random((len(fits), 1)) * share[:, -1:]).sum(axis=1)
-            if number[0] == 0:
-                symbol[0] = fits[0].argmax()
-                symbols.append(int(symbol[0]))
-            chosen = fits[np.arange(len(fits)), symbol] / share[:, -1]
-            said -= float(np.log2(chosen[number > 0]).sum())
-            alpha = np.stack([a @ matrices[m] for a, m in zip(alpha, symbol, strict=True)])
-            alpha /= alpha.max(axis=1, keepdims=True)
-            left, none = np.full(len(alpha), total - 1 - j), np.zeros(len(alpha))
-            alpha, low = self._trimmed(alpha, none, left, low, none)
-        length = -float((p * np.log2(np.maximum(p, 1e-300))).sum())
-        frame = Deframer(self._size)
-        header = encode_frame(bytes(int(lengths[best])), self._size)[: 1 + self._header]
-        payload = b""
-        for symbol_of in header + symbols:
-            frame.push(symbol_of)
-            payload = frame.partial if frame.symbols else frame.ended
-        return AnyMessage(
-            max(said / count + length - 8 * CHECK_BYTES, 0.0),
-            payload,
-            ends,
-            int((total - len(symbols)) / self._lattice.rate),
-        )

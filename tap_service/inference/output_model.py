@@ -118,7 +118,7 @@ class OutputModel:
     def anew(self) -> "OutputModel":
         """The same, with nothing heard."""
         made = copy(self)
-        made._nothing()
+        made._nothing()  # noqa: SLF001
         return made
 
     @property

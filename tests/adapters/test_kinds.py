@@ -2,7 +2,10 @@
 
 import itertools
 import math
+import subprocess
+import sys
 from pathlib import Path
+from subprocess import PIPE
 
 import pytest
 
@@ -154,6 +157,31 @@ def test_the_files_of_an_fmu_go_when_it_is_closed(fmu: tuple[Path, str]) -> None
     assert folder.is_dir()
     plant.close()
     assert not folder.exists()
+
+
+def test_what_a_killed_plant_left_of_an_fmu_goes_at_the_next_start(fmu: tuple[Path, str]) -> None:
+    """And nothing of one that lives."""
+    from plant_service.adapters.fmu import Fmu
+
+    code = (
+        "import pathlib, sys\n"
+        "from plant_service.adapters.fmu import Fmu\n"
+        "plant = Fmu(pathlib.Path(sys.argv[1]), sys.argv[2], ['u'], ['place', 'speed'])\n"
+        "plant.reset(None)\n"
+        "print(plant.folder, flush=True)\n"
+        "sys.stdin.read()\n"
+    )
+    command = [sys.executable, "-c", code, str(fmu[0]), fmu[1]]
+    with subprocess.Popen(command, stdin=PIPE, stdout=PIPE, text=True) as other:
+        assert other.stdout is not None
+        left = Path(other.stdout.readline().strip())
+        Fmu(*fmu, ["u"], ["place", "speed"]).close()
+        assert any(left.iterdir()), "its process lives"
+        other.kill()
+        other.wait()
+        assert any(left.iterdir())
+    Fmu(*fmu, ["u"], ["place", "speed"]).close()
+    assert not left.exists()
 
 
 # --- Gymnasium ------------------------------------------------------------------------------------

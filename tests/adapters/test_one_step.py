@@ -24,8 +24,8 @@ from wyner.api import load
 
 SESSION = "5" * 16
 CORE = plant_service.core.__file__
-STEP = ["_offered", "_check", "_begin", "_apply", "_end", "_report", "_count"]
-"""Of a step, in the order of Fig. 6: an offer, the coin, the input; the reading, said, counted."""
+STEP = ["_offered", "_check", "_read", "_report", "_count"]
+"""Of a step, in the order of Fig. 6: an offer, checked and applied; the reading, said, counted."""
 
 
 def _model(scenario: Scenario, folder: Path) -> Plant:
@@ -56,8 +56,11 @@ PLANTS: dict[str, Callable[[Scenario, Path], Plant]] = {
 def entered(names: list[str]) -> Iterator[None]:
     """Note each function of the plant's core that is entered."""
 
+    frames: list[FrameType] = []
+
     def note(frame: FrameType, event: str, argument: Any) -> None:
-        if event == "call" and frame.f_code.co_filename == CORE:
+        if event == "call" and frame.f_code.co_filename == CORE and frame not in frames:
+            frames.append(frame)  # one that goes on was entered before
             names.append(frame.f_code.co_name)
 
     before = sys.getprofile()

@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 from runtime.shipped import scenario_file_of
 from wyner.advice.rate import long_runs, settled_rate
-from wyner.advice.why import APART, FULL, Why, packed, packs, why
+from wyner.advice.why import APART, FULL, OFTEN, Why, packed, packs, remedies_for, why
 from wyner.cli.main import main
 from wyner.drawing.design import draw_design
 
@@ -22,6 +23,10 @@ from wyner.drawing.design import draw_design
 def reasons(scenario: Scenario) -> Why:
     law = make_law(scenario, cached_design(scenario))
     return why(scenario, long_runs(scenario, law, record=True))
+
+
+def why_of(data: dict[str, Any]) -> Why:
+    return reasons(Scenario.model_validate(data))
 
 
 def shipped(name: str, **control: object) -> Scenario:
@@ -186,3 +191,32 @@ def test_the_corners_of_the_test_set_are_inside_as_the_ends_have_it() -> None:
     assert found.none.value == 0
     assert found.agreed.value == pytest.approx(settled_rate(runs).settled.agreed.value, abs=0.02)
     assert found.remedies == ()
+
+
+def test_steps_that_leave_the_test_set_are_counted() -> None:
+    data = shipped("packed").model_dump(mode="json", exclude_none=True)
+    assert why_of(data).left.value == 0
+    widths = data["defender"]["disturbance"]["half_widths"]
+    data["plant"]["disturbance"] = {"kind": "gaussian", "half_widths": widths, "deviation": 0.5}
+    found = why_of(data)
+    both_inside = 0.9545 ** len(widths)  # two standard deviations, each state by itself
+    assert found.left.value == pytest.approx(1 - both_inside, abs=0.01)
+    assert any(
+        "of 100 steps leave D_c: a key that is made there may be" in w for w in found.lines()
+    )
+
+
+def test_advice_names_the_gain_where_the_file_states_one() -> None:
+    found = reasons(shipped("double-integrator"))
+    assert found.equal.value > OFTEN
+    data = shipped("double-integrator").model_dump(mode="json", exclude_none=True)
+    stated = Scenario.model_validate(data)
+    gain = cached_design(stated).K.tolist()
+    del data["control"]["regulator"]
+    data["control"]["gain"] = gain
+    by_gain = Scenario.model_validate(data)
+    shares = {"agreed": 0.1, "equal": 0.9, "several": 0.9, "none": 0.0, "beyond": 0.0}
+    for scenario, named in ((stated, "larger control.regulator.input"), (by_gain, "control.gain")):
+        advised = remedies_for(scenario, shares | {"saturated": 0.0}, 0.1)
+        assert named in advised[0]
+        assert ("control.gain" in advised[0]) == (scenario is by_gain)

@@ -1,8 +1,11 @@
 """The library: its arrays are the engine's, its names are lazy, its errors are lines."""
 
+import re
 import subprocess
 import sys
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +17,7 @@ from tests.support.patience import PATIENCE_S
 from wyner import (
     Belief,
     Eavesdropper,
+    EavesdropperError,
     Guess,
     KnowledgeError,
     OutsideError,
@@ -54,6 +58,24 @@ def test_the_package_alone_loads_nothing_heavy() -> None:
     subprocess.run([sys.executable, "-c", code], check=True, timeout=PATIENCE_S)
 
 
+def test_the_library_needs_nothing_that_linux_alone_has() -> None:
+    """Without `fcntl` and `resource` the library runs, and a command says what it lacks."""
+    code = (
+        "import sys\n"
+        "sys.modules.update(dict.fromkeys(('fcntl', 'resource', 'termios', 'pty')))\n"
+        "from wyner import design, eavesdrop, run\n"
+        "eavesdrop(run(design('sustained'), steps=20, runs=1, seed=1))\n"
+        "from wyner.cli.main import main\n"
+        "sys.exit(main(['up', '--headless']))\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, timeout=PATIENCE_S, check=False
+    )
+    assert (done.returncode, done.stdout) == (1, b"")
+    (line,) = done.stderr.decode().splitlines()
+    assert line.startswith("wyner: this system has no fcntl: the commands need Linux")
+
+
 def test_every_name_is_there_and_has_words() -> None:
     from wyner import api
 
@@ -65,6 +87,7 @@ def test_every_name_is_there_and_has_words() -> None:
     names: dict[str, object] = {}
     exec("from wyner import *", names)
     assert set(api.__all__) <= set(names)
+    assert wyner.__version__ == version("wyner")
     with pytest.raises(AttributeError, match="module 'wyner' has no attribute 'desing'"):
         wyner.desing  # noqa: B018
     with pytest.raises(ImportError):
@@ -76,7 +99,9 @@ def test_shipped_scenarios_load_by_name_and_by_path() -> None:
     from runtime.shipped import SCENARIOS
 
     assert load("paper") == load(SCENARIOS / "paper.toml")
-    with pytest.raises(ScenarioError, match="nowhere: cannot be read: No such file"):
+    with pytest.raises(
+        ScenarioError, match="nowhere: no such file, and no shipped scenario; shipped"
+    ):
         load("nowhere")
 
 
@@ -90,6 +115,7 @@ def test_a_scenario_is_built_from_tables_and_wrong_ones_are_named() -> None:
 
 def test_fields_are_varied_by_their_path() -> None:
     s = load("sustained")
+    assert vary(design("paper"), {"secrecy.alpha": 3.0}).secrecy.alpha == 3.0
     changed = vary(s, {"secrecy.alpha": 3.0, "control.costs.1.input": 2.0})
     assert changed.secrecy.alpha == 3.0
     assert changed.control.costs[1].input == 2.0
@@ -190,8 +216,44 @@ def test_eavesdroppers_of_the_ladder_and_of_ones_own_are_scored(runs: Simulated)
     assert mine.keys.value == pytest.approx(0.5, abs=0.06)
     assert not mine.keys.known
     assert nearest.delivered == sum(map(len, runs.messages)) > 0
-    with pytest.raises(KnowledgeError, match="got 'nobody', expected set-membership"):
-        eavesdrop(runs, ["nobody"])
+    assert eavesdrop(runs, "nearest-centre") == [nearest]
+    assert eavesdrop(runs, Stubborn)[0].right == mine.right
+
+
+class Nameless(NearestCentre):
+    name = None  # type: ignore[assignment]
+
+
+class Unfinished(Eavesdropper):
+    name = "unfinished"
+
+
+class Oops(NearestCentre):
+    name = "c"
+
+    def observe(self, transition: Transition) -> Guess:
+        if transition.k == 3:
+            raise ValueError("oops")
+        return super().observe(transition)
+
+
+@pytest.mark.parametrize(
+    ("who", "error", "told"),
+    [
+        ("nobody", KnowledgeError, "got 'nobody', expected set-membership"),
+        (Nameless, KnowledgeError, "'Nameless': expected a class attribute name of 1 to 64"),
+        (Unfinished, KnowledgeError, "expected the methods that it lacks: belief, observe"),
+        (int, KnowledgeError, "got 'int', expected a class int that extends"),
+        (Oops, EavesdropperError, "eavesdropper c: step 3: ValueError: oops"),
+    ],
+)
+def test_an_eavesdropper_that_is_none_is_told_in_a_line(
+    who: Any, error: type[Exception], told: str, runs: Simulated
+) -> None:
+    with pytest.raises(error, match=re.escape(told)):
+        eavesdrop(runs, who)
+    with pytest.raises(error, match=re.escape(told)):
+        eavesdrop(runs, [who])
 
 
 def test_a_mirrored_model_names_symbols_wrong_and_knows_them() -> None:
@@ -280,8 +342,9 @@ def test_a_runs_folder_is_checked(tmp_path: Path) -> None:
     small = SmallRun(tmp_path / "run")
     small.steps(40)
     small.close()
-    results = {f.check.name: f.result for f in wyner.check(tmp_path / "run")}
-    assert results["agreement"] == "PASS"
-    assert "FAIL" not in results.values()
+    assert wyner.check(tmp_path / "run") == []
+    (tmp_path / "run" / "plant" / "trace.jsonl").unlink()
+    (tmp_path / "run" / "controller" / "trace.jsonl").write_bytes(b"nothing\n")
+    assert {finding.rule for finding in wyner.check(tmp_path / "run")} >= {"whole"}
     with pytest.raises(FileNotFoundError, match="no run here"):
         wyner.check(tmp_path)

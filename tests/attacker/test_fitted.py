@@ -10,8 +10,8 @@ from protocol.scenario import Attack, Scenario, parse_scenario
 from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE
 from runtime.scenario_file import scenario_of
-from tests.campaigns.attacked import run
-from wyner.runs.resolve import Resolved
+from tests.attacker.live_runs import run
+from tests.support.traces import Resolved
 
 pytestmark = pytest.mark.slow
 

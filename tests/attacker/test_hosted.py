@@ -10,16 +10,15 @@ from typing import Any, TypeVar
 import pytest
 
 from attacker_service.attacker import Attacker
-from attacker_service.relay import Relay, Rewriter
-from plant_service.attacked import AttackedPlant
-from plant_service.plant import Disturbances, LinearModel
+from attacker_service.relay import Relay
+from plant_service.plant import Disturbances, FilteredPlant, LinearModel
 from protocol.messages import Measurement, Message, Offer
 from protocol.scenario import Attack, Scenario, attack_of
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.chance import noise
 from runtime.errors import UsageError
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.scenario_file import attack_option, scenario_of
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 
 pytestmark = pytest.mark.slow
@@ -33,12 +32,12 @@ def scenario() -> Scenario:
     return scenario_of("packed")
 
 
-def attacked(scenario: Scenario, attack: Attack) -> AttackedPlant:
+def attacked(scenario: Scenario, attack: Attack) -> FilteredPlant:
     plant = LinearModel(scenario, Disturbances(scenario, noise(1, 2)))
-    return AttackedPlant(plant, Attacker(scenario, attack, 1), scenario.initial_state)
+    return FilteredPlant(plant, [Attacker(scenario, attack, 1)], scenario.initial_state)
 
 
-def steps(plant: AttackedPlant, count: int) -> list[tuple[float, ...]]:
+def steps(plant: FilteredPlant, count: int) -> list[tuple[float, ...]]:
     """What is reported of so many steps under no input."""
     said = []
     for k in range(count):
@@ -59,7 +58,7 @@ def test_before_the_onset_the_truth_passes_and_then_the_attack(scenario: Scenari
     assert plant.close() == ""
 
 
-def _one(plant: AttackedPlant, k: int) -> tuple[float, ...]:
+def _one(plant: FilteredPlant, k: int) -> tuple[float, ...]:
     plant.begin(k, (), (0.0,))
     return plant.end(k)
 
@@ -217,16 +216,22 @@ def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind:
             offer = Offer(session="0" * 16, k=k, candidates=us, cipher=0)
             other = offer.model_copy(update={"session": "f" * 16, "candidates": ((9.0,),) * 4})
             wide = offer.model_copy(update={"candidates": ((1.0, 2.0),) * 4})
-            plant.heard.append(("measurement", m.wire()))
+            (attacker,) = plant.filters
+            assert isinstance(attacker, Attacker)
+            attacker.outgoing(Measurement, m.wire())
             if junk:
-                plant.heard += [("offer", other.wire()), ("offer", wide.wire())]
-                plant.heard += [(topic, j) for topic in ("offer", "measurement") for j in junk]
-            plant.heard.append(("offer", offer.wire()))
+                for payload in (other.wire(), wide.wire()):
+                    attacker.incoming(Offer, payload)
+                for payload in junk:
+                    attacker.incoming(Offer, payload)
+                    attacker.outgoing(Measurement, payload)
+            attacker.incoming(Offer, offer.wire())
             one = _one(plant, k)
             assert plant.truth is not None
             assert not plant.truth.failed
             said.append([one]) if k == 0 else said[-1].append(one)
-        assert plant.attacker.sieve.ignored == (12 * 8 if junk else 0)
+        assert isinstance(attacker, Attacker)
+        assert attacker.sieve.ignored == (12 * 8 if junk else 0)
         assert plant.truth is not None
         assert one != plant.truth.x_next, "she goes on"
         plant.close()
@@ -236,12 +241,11 @@ def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind:
 def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
     attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
     attacker = Attacker(scenario, attack, 1)
-    rewriter = Rewriter(attacker)
     junk = [*JUNK, Offer(session="0" * 16, k=2, candidates=((1.0, 2.0),), cipher=0).wire()]
     for kind in (Measurement, Offer):
         for payload in junk:
-            assert rewriter.rewritten(kind, payload) == payload, "it goes on as it came"
+            assert attacker.incoming(kind, payload) == payload, "it goes on as it came"
     offer = Offer(session="0" * 16, k=2, candidates=((0.0,), (1.0,), (2.0,), (3.0,)), cipher=0)
-    got = Offer.model_validate_json(rewriter.rewritten(Offer, offer.wire()))
+    got = Offer.model_validate_json(attacker.incoming(Offer, offer.wire()))
     assert [u[0] for u in got.candidates] == pytest.approx([0.3, 1.3, 2.3, 3.3])
     assert attacker.sieve.ignored == 12

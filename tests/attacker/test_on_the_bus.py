@@ -7,14 +7,13 @@ from typing import Any
 import pytest
 
 from attacker_service.attacker import Attacker
-from attacker_service.relay import Rewriter
 from protocol.scenario import attack_of, parse_scenario
 from protocol.scenario.reading import ScenarioError
 from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.support.recorded_loop import RecordedLoop
-from wyner.runs.resolve import Resolved
+from tests.support.traces import Resolved
 
 pytestmark = pytest.mark.slow
 
@@ -69,7 +68,7 @@ def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
         assert loop.plant.record.k < 5000, "keys never come"
     onset = loop.plant.record.k
     attacker = Attacker(loop.scenario, attack, None)
-    loop.relay = Rewriter(attacker)
+    loop.relay = attacker
     assert steps(60) == 60
     assert attacker.failed == ""
     loop.stop()
@@ -84,7 +83,7 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
     attack = attack_of("covert@50")
     loop = RecordedLoop(tmp_path, name="network", pace="realtime", attack=attack)
     attacker = Attacker(loop.scenario, attack, None)
-    loop.relay = Rewriter(attacker)
+    loop.relay = attacker
     loop.run(lambda: loop.plant.record.k >= 200)
     assert attacker.failed == ""
     loop.stop()

@@ -3,7 +3,7 @@
 import csv
 from typing import Any
 
-from tests.campaigns.attacked import DATA, merged
+from tests.attacker.live_runs import DATA, merged
 
 
 def recorded() -> list[dict[str, str]]:

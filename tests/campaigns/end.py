@@ -18,9 +18,11 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import BlockEnded
+from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Alarm, Event, SessionBegan
-from protocol.link.peer import Actions, Notice
+from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.step import Answered, Read
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
@@ -192,8 +194,8 @@ class End:
         self._perform(self.endpoint.start(self.now))
         self._starting = False
 
-    def _perform(self, actions: Actions) -> None:
-        shell.perform(actions, self.endpoint, self._ports)
+    def _perform(self, effects: Effects) -> None:
+        shell.perform(effects, self._ports)
 
     def new_session(self) -> str:
         """An id that no other session has."""
@@ -225,15 +227,14 @@ class End:
 
     # --- what it asks for -------------------------------------------------------------------------
 
-    def save(self, actions: Actions) -> None:
+    def save(self, save: Save) -> None:
         """Keep it; a message arrives once, and in its place."""
         self.things += 1
-        self._reports.look(actions)
-        offer, received = actions.offer, actions.received
-        report = actions.measurement
-        if offer is not None and report is not None and report.keyed and self.line is not None:
-            self._take(offer.session, offer.k, offer.position)
-        self.journal.save(actions)
+        self._reports.look(save)
+        step, received = save.step, save.received
+        if isinstance(step, Read) and step.report.keyed:
+            self._take(step.offer.session, step.offer.k, step.offer.position)
+        self.journal.save(save)
         if received is not None:
             place = self.view.received
             self.again = received in PAYLOADS[:place]
@@ -375,13 +376,13 @@ class End:
             if isinstance(endpoint, ControllerCore):
                 self._heard_k = _k_of(payload) if kind is Measurement else -1
                 self.now += LONG_S if doing.pace == "late" else 0.0
-                endpoint.greeting_at = inf if doing.pace == "soon" else -inf
+                endpoint.session.greeting_at = inf if doing.pace == "soon" else -inf
             elif self.line is not None:
                 self.line.coin, self.line.d = doing.coin, 0.3
             self._perform(endpoint.receive(kind, payload, self.now))
         elif doing.what == "wakes":
             if doing.pace == "late" and isinstance(endpoint, PlantCore):
-                endpoint.answered_at = -SILENCE_S
+                endpoint.session.answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))
         elif doing.what == "extracts":
@@ -407,8 +408,12 @@ class End:
         if record is None:
             held = View()
         else:
-            said = loaded.measurement if self.side == "plant" else loaded.offer
-            announced = (record if said is None else said).block
+            said: SenderRecord | ReceiverRecord | Measurement | Offer = record
+            if isinstance(loaded.step, Read):
+                said = loaded.step.report
+            elif isinstance(loaded.step, Answered):
+                said = loaded.step.offer
+            announced = said.block
             held = View((), record.session, announced, record.confirmed, loaded.parts)
             served = self._taken[1 if self.side == "plant" else 0]  # with the save after the count
             over = served.end(self.rules.digits)
@@ -423,17 +428,17 @@ class End:
         now, self.now, endpoint = self.now, 0.0, self.endpoint
         endpoint.now = 0.0
         if isinstance(endpoint, ControllerCore):
-            away = now - endpoint.plant_at >= endpoint.running_s
-            endpoint.plant_at = -inf if away else 0.0
+            away = now - endpoint.session.plant_at >= endpoint.session.running_s
+            endpoint.session.plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all
-            endpoint.greeting_at = -inf
+            endpoint.session.greeting_at = -inf
             endpoint.stale_at = -inf
             return
         pacing = endpoint.pacing
-        endpoint.hello_at = max(0.0, round(endpoint.hello_at - now, 6))
-        silent = now - endpoint.answered_at >= SILENCE_S
-        self.answered = endpoint.answered_at == now
-        endpoint.answered_at = -SILENCE_S if silent else -JUST_NOW_S
+        endpoint.session.hello_at = max(0.0, round(endpoint.session.hello_at - now, 6))
+        silent = now - endpoint.session.answered_at >= SILENCE_S
+        self.answered = endpoint.session.answered_at == now
+        endpoint.session.answered_at = -SILENCE_S if silent else -JUST_NOW_S
         endpoint.measured_at, endpoint.measured_k = 0.0, -1  # told, and not looked at
         pacing.late_s, pacing.overruns = 0.0, 0
         pacing.deadline = round(pacing.deadline - now, 6)

@@ -3,13 +3,11 @@
 Each run is a whole loop of processes: controller, plant, tap, and in every other run a
 router. Any of them is killed at random instants and started again, or frozen for up to six
 seconds, while others are killed; :mod:`tests.campaigns.traffic` says what must have come of it.
-With ``--jumps`` the wall clock of all of them is set by hours again and again, both ways (needs
-a C compiler): nothing may depend on it. With ``--apart`` each has a wall clock of its own that is
-set so, and lives on a machine of its own as far as the monotonic clock goes: in a time namespace
-(needs root, too). With ``--tls`` there is always a router, which lets in whoever has a certificate,
+With ``--tls`` there is always a router, which lets in whoever has a certificate,
 and each publish what its name allows. With ``--keys`` the field bus goes through a relay that
 loses, repeats and delays. With ``--watched`` the
-coin is keyed and the loop is in lock-step: no honest step may alarm.
+coin is keyed and the loop is in lock-step: no honest step may alarm. With ``--sealed`` the messages
+travel under the key stream, in lock-step too.
 """
 
 import argparse
@@ -23,7 +21,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-from tests.campaigns.live import LiveLoop, keep_failed, plain_text, preloaded
+from tests.campaigns.live import LiveLoop, keep_failed, plain_text
 from tests.campaigns.resumable import Results
 from tests.campaigns.traffic import Traffic
 
@@ -38,14 +36,12 @@ RELAY: Final = (0.02, 0.05, 0.001)
 """Its odds: loss, repeat, and the longest delay in seconds."""
 
 SERVICES: Final = ("controller", "plant", "tap", "router", "relay")
-LARGEST_JUMP_S: Final = 48 * 3600
 KINDS: Final = {
     "kills": "campaign-kills.json",
-    "jumps": "campaign-jumps.json",
-    "apart": "campaign-apart.json",
     "tls": "campaign-tls.json",
     "keys": "campaign-kills-keys.json",
     "watched": "campaign-kills-watched.json",
+    "sealed": "campaign-kills-sealed.json",
 }
 """Kinds of campaign, and where their results go."""
 
@@ -60,7 +56,6 @@ class Reaper:
 
     def __init__(self, loop: LiveLoop, draw: random.Random) -> None:
         self.loop, self.draw = loop, draw
-        self.clock = os.environ.get("WYNER_CLOCK")
         self.counts: Counter[str] = Counter()
         self._thaw: dict[str, float] = {}
         self._back: dict[str, float] = {}
@@ -68,12 +63,6 @@ class Reaper:
     def strike(self) -> None:
         """One more blow, and whatever is due of the earlier ones."""
         draw, now = self.draw, time.monotonic()
-        if self.clock is not None and draw.random() < 0.3:
-            off_s = draw.randint(-LARGEST_JUMP_S, LARGEST_JUMP_S)
-            with Path(self.clock).open("r+b") as clock:
-                clock.seek(8 * draw.choice([p.place for p in self.loop.processes.values()]))
-                clock.write(off_s.to_bytes(8, "little", signed=True))
-            self.counts["clock jumps"] += 1
         name = draw.choice(sorted(self.loop.processes))
         process = self.loop.processes[name]
         if process.alive():
@@ -115,8 +104,8 @@ def one_run(
     keys = kind == "keys"
     bytes_a_kill = RELAYED_BYTES_A_KILL if keys else BYTES_A_KILL
     text = plain_text(draw, min(200, bytes_a_kill * kills))
-    watched = kind == "watched"
-    pace = "fast" if watched else RELAYED_PACE if keys else draw.choice(PACES)
+    streamed = kind in ("watched", "sealed")
+    pace = "fast" if streamed else RELAYED_PACE if keys else draw.choice(PACES)
     relay = RELAY if keys else None
     loop = LiveLoop(
         folder,
@@ -125,8 +114,7 @@ def one_run(
         router=kind == "tls" or (not keys and seed % 2 == 1),
         tls=kind == "tls",
         relay=relay,
-        boots=draw if kind == "apart" else None,
-        scenario="watched" if watched else "keys",
+        scenario=kind if streamed else "keys",
     )
     reaper, traffic = Reaper(loop, draw), Traffic(loop, text, draw)
     counts, wrong = reaper.counts, traffic.wrong
@@ -152,11 +140,10 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--folder", type=Path)
     kind = parser.add_mutually_exclusive_group()
     for name, what in (
-        ("jumps", "set the wall clock again and again"),
-        ("apart", "each has clocks of its own"),
         ("tls", "a router that asks for certificates"),
         ("keys", "a relay"),
         ("watched", "the coin is keyed"),
+        ("sealed", "messages travel under the key stream"),
     ):
         kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
     parser.set_defaults(kind="kills")
@@ -164,10 +151,6 @@ def main(argv: list[str] | None = None) -> int:
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     args.results = args.results or Path(KINDS[args.kind])
-    if args.kind in ("jumps", "apart"):
-        clock = Path(tempfile.mkdtemp()) / "clock"
-        clock.write_bytes(bytes(4096))
-        preloaded(__spec__.name, sys.argv[1:] if argv is None else argv, WYNER_CLOCK=str(clock))
     if args.seed is not None:
         args.folder.mkdir()
         counts, wrong = one_run(args.seed, args.folder, min(args.kills, KILLS_A_RUN), args.kind)

@@ -10,13 +10,11 @@ import os
 import random
 import shutil
 import signal
-import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 import traceback
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -45,13 +43,6 @@ PRELOADED: Final = (
 PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2): a service dies with the campaign."""
 
-CLONE_NEWTIME: Final = 0x80
-"""Of unshare(2) and setns(2): the monotonic clock is the process's own."""
-
-LATEST_BOOT_S: Final = 10**7
-
-SOURCE: Final = Path(__file__).with_name("hostile.c")
-
 TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 """The capture is what counts here."""
 
@@ -59,17 +50,8 @@ TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
 Command = Callable[[Sequence[str]], int]
 
 
-def fork(
-    argv: Sequence[str],
-    log: Path,
-    command: Command = main,
-    environment: Mapping[str, str] | None = None,
-    boot_s: int = 0,
-) -> int:
+def fork(argv: Sequence[str], log: Path, command: Command = main) -> int:
     """Run ``command``, which is ``wyner``, in a process and a session of its own; its id.
-
-    ``environment`` is added to this process's. Where ``boot_s`` is not 0, its machine was started
-    so many seconds before this one.
 
     Raises
     ------
@@ -90,9 +72,6 @@ def fork(
         os.dup2(out, 1)
         os.dup2(out, 2)
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        os.environ.update(environment or {})
-        if boot_s:
-            started_earlier(boot_s)
         code = command(argv)
     except BaseException:
         traceback.print_exc()
@@ -103,24 +82,9 @@ def fork(
         os._exit(code)
 
 
-def started_earlier(boot_s: int) -> None:
-    """Go on with a monotonic clock that is ahead by so much, in a time namespace; needs root."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    if libc.unshare(CLONE_NEWTIME) == 0:
-        Path("/proc/self/timens_offsets").write_text(f"monotonic {boot_s} 0\nboottime {boot_s} 0\n")
-        with Path("/proc/self/ns/time_for_children").open("rb") as namespace:
-            if libc.setns(namespace.fileno(), CLONE_NEWTIME) == 0:
-                return
-    raise OSError(ctypes.get_errno(), "a time namespace cannot be had")
-
-
 @dataclass
 class Process:
-    """A command that is started again and again; ``ended`` has the codes of its lives.
-
-    ``place`` is that of its wall clock among those of hostile.c; ``boots`` draws when the machine
-    was started on which a life is spent.
-    """
+    """A command that is started again and again; ``ended`` has the codes of its lives."""
 
     name: str
     argv: list[str]
@@ -128,14 +92,10 @@ class Process:
     command: Command = main
     pid: int = 0
     ended: list[int] = field(default_factory=list)
-    place: int = 0
-    boots: random.Random | None = None
 
-    def start(self, death: str = "") -> None:
-        """Begin a life; ``death`` may say to hostile.c where it ends."""
-        environment = {"WYNER_DEATH": death, "WYNER_CLOCK_PLACE": str(self.place)}
-        boot_s = 0 if self.boots is None else self.boots.randrange(1, LATEST_BOOT_S)
-        self.pid = fork(self.argv, self.log, self.command, environment, boot_s)
+    def start(self) -> None:
+        """Begin a life."""
+        self.pid = fork(self.argv, self.log, self.command)
 
     def signal(self, number: int) -> None:
         """Send it a signal, if it lives."""
@@ -199,8 +159,6 @@ class LiveLoop:
     relay : tuple of float, optional
         The field bus between the two ends goes through a relay with these odds: loss, repeat, and
         the longest delay in seconds.
-    boots : random.Random, optional
-        Every process has a wall clock and a monotonic clock of its own.
     scenario : str
         A shipped one that makes keys.
     """
@@ -214,7 +172,6 @@ class LiveLoop:
         router: bool = False,
         tls: bool = False,
         relay: tuple[float, float, float] | None = None,
-        boots: random.Random | None = None,
         scenario: str = "keys",
     ) -> None:
         for module in PRELOADED:
@@ -236,9 +193,6 @@ class LiveLoop:
         self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
         told = ["--message-file", str(folder / "message")]
         self._add("controller", [*common["controller"], *told, *ends["controller"]])
-        if boots is not None:
-            for place, process in enumerate(self.processes.values()):
-                process.place, process.boots = place, boots
 
     def _add(self, name: str, arguments: list[str]) -> None:
         self.processes[name] = Process(name, [name, *arguments], self.folder / f"{name}.log")
@@ -347,17 +301,6 @@ class LiveLoop:
         log = self.processes[name].log
         lines = log.read_text(errors="replace").splitlines() if log.exists() else []
         return lines[-1] if lines else ""
-
-
-def preloaded(module: str, argv: Sequence[str], **more: str) -> None:
-    """Go on in a process that has hostile.c preloaded, as all whom it forks; return once it has."""
-    if os.environ.get("LD_PRELOAD", "").endswith("hostile.so"):
-        return
-    library = Path(tempfile.mkdtemp()) / "hostile.so"
-    command = ["cc", "-O1", "-shared", "-fPIC", "-o", str(library), str(SOURCE), "-ldl"]
-    subprocess.run(command, check=True)
-    environment = {**os.environ, "LD_PRELOAD": str(library), "OPENBLAS_NUM_THREADS": "1", **more}
-    os.execve(sys.executable, [sys.executable, "-m", module, *argv], environment)
 
 
 def keep_failed(folder: Path, results: Path, name: str) -> None:

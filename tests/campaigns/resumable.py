@@ -1,12 +1,8 @@
 """A campaign that goes on where it stopped: what it has done so far, in a file of results."""
 
-import argparse
 import json
 import sys
-import tempfile
-import time
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -47,31 +43,3 @@ class Results:
     def exit_code(self) -> int:
         """1 when something was wrong."""
         return 1 if self.done["wrong"] else 0
-
-
-def options(about: str | None, results: str) -> argparse.ArgumentParser:
-    """The options that every such campaign has."""
-    parser = argparse.ArgumentParser(description=about)
-    parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--results", type=Path, default=Path(results))
-    return parser
-
-
-def seeds(
-    one_run: Callable[[int, Path], tuple[Counter[str], list[str]]],
-    results: Results,
-    count: int,
-    seconds: float,
-) -> int:
-    """Run seed after seed, each in a folder of its own; 1 when something was wrong."""
-    until = time.monotonic() + seconds
-    done = results.done
-    while done["runs"] < count and time.monotonic() < until:
-        seed = done["runs"]
-        with tempfile.TemporaryDirectory() as folder:
-            results.add(f"seed {seed}", *one_run(seed, Path(folder)))
-        done["runs"] += 1
-        if done["runs"] % 20 == 0:
-            results.save(f"{done['runs']:,} of {count:,}")
-    results.save(f"{done['runs']:,} of {count:,}")
-    return results.exit_code

@@ -227,7 +227,7 @@ class Watched(Simulation):
     def _end_the_session(self) -> None:
         """The controller was misled, or holds other keys: it does not know the session any more."""
         end = self.ends["plant"]
-        if end.endpoint is None or self.plant.controller is None:
+        if end.endpoint is None or self.plant.session.controller is None:
             return
         self.history.amnesias += 1
         self.deliver("plant", disowned(self.plant))

@@ -7,21 +7,21 @@ from typing import Any
 import pytest
 
 from controller_service import core as controller_core
+from controller_service import outgoing
 from plant_service import core as plant_core
 from protocol.link import distiller
 from protocol.link.controller_session import TABLE, Row
 from protocol.link.distiller import Distiller
-from protocol.link.peer import Actions, Peer
 from protocol.messages import Offer
 from protocol.secret.blocks import ExtractedBlock
 from protocol.secret.nonces import Contribution, contribution_of
 from runtime import perform
-from runtime.perform import Ports
 from tests.campaigns.end import End
 from tests.campaigns.exhaustive import shortest
 from tests.campaigns.loop import rules_of, short_keys
 from tests.campaigns.space import SIDES, Space
 from tests.secret.test_stream_through_deaths import WRONG as WRONG_STREAMS
+from tests.support.asked import hasty
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.size import size
 
@@ -97,8 +97,7 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    right = "self._fresh.symbol(transitions, size) if decided is None else decided"
-    broken(patch, controller_core, right, "self._fresh.symbol(transitions, size)")
+    broken(patch, outgoing, "if decided is not None:", "if False:")
 
 
 def apply_stale(patch: Patch) -> None:
@@ -109,14 +108,7 @@ def apply_stale(patch: Patch) -> None:
 
 def publish_first(patch: Patch) -> None:
     """The shell publishes before it saves."""
-    right = perform.perform
-
-    def wrong(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-        for message in actions.publish:
-            ports.publish(message)
-        right(actions._replace(publish=()), endpoint, ports)
-
-    patch.setattr(perform, "perform", wrong)
+    patch.setattr(perform, "perform", hasty)
 
 
 def take_up_anything(patch: Patch) -> None:

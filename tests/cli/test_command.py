@@ -20,8 +20,9 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
+from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S
-from wyner.cli.main import commands, main
+from wyner.cli.main import commands, main, overview
 
 ROOT = Path(__file__).resolve().parents[2]
 PRESENT = list(commands())
@@ -39,7 +40,7 @@ def usage_error(capsys: pytest.CaptureFixture[str], *argv: str) -> list[str]:
     return lines
 
 
-def python(*args: str, **more: Any) -> subprocess.CompletedProcess[bytes]:
+def python(*args: str | Path, **more: Any) -> subprocess.CompletedProcess[bytes]:
     """Python in a process of its own, in the checkout, with both streams kept."""
     kept: dict[str, Any] = {
         "stdout": subprocess.PIPE,
@@ -99,7 +100,7 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
 @pytest.mark.parametrize(
     ("argv", "expected"),
     [
-        ([], "the following arguments are required: COMMAND"),
+        (["--json"], "the following arguments are required: COMMAND"),
         (["fly"], "invalid choice: 'fly'"),
         (["up", "--fly"], "unrecognized arguments: --fly"),
         (["up", "--steps", "many"], "--steps: invalid int value: 'many'"),
@@ -128,16 +129,23 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
         (["fit", "sustained", "-o", "."], "--output: got '.', expected a file in a folder"),
         (["fit", "sustained", "-o", "none/f.toml"], "--output: got 'none/f.toml', expected"),
         (["controller", "--client", "adversary"], "--client: got 'adversary'"),
-        (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
-        (["dashboard", "--connect", "intel=tcp/127.0.0.1:1"], "intel is called adversary now"),
-        (["router", "--listen", "ops=tcp/127.0.0.1:1"], "ops is called management now"),
+        (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "with BUS one of field, management"),
+        (["dashboard", "--connect", "intel=tcp/127.0.0.1:1"], "one of management, adversary"),
+        (
+            ["router", "--listen", "ops=tcp/127.0.0.1:1"],
+            "with BUS one of field, management, adversary",
+        ),
         (["send"], "expected TEXT or --file F"),
         (["send", "text", "--file", "f"], "and one of them only"),
         (["send", "text", "--timeout", "0"], "--timeout: got 0.0"),
         (["send", "text", "--id", "a b"], "--id: got 'a b'"),
         (["check"], "the following arguments are required: RUN_DIR"),
         (["check", "no-such-run"], "no-such-run: no run here"),
-        (["design", "none"], "none: no such file"),
+        (["design", "none"], "none: no such file, and no shipped scenario; shipped are"),
+        (["design", "mine"], "mine: no such file; did you mean mine.toml?"),
+        (["fit", "mine", "-o", "f.toml"], "mine: no such file; did you mean mine.toml?"),
+        (["sweep", "none"], "none: no such file, and no shipped sweep; shipped are disturbances,"),
+        (["sweep", "mine.toml"], "mine.toml: this is a scenario, expected a sweep"),
         (["design", "none", "--knowledge"], "none: no such file"),
     ],
 )
@@ -149,8 +157,29 @@ def test_wrong_use_is_one_line(
     tmp_path: Path,
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    Path("mine.toml").write_text((SCENARIOS / "paper.toml").read_text())
     (line,) = usage_error(capsys, *argv)
     assert expected in line
+
+
+def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err) == ("", overview())
+
+
+@pytest.mark.parametrize("options", [(), ("--loops", "2")])
+@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
+def test_what_was_only_looked_at_is_said_to_be_fine(
+    service: str, options: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    light = ("--eavesdropper", "nearest-centre")
+    where = ("--run-dir", str(tmp_path / "run"), *light) if service == "tap" else ()
+    assert main([service, "--scenario", "paper", "--check", *options, *where]) == 0
+    out = capsys.readouterr().out
+    told = "eavesdroppers nearest-centre" if service == "tap" else "scenario paper"
+    assert out == f"{'2 loops' if options else told}: fine\n"
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("service", ["plant", "controller", "tap"])
@@ -471,6 +500,24 @@ def test_what_the_terminal_cannot_write_is_spelled_out() -> None:
     done = python("-c", code, env={**os.environ, "PYTHONIOENCODING": "latin-1"})
     assert (done.returncode, done.stderr) == (0, b"")
     assert done.stdout == b"Gr\xfc\xdfe \\u2713\n"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_what_is_json_stays_json_on_every_standard_output(encoding: str, tmp_path: Path) -> None:
+    """Also where the run's folder has a name that is no text."""
+    text = "Gr\u00fc\u00dfe \u2713"
+    env = {**os.environ, "PYTHONIOENCODING": encoding}
+    run = tmp_path / os.fsdecode(b"run \xff")
+    quick = ("--pace", "fast", "--steps", "20", "--message", text, "--run-dir", str(run))
+    for command in (("up", *quick), ("check", run)):
+        done = python("-m", "wyner", *command, "--json", env=env)
+        assert json.loads(done.stdout)["run_dir"] == str(run), done.stderr
+        assert done.returncode == 0
+        assert b"Traceback" not in done.stderr
+    if encoding == "ascii":
+        done = python("-m", "wyner", "report", run, env=env)
+        assert done.returncode == 0, done.stderr
 
 
 def test_a_folder_of_a_shipped_name_does_not_hide_it(

@@ -1,7 +1,6 @@
 """`wyner status --healthy`, `wyner design --knowledge`: what containers' checks and taps use."""
 
 import json
-import os
 import socket
 import threading
 import time
@@ -15,6 +14,7 @@ from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution
 from runtime.chance import fresh_nonce
+from runtime.files import write_atomically
 from runtime.health import Look
 from wyner.cli.healthy import MAX_AGE_S, advances
 from wyner.cli.main import main
@@ -115,23 +115,20 @@ def test_a_new_session_that_counts_from_nought_is_healthy_when_it_advances() -> 
     assert seen.count == 2
 
 
+def write_tap(run_dir: Path, captured: int, age_s: float = 0.0) -> None:
+    path = run_dir / "tap" / "status.json"
+    path.parent.mkdir(exist_ok=True)
+    t_ns = time.time_ns() - int(age_s * 1e9)
+    write_atomically(path, json.dumps({"t_ns": t_ns, "captured": captured}).encode())
+
+
 def test_a_tap_is_healthy_when_its_capture_grows(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "tap"
-    folder.mkdir()
-    (folder / "beliefs.json").write_text("{}")
-    part = folder / "capture.jsonl"
-    part.write_text("header\n")
+    write_tap(tmp_path, 7)
     assert health(tmp_path, "tap") == 1
-    assert "stands still: 7 bytes captured" in capsys.readouterr().err
-
-    def append() -> None:
-        # A new part, and the old one is gone: captures rotate.
-        (folder / "capture.0001.jsonl").write_text("a line\n")
-        part.unlink()
-
-    later = threading.Timer(0.2, append)
+    assert "stands still: 7 messages captured" in capsys.readouterr().err
+    later = threading.Timer(0.2, write_tap, (tmp_path, 8))
     later.start()
     assert health(tmp_path, "tap") == 0
     later.join()
@@ -140,12 +137,7 @@ def test_a_tap_is_healthy_when_its_capture_grows(
 def test_a_tap_that_is_frozen_is_not_healthy(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "tap"
-    folder.mkdir()
-    (folder / "capture.jsonl").write_text("header\n")
-    (folder / "beliefs.json").write_text("{}")
-    old = time.time() - 60
-    os.utime(folder / "beliefs.json", (old, old))
+    write_tap(tmp_path, 7, age_s=60)
     assert health(tmp_path, "tap") == 1
     assert "last report 60.0 s ago" in capsys.readouterr().err
 

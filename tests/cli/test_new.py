@@ -253,7 +253,7 @@ def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(
             "--A: got '[[1], [1, 2]]'",
         ),
         (["x", "--A", "[1 2; 3]", "--B", "[1; 1]", "--period", "1"], "--A: got '[1 2; 3]'"),
-        (["x", "--A", "[1 - 2]", "--B", "[1]", "--period", "1"], "--A: got '[1 - 2]'"),
+        (["x", "--A", "[1 - 2]", "--B", "[1]", "--period", "1"], "--A: row 1: '-' is no number"),
         (["x", "--A", "[[1, 2], [3, 4]", "--B", "1", "--period", "1"], "or [1 0.1; 0 1]"),
         (["x", "--A", "[1e999]", "--B", "[1]", "--period", "1"], "--A: got '[1e999]'"),
         (
@@ -264,14 +264,25 @@ def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(
             ["x", "--A", "1 0 0 0 0;" * 5, "--B", "1; 1; 1; 1; 1", "--period", "1"],
             "--A, --B: got 5 states, 1 input, expected 1 to 4 states and 1 or 2 inputs",
         ),
-        (["x", "--A", "one", "--B", "[[1]]", "--period", "1"], "--A: got 'one'"),
+        (["x", "--A", "one", "--B", "[[1]]", "--period", "1"], "--A: row 1: 'one' is no number"),
+        (
+            ["x", "--A", "[1 0.1; 0 x]", "--B", "[0; 1]", "--period", "1"],
+            "--A: row 2: 'x' is no number",
+        ),
+        (
+            ["x", "--A", "1 0 0 0 0;" * 5, "--B", "1; 1; 1; 1; 1", "--period", "1"],
+            "a law of your own may bring its own (docs/guides.md",
+        ),
         (["x", "--A", "[[1]]", "--B", "[[1], [2]]", "--period", "1"], "got 1 x 1 and 2 x 1"),
         (["x", "--A", "[[1]]", "--B", "[[1]]", "--period", "0"], "--period: got 0"),
         (["a b"], "NAME: got 'a b'"),
         (['a"b'], "NAME: got 'a\"b'"),
         (["a\nb"], "NAME: got"),
         (["x", "--A", "[[1" + "0" * 400 + "]]", "--B", "[[1]]", "--period", "1"], "--A: got '[[1"),
-        (["x", "--A", "[[NaN]]", "--B", "[[1]]", "--period", "1"], "--A: got '[[NaN]]'"),
+        (
+            ["x", "--A", "[[NaN]]", "--B", "[[1]]", "--period", "1"],
+            "--A: row 1: 'NaN' is no number",
+        ),
         (["x", "--A", "[[1]]", "--B", "[[1e999]]", "--period", "1"], "--B: got '[[1e999]]'"),
         (["x", "--A", "[" * 9999, "--B", "[[1]]", "--period", "1"], "--A: got '[[["),
         (

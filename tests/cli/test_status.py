@@ -83,22 +83,16 @@ def test_each_contradiction_is_a_line_and_an_exit_code(
     assert f"warning: {warning}" in capsys.readouterr().out
 
 
-def test_what_no_end_can_tell_of_its_store_and_what_waits_is_said(
+def test_the_blocks_that_were_begun_and_their_distance_are_said(
     run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Both stores put back together give keys twice, and nobody there can know."""
-    begun = {"key_blocks_begun": 7, "key_blocks_waiting": 2}
-    folder = changed(run_dir, tmp_path, PLANT_STATUS, **begun)
+    folder = changed(run_dir, tmp_path, PLANT_STATUS, key_blocks_begun=7)
     shutil.copy(SCENARIOS / "keys.toml", folder / SCENARIO)
     assert main(["status", str(folder)]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("stores ") and "put back together" in line for line in lines)
     assert any(line.startswith("blocks ") and "7 begun" in line for line in lines)
-    assert any("blocks that wait for the other end: 2" in line for line in lines)
     assert main(["status", str(folder), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["plant"]["key_blocks_waiting"] == 2
-    assert told["distance"] == pytest.approx(7e-12)
+    assert json.loads(capsys.readouterr().out)["distance"] == pytest.approx(7e-12)
 
 
 @pytest.mark.parametrize(
@@ -160,6 +154,22 @@ def test_the_claim_is_that_of_the_runs_scenario(
     (folder / SCENARIO).write_text("name = 1")
     assert main(["status", str(folder)]) == 1
     assert len(capsys.readouterr().err.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("alone", "lacks"), [(PLANT_STATUS, CONTROLLER_STATUS), (CONTROLLER_STATUS, PLANT_STATUS)]
+)
+def test_a_folder_with_one_end_is_told_as_that(
+    alone: Path, lacks: Path, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = changed(run_dir, tmp_path, PLANT_STATUS)
+    (folder / lacks).unlink()
+    assert main(["status", str(folder)]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert (
+        f"has the status of the {alone.parent} alone, expected that of the {lacks.parent}" in line
+    )
+    assert f"`wyner status {folder} --healthy {alone.parent}` looks at one" in line
 
 
 def test_what_cannot_be_read_is_one_line(

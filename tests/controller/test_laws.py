@@ -1,9 +1,7 @@
 """The laws: one state and many to the same bit, constraints, and the index that falls."""
 
 import itertools
-import re
 import struct
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,9 +9,8 @@ import numpy as np
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError, ProgramError, store_law, stored_law
+from controller_service.laws.online import OutsideError, ProgramError
 from controller_service.laws.registry import make_law
-from controller_service.laws.sustained import SustainedLaw
 from controller_service.sets.design import Design, set_corners, synthesise
 from protocol.agreement import predict
 from protocol.convex import Polytope, corners
@@ -163,46 +160,3 @@ def test_importing_the_laws_stays_light() -> None:
 def test_corners_of_the_disturbance(design: Design) -> None:
     scenario = load_scenario(SCENARIOS / "paper.toml")
     assert np.abs(set_corners(scenario.defender.disturbance)).tolist() == [[0.12, 0.12]] * 4
-
-
-# --- from tables ----------------------------------------------------------------------------------
-
-
-def test_a_stored_law_answers_the_same_to_the_last_bit(
-    law: CandidateLaw, design: Design, request: pytest.FixtureRequest, tmp_path: Path
-) -> None:
-    name = request.node.callspec.params["law"]
-    scenario = load_scenario(SCENARIOS / f"{name}.toml")
-    assert stored_law(scenario, tmp_path) is None
-    assert store_law(law, scenario, tmp_path)
-    stored = stored_law(scenario, tmp_path)
-    assert stored is not None
-    assert stored.design.horizon == design.horizon
-    inside = 0
-    some = states(design, 1000, seed=5)
-    for x in np.concatenate([some, 1e6 * some]).tolist():
-        try:
-            expected = law.index(x), law.candidates(x)
-        except LookupError as error:
-            with pytest.raises(type(error), match=re.escape(str(error))):
-                stored.candidates(x)
-        else:
-            assert (stored.index(x), stored.candidates(x)) == expected
-            inside += 1
-    assert len(some) <= inside < 2 * len(some)
-    (path,) = tmp_path.iterdir()
-    whole = path.read_bytes()
-    for damaged in (whole[:-1], whole[:100], b"", whole[:-1] + b"?"):
-        path.write_bytes(damaged)
-        assert stored_law(scenario, tmp_path) is None
-
-
-class Mirrored(SustainedLaw):
-    def answers(self, x: Sequence[float], i: int) -> tuple[tuple[float, ...], ...]:
-        return super().answers(x, i)[::-1]
-
-
-def test_a_law_with_a_path_of_its_own_is_not_stored(design: Design, tmp_path: Path) -> None:
-    scenario = load_scenario(SCENARIOS / "sustained.toml")
-    assert not store_law(Mirrored(scenario, design), scenario, tmp_path)
-    assert not list(tmp_path.iterdir())

@@ -127,7 +127,7 @@ def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> N
     ("typed", "keys"),
     [
         ("q", ["q"]),
-        ("\x1b[A\x1bOD", ["up", "left"]),
+        ("\x1b[A\x1bOD", []),
         ("\x1b[5~", []),
         ("a\x1b[1;5Cb", ["a", "b"]),
         ("\x1bOPz", ["z"]),
@@ -138,31 +138,6 @@ def test_it_draws_on_news_on_keys_on_resize_and_once_a_second(watch: Watch) -> N
 )
 def test_keys_are_split_and_sequences_swallowed(typed: str, keys: list[str]) -> None:
     assert split_keys(typed) == keys
-
-
-def test_steps_are_chosen_while_frozen(watch: Watch) -> None:
-    script = source()
-    for _ in range(20):
-        watch.take(script)
-    watch.press("left", 0)
-    assert "FROZEN" in text_of(watch)
-    held = sorted(watch.state.pictures)
-    shown = watch.view.step
-    assert shown is not None
-    assert f"Key test at step {shown} " in text_of(watch)
-    watch.press("left", 0)
-    assert watch.view.step == held[held.index(shown) - 1]
-    for _ in range(300):
-        watch.press("right", 0)
-    assert watch.view.step == held[-1]
-    for _ in range(300):
-        watch.press("left", 0)
-    assert watch.view.step == held[0]
-    watch.press(" ", 0)
-    assert "FROZEN" not in text_of(watch)
-    nobody = Watch()
-    nobody.press("left", 0)
-    assert "no step pictured yet" in text_of(nobody)
 
 
 def test_the_first_line_begins_with_what_the_screen_is_of() -> None:
@@ -488,6 +463,17 @@ def test_headless_lines_tell_the_story_without_control_codes(
     ):
         assert text.count(told) == 1, told
     assert "PAPER'S RULE EXCEEDS TRUE" in text.splitlines()[-1]
+
+
+def test_the_last_progress_is_not_said_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run that has stood still for a while before its end: looks without news come between."""
+    monkeypatch.setattr("wyner.dashboard.headless.time.sleep", lambda seconds: None)
+    batches = [list(batch) for batch in Rehearsal().arrivals(210)]
+    script, out = ScriptedSource([*batches, *[[]] * 300]), io.StringIO()
+    looks = iter(range(600))
+    run_headless(script, until=lambda: next(looks) > 500, out=out)
+    lines = [line for line in out.getvalue().splitlines() if line.startswith("step 210 ")]
+    assert len(lines) == len(set(lines)) == 1
 
 
 def test_headless_lines_come_at_a_bounded_rate(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,8 +11,8 @@ from protocol.messages import ControllerStatus, Offer, PlantStatus, TapStatus
 from protocol.statistics import stated_left
 from protocol.topics import key_of
 from runtime.inbox import OVERHEAD
-from runtime.memory_bus import MemoryBus, MemoryHub
 from tests.dashboard.states import batches, plant_of, state_after
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.rehearsal import MESSAGE_TEXT
 from wyner.dashboard import source as source_module
 from wyner.dashboard.headless import secrecy_line

@@ -1,6 +1,5 @@
 """A service of one's own is a row: command, access control, certificates, health, child process."""
 
-import json
 import os
 import sys
 import time
@@ -11,8 +10,6 @@ from typing import Any, cast
 
 import pytest
 
-from runtime.errors import Failure
-from runtime.health import Look
 from runtime.services import PLANT_FIELD, SERVICES, Ends, Service
 from tests.support.patience import PATIENCE_S
 from wyner.cli.certs import default_names
@@ -38,8 +35,9 @@ def run(args):
     with stop_on_signals() as stopping:
         while not stopping.wait(0.02):
             count += 1
-            path = args.run_dir / "counting" / "count.json"
-            path.with_suffix(".new").write_text(json.dumps([time.time(), count]))
+            path = args.run_dir / "counting" / "status.json"
+            told = {"t_ns": time.time_ns(), "count": count}
+            path.with_suffix(".new").write_text(json.dumps(told))
             path.with_suffix(".new").replace(path)
     return 0
 """
@@ -52,14 +50,6 @@ SERVICES["counting"] = row
 from runtime.command import serve
 sys.exit(serve("counting"))
 """
-
-
-def look(folder: Path, now_s: float) -> Look:
-    try:
-        at_s, count = json.loads((folder / "count.json").read_text())
-    except OSError as error:
-        raise Failure(f"{folder}: nothing counted: {error.strerror}") from None
-    return Look(now_s - at_s, count, f"{count} counted")
 
 
 @pytest.fixture
@@ -77,7 +67,7 @@ def counting(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Servic
         package=PACKAGE,
         ends={"field": Ends((), (PLANT_FIELD,)), "management": Ends()},
         publishes={"management": ("management/counting/status",)},
-        health=look,
+        reports=True,
         stop_s=3.0,
     )
     monkeypatch.setitem(SERVICES, "counting", service)
@@ -122,7 +112,7 @@ def test_it_is_supervised_and_its_health_is_told(
     child.start()
     try:
         until = time.monotonic() + PATIENCE_S
-        while not (tmp_path / "counting" / "count.json").exists():
+        while not (tmp_path / "counting" / "status.json").exists():
             assert child.poll(time.monotonic()) is None, child.last_line()
             assert time.monotonic() < until
             time.sleep(0.02)

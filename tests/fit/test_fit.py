@@ -210,7 +210,7 @@ def test_an_fmu_of_a_tank_is_identified_from_its_own_data_and_every_step_agrees(
     path, sha256 = build_fmu("tank_fmi2", tmp_path)
     tables = {**TANK, "plant": {**TANK["plant"], "file": path.name, "sha256": sha256}}
     plan = Plan(
-        excite_sessions=2,
+        excite_sessions=8,
         excite_steps=150,
         amplitude=0.1,
         pilot=3,

@@ -159,7 +159,3 @@ def test_a_sweep(installed: Installed) -> None:
 def test_a_figure(installed: Installed) -> None:
     installed.run("design", "packed", "--plot", "mine.svg")
     assert (installed.folder / "mine.svg").stat().st_size > 10_000
-
-
-def test_benchmarks_stay_in_the_checkout(installed: Installed) -> None:
-    assert "run it from a checkout" in installed.run("bench", "qp", code=2)

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 
+from protocol.link.effects import Notice, Tell
 from protocol.link.records import Side
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
@@ -73,7 +74,10 @@ def told(world: Watched, side: Side) -> str:
 def test_one_line_is_told_when_keys_stop_and_one_when_they_go_on(side: Side) -> None:
     world = Watched()
     end = world.ends[side].peer
-    lines = [[notice.text for notice in end.appear(count).notices] for count in (1, 2, 3, 4, 2, 1)]
+    lines = [
+        [effect.text for effect in end.appear(count) if isinstance(effect, Notice)]
+        for count in (1, 2, 3, 4, 2, 1)
+    ]
     assert lines == [
         [],
         [],
@@ -82,8 +86,8 @@ def test_one_line_is_told_when_keys_stop_and_one_when_they_go_on(side: Side) -> 
         ["keys go on: a message leaves 2 times again"],
         [],
     ]
-    (event,) = end.appear(2).events
-    assert event.as_event()["times"] == 2
+    (told_of,) = [effect.event for effect in end.appear(2) if isinstance(effect, Tell)]
+    assert told_of.as_event()["times"] == 2
     world.close()
 
 

@@ -9,8 +9,8 @@ import pytest
 
 from protocol.fates import Fates
 from protocol.link.channel import COPIES, REMEMBERED, Channel
+from protocol.link.effects import Publish
 from protocol.link.networked import UNDER_WAY, Networked, behind
-from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.messages import ControllerHello, Offer
 from protocol.scenario.network import ChannelTable
 from protocol.secret.blocks import ExtractionFailed
@@ -175,12 +175,12 @@ def test_without_a_channel_an_end_stands_as_it_is() -> None:
 def test_what_comes_at_once_or_is_no_message_is_heard_at_once_and_what_is_lost_never() -> None:
     end = Hearing(inf)
     end.says_now = (HELLO,)
-    told = Actions(publish=(HELLO,))
+    told = [Publish(HELLO)]
     peer = Networked(end, Offer, channel())
     assert peer.receive(Offer, offer(3), 1.0) == told
     assert peer.receive(Offer, b"no offer", 2.0) == told
     lossy = Networked(end, Offer, channel(loss=1.0))
-    assert lossy.receive(Offer, offer(3), 3.0) == NOTHING_TO_DO
+    assert lossy.receive(Offer, offer(3), 3.0) == ()
     assert lossy.wake_at() == inf
     assert end.heard == [(1.0, Offer, offer(3)), (2.0, Offer, b"no offer")]
 
@@ -190,15 +190,14 @@ def test_all_else_is_the_ends() -> None:
     end.says_now = (HELLO,)
     peer = Networked(end, Offer, channel(delay_s=2.0))
     failed = ExtractionFailed("disk full")
-    for actions in (
+    for effects in (
         peer.start(1.0),
-        peer.finish_step(),
         peer.extracted(failed),
         peer.appear(2),
         peer.stop(9.0),
         peer.wake(7.5),
     ):
-        assert actions == Actions(publish=(HELLO,))
+        assert effects == [Publish(HELLO)]
     assert peer.code is None
     assert (peer.hears, peer.says, peer.makes_keys) == (end.hears, end.says, end.makes_keys)
     assert end.blocks == [failed]
@@ -209,7 +208,7 @@ def test_messages_that_arrive_together_are_heard_in_the_order_in_which_they_were
     end = Hearing(inf)
     peer = Networked(end, Offer, channel(delay_s=2.0))
     for k in (5, 3, 4):
-        assert peer.receive(Offer, offer(k), 1.0) == NOTHING_TO_DO
+        assert peer.receive(Offer, offer(k), 1.0) == ()
     assert peer.wake_at() == 3.0
     peer.wake(2.9)
     assert end.heard == []

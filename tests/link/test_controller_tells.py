@@ -1,6 +1,6 @@
 """All that a controller tells: each status field by field, each notice by level and subject."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import inf, nan
 from typing import Any
@@ -8,17 +8,19 @@ from typing import Any
 import pytest
 from pydantic import ValidationError
 
-from controller_service.core import GREETING_S, STALE, STALE_S, ControllerCore
+from controller_service.core import STALE, STALE_S, ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.defence.watch import Watch
+from protocol.link.controller_session import GREETING_S
 from protocol.link.distiller import BlockEnded
+from protocol.link.effects import Notice, Save
 from protocol.link.events import FELL_BACK, Alarm, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
-from protocol.link.records import SenderRecord
+from protocol.link.records import Loaded, SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.step import IDLE, Answered, Step
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -40,8 +42,9 @@ from protocol.secret.stream import Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
+from tests.support.asked import NOTHING, Asked, gathered
 from tests.support.controller_in_hand import PERIOD_S, Zeros
-from tests.support.end_in_hand import EndInHand, fields, kept
+from tests.support.end_in_hand import EndInHand, fields
 from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
 
@@ -94,15 +97,18 @@ class Told(EndInHand[ControllerCore]):
         *,
         telemetry: bool = True,
         payloads: tuple[bytes, ...] = (),
+        step: Step = IDLE,
+        contributions: Sequence[Contribution] = (),
+        parts: Sequence[Part] = (),
+        fell_back: bool = False,
         **more: Any,
     ) -> None:
         self.journal = controller_journal()
         for number, payload in enumerate(payloads):
-            queued = Actions(
-                record=SenderRecord(), queued=SendCommand(id=f"m{number}", payload=payload)
-            )
-            self.journal.save(queued)
+            command = SendCommand(id=f"m{number}", payload=payload)
+            self.journal.save(Save(SenderRecord(), queued=command))
         law: Any = Law()
+        loaded = Loaded(record, step, tuple(contributions), tuple(parts), fell_back=fell_back)
         self.telemetry = ControllerTelemetry(law)
         super().__init__(
             ControllerCore(
@@ -112,21 +118,21 @@ class Told(EndInHand[ControllerCore]):
                 Zeros(),
                 instance=A,
                 period_s=PERIOD_S,
-                record=record,
+                loaded=loaded,
                 telemetry=self.telemetry if telemetry else None,
                 **more,
             )
         )
 
-    def carry_out(self, actions: Actions) -> None:
-        if actions.record is not None:
-            self.journal.save(actions)
+    def carry_out(self, asked: Asked) -> None:
+        if asked.save is not None:
+            self.journal.save(asked.save)
 
     def at_work(self, now: float = 0.0) -> "Told":
         """Its plant has asked it to take up the session of the journal."""
         self.does(self.core.start(now))
         self.hears(hello(transitions=2, applied_k=1), now)
-        assert self.core.plant == P
+        assert self.core.session.plant == P
         self.all.clear()
         return self
 
@@ -149,7 +155,7 @@ def measurement(**fields: object) -> Measurement:
     return made.model_copy(update=fields)
 
 
-def told(actions: Actions) -> dict[str, Any]:
+def told(actions: Asked) -> dict[str, Any]:
     """The one status that was published."""
     (status,) = actions.publish
     assert isinstance(status, ControllerStatus)
@@ -202,19 +208,19 @@ def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
     assert end.core.wake_at() == inf, "not before it starts"
     end.does(end.core.start(5.0))
     assert end.core.wake_at() == 5.0
-    assert end.core.wake(4.99) == NOTHING_TO_DO
+    assert gathered(end.core.wake(4.99)) == NOTHING
     now, last_kept, kept = 5.0, -inf, 0
     while now < 8.0:
-        actions = end.core.wake(now)
+        actions = gathered(end.core.wake(now))
         assert told(actions) == NOTHING_YET
-        assert actions == Actions(publish=actions.publish, health=actions.health)
+        assert actions == Asked(publish=actions.publish, health=actions.health)
         assert (actions.health is not None) == (now >= last_kept + HEALTH_S)
         if actions.health is not None:
             assert actions.health == actions.publish[0]
             last_kept, kept = now, kept + 1
         following = next_turn(now, status_s or STATUS_S, phase_of(A))
         assert end.core.wake_at() == following
-        assert end.core.wake((now + following) / 2) == NOTHING_TO_DO
+        assert gathered(end.core.wake((now + following) / 2)) == NOTHING
         now = following
     assert kept == 3
 
@@ -222,20 +228,20 @@ def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
 def test_a_status_is_kept_again_when_a_second_is_over_to_the_instant() -> None:
     end = Told(record=None, status_s=1.0)
     end.does(end.core.start(5.0))
-    assert end.core.wake(5.0).health is not None
+    assert gathered(end.core.wake(5.0)).health is not None
     later = end.core.wake_at()
     assert later < 6.0
-    assert end.core.wake(later).health is None
-    assert end.core.wake(max(6.0, end.core.wake_at())).health is not None
+    assert gathered(end.core.wake(later)).health is None
+    assert gathered(end.core.wake(max(6.0, end.core.wake_at()))).health is not None
 
 
 def test_without_telemetry_no_status_is_ever_due() -> None:
     end = Told(telemetry=False, payloads=(b"a",)).at_work()
     assert end.core.wake_at() == inf
-    assert end.core.wake(1e9) == NOTHING_TO_DO
+    assert gathered(end.core.wake(1e9)) == NOTHING
     end.hears(measurement(), 2e9)
     assert end.core.wake_at() == inf
-    assert end.core.stop(3e9) == Actions(record=end.core.record)
+    assert gathered(end.core.stop(3e9)) == Asked(save=Save(end.core.record))
     with pytest.raises(AssertionError):
         end.core.status()
 
@@ -262,7 +268,7 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
         "queue": 1,
         "delivered": 1,
     }
-    assert told(end.core.wake(0.0)) == expected
+    assert told(gathered(end.core.wake(0.0))) == expected
     assert fields(end.core.status()) == expected
 
 
@@ -273,7 +279,7 @@ def test_when_all_is_sent_the_last_message_is_told_as_whole() -> None:
     )
     end = Told(record=record, payloads=(b"one",)).at_work()
     end.hears(measurement(), 0.001)
-    said = told(end.core.wake(0.001))
+    said = told(gathered(end.core.wake(0.001)))
     length = frame_length(3, 2)
     assert (said["sending"], said["frame_symbols"], said["frame_length"]) == ("one", length, length)
     assert (said["queue"], said["delivered"]) == (0, 1)
@@ -288,10 +294,10 @@ def test_statuses_are_numbered() -> None:
 
 def test_a_step_is_told_in_the_status_after_it() -> None:
     end = Told().at_work()
-    before = told(end.core.wake(end.core.wake_at()))
+    before = told(gathered(end.core.wake(end.core.wake_at())))
     assert (before["phase"], before["k"]) == ("running", 3)
     end.hears(measurement(), 1.0)
-    after = told(end.core.wake(end.core.wake_at()))
+    after = told(gathered(end.core.wake(end.core.wake_at())))
     assert after == before | {
         "k": 4,
         "set_index": 1,
@@ -307,9 +313,9 @@ def test_a_step_is_told_in_the_status_after_it() -> None:
 def test_what_no_candidate_explains_is_counted() -> None:
     end = Told(replace(RULES, alarm_rule=AlarmRule(2, 2))).at_work()
     end.hears(measurement(x=(9.0,), x_after=(9.0,)), 1.0)
-    assert told(end.core.wake(end.core.wake_at()))["unexplained"] == 1
+    assert told(gathered(end.core.wake(end.core.wake_at())))["unexplained"] == 1
     end.hears(measurement(k=5, applied_k=4, x=(10.5,), x_after=(10.5,)), 2.0)
-    assert told(end.core.wake(end.core.wake_at()))["unexplained"] == 1
+    assert told(gathered(end.core.wake(end.core.wake_at())))["unexplained"] == 1
 
 
 def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> None:
@@ -318,26 +324,25 @@ def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> N
         state=(2, 1), cipher=1, message_symbol=symbols[-1], framed=True, offset=len(symbols)
     )
     end = Told(record=record, payloads=(b"a",)).at_work()
-    end.core.wake(0.0)
+    gathered(end.core.wake(0.0))
     end.hears(measurement(), 0.001)
     counted = end.all[1]
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     assert transition.delivered == SendCommand(id="m0", payload=b"a")
-    assert counted.record is not None
-    assert counted.durable
+    assert counted.saved.durable
     ((level, text),) = [(n.level, n.text) for n in counted.notices]
     assert level == "info"
     assert "m0" in text
     assert end.core.wake_at() == 0.001
-    actions = end.core.wake(0.001)
+    actions = gathered(end.core.wake(0.001))
     assert told(actions)["delivered"] == 1
     assert actions.health is not None
 
 
 def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_session() -> None:
     answer = Offer(session=S, k=4, candidates=((1.5,), (-1.5,)), cipher=0)
-    end = Told(measurement=measurement(), offer=answer, fell_back=True)
+    end = Told(step=Answered(measurement(), answer), fell_back=True)
     end.does(end.core.start(0.0))
     events = [event for actions in end.all for event in actions.events]
     assert [type(event) for event in events] == [CountedTransition, SessionBegan]
@@ -361,13 +366,13 @@ def phase(end: Told) -> tuple[str, bool]:
 def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> None:
     end = Told().at_work()
     assert phase(end) == ("running", False)
-    answer = end.hears(measurement(x=(101.0,), x_after=(101.0,)), 1.0)
+    said = measurement(x=(101.0,), x_after=(101.0,))
+    answer = gathered(end.core.receive(Measurement, said.wire(), 1.0))
     assert end.core.status().detail == "no answer at 101"
     assert phase(end) == ("outside", True)
     assert answer.notices[0] == Notice("no answer at 101", "warning", "refusals")
     assert answer.record is not None
     assert answer.publish == ()
-    assert not answer.finish_step
     end.hears(measurement(k=5, applied_k=3, x=(0.0,), x_after=(101.0,)), 2.0)
     assert phase(end) == ("running", False)
 
@@ -382,7 +387,7 @@ def test_a_session_that_is_left_is_told_as_greeting() -> None:
         end = Told().at_work()
         leave(end)
         assert phase(end) == ("greeting", True)
-        assert end.core.plant is None
+        assert end.core.session.plant is None
         assert end.notices == [("warning", "refusals")]
 
 
@@ -409,17 +414,17 @@ def test_only_who_has_met_no_plant_gives_up_over_another_model(
         assert "e" * 8 in text
         assert "f" * 8 in text
         assert "e" * 9 not in text
-    stopped = told(end.core.stop(2.0))
+    stopped = told(gathered(end.core.stop(2.0)))
     assert stopped["phase"] == "refused", "whoever looks later sees why"
 
 
 def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
     end = Told().at_work()
-    end.core.wake(0.0)
-    stopped = end.core.stop(0.01)
+    gathered(end.core.wake(0.0))
+    stopped = gathered(end.core.stop(0.01))
     assert told(stopped)["phase"] == "stopped"
     assert stopped.health == stopped.publish[0]
-    assert kept(stopped) == Actions(record=end.core.record)
+    assert stopped.save == Save(end.core.record)
     assert (stopped.notices, stopped.events) == ((), ())
 
 
@@ -434,7 +439,7 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     (counted,) = [a for a in end.all if a.events]
     assert [type(event) for event in counted.events] == [CountedTransition, Alarm]
     assert counted.events[1] == alarm
-    levels = [(n.level, n.subject) for n in counted.notices]
+    levels = [(n.level, n.subject) for asked in end.all for n in asked.notices]
     assert levels == [("warning", "refusals")] * halts + [("error", "alarms")]
     assert "step 3" in counted.notices[-1].text
     status = end.core.status()
@@ -448,7 +453,7 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     assert len(offered) == (not halts)
     assert end.core.record.halted == halts
     again = end.hears(measurement(k=5, applied_k=3, x=(3.0,), x_after=(3.0,)), 2.0)
-    assert (again == NOTHING_TO_DO) == halts
+    assert (again == NOTHING) == halts
     assert end.core.status().alarms == 1
 
 
@@ -491,7 +496,7 @@ def keyed(
     return end
 
 
-def named(actions: Actions) -> tuple[int | None, int | None]:
+def named(actions: Asked) -> tuple[int | None, int | None]:
     """The position of the offer's digits."""
     (offer,) = actions.publish
     assert isinstance(offer, Offer)
@@ -518,7 +523,7 @@ def test_a_process_names_digits_behind_those_that_were_named(counted: bool) -> N
     end = keyed(CONFIRMED._replace(offer=NAMED))
     if not counted:
         was = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
-        end = keyed(CONFIRMED._replace(offer=None, k=2), offer=NAMED, measurement=was)
+        end = keyed(CONFIRMED._replace(offer=None, k=2), step=Answered(was, NAMED))
     following = end.hears(keyed_measurement(applied_k=1, x=(0.0,), x_after=()), 1.0)
     assert named(following) == (0, 1)
 
@@ -579,7 +584,7 @@ def test_a_measurement_that_says_another_thing_of_digits_than_the_rules_is_malfo
     (notice,) = actions.notices
     assert (notice.level, notice.subject) == ("warning", "malformed")
     assert "measurement.keyed" in notice.text
-    assert actions == Actions(notices=(notice,))
+    assert actions == Asked(notices=(notice,))
     assert (end.core.record, end.core.status().malformed) == (record, 1)
 
 
@@ -614,8 +619,8 @@ def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again:
     end = keyed(record, rules=rules)
     stopped = end.hears(StopKeys(reason="Eve missed nothing"), 1.0)
     assert [(n.level, n.subject) for n in stopped.notices] == [("error", "")]
-    assert stopped.durable
-    assert end.hears(StopKeys(reason="once more"), 1.0) == NOTHING_TO_DO
+    assert stopped.saved.durable
+    assert end.hears(StopKeys(reason="once more"), 1.0) == NOTHING
     if again:  # another process, as the journal has it
         loaded = end.journal.load()
         assert loaded.record is not None
@@ -639,9 +644,9 @@ def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again:
 def test_what_is_malformed_is_named_and_counted(kind: type[Message], name: str) -> None:
     end = Told().at_work()
     for number in (1, 2):
-        actions = end.core.receive(kind, b'{"session":1}', 1.0)
+        actions = gathered(end.core.receive(kind, b'{"session":1}', 1.0))
         (notice,) = actions.notices
-        assert actions == Actions(notices=(notice,))
+        assert actions == Asked(notices=(notice,))
         assert (notice.level, notice.subject) == ("warning", "malformed")
         assert notice.text.split(":")[0] == name
         assert end.core.status().malformed == end.core.malformed == number
@@ -655,10 +660,10 @@ def test_it_greets_a_stranger_again_when_the_time_is_over_and_not_before() -> No
     end.does(end.core.start(0.0))
     assert len(end.hears(measurement(), 10.0).publish) == 1
     for now in (10.0, 10.0 + 0.99 * GREETING_S):
-        assert end.hears(measurement(), now) == NOTHING_TO_DO
+        assert end.hears(measurement(), now) == NOTHING
     again = end.hears(measurement(), 10.0 + GREETING_S)
-    assert again == Actions(publish=(end.all[1].publish[0],))
-    assert end.hears(measurement(), 10.0 + 1.99 * GREETING_S) == NOTHING_TO_DO
+    assert again == Asked(publish=(end.all[1].publish[0],))
+    assert end.hears(measurement(), 10.0 + 1.99 * GREETING_S) == NOTHING
 
 
 def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
@@ -672,7 +677,7 @@ def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
                 Zeros(),
                 instance=A,
                 period_s=period_s,
-                record=AT_WORK,
+                loaded=Loaded(AT_WORK),
             )
             end.at_work()
             end.hears(measurement(), 1.0)
@@ -680,7 +685,7 @@ def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
             end.hears(hello(instance=Q, session=NEW), 1.0 + silent * silence)
             texts = [n.text for a in end.all for n in a.notices if n.subject == "refusals"]
             assert len(texts) == is_told
-            assert end.core.plant == (P if is_told else Q)
+            assert end.core.session.plant == (P if is_told else Q)
             for text in texts:
                 assert P in text
                 assert Q in text
@@ -698,7 +703,7 @@ def test_a_session_that_is_taken_up_is_told_once() -> None:
     assert taken.record is not None
     assert taken.record == end.core.record
     again = end.hears(hello(session=NEW), 2.0)
-    assert again == Actions(publish=taken.publish)
+    assert again == Asked(publish=taken.publish)
     other = end.hears(hello(session=NEW, instance=Q), 3000.0)
     assert other.events == ()
     assert other.record is None
@@ -721,7 +726,7 @@ def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
     rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)]
     end = Told(KEYS, AT_WORK._replace(transitions=3), contributions=rows)
     began = end.does(end.core.start(0.0))
-    assert kept(began) == Actions(record=end.core.record)
+    assert began.save == Save(end.core.record)
     (closed,) = began.tasks
     assert (type(closed).__name__, began.events, began.notices) == ("ClosedBlock", (), ())
 
@@ -751,8 +756,8 @@ def test_a_command_is_answered_with_how_many_wait() -> None:
         assert accepted or reply.detail.split(":")[0] in ("id", "message")
         command = SendCommand(id=name, payload=payload)
         assert answer.events == ((command,) if new else ())
-        written = Actions(record=end.core.record, queued=command, durable=True)
-        assert kept(answer) == (written if new else NOTHING_TO_DO)
+        written = Save(end.core.record, queued=command, durable=True)
+        assert answer.save == (written if new else None)
         assert answer.notices == ()
     assert end.core.status().queue == 1
 
@@ -773,12 +778,12 @@ MADE = ExtractedBlock(S, 0, TAG, (b"k" * 32, b"l" * 32))
 
 def keys_at_work() -> Told:
     """Block 0 is whole and extracted, and not confirmed."""
-    rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2, 3)]
+    rows = tuple(Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2, 3))
     record = AT_WORK._replace(transitions=4)
     end = Told(KEYS, record, contributions=rows)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=4, applied_k=1), 0.0)
-    assert end.does(end.core.extracted(MADE)) == NOTHING_TO_DO
+    assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
 
@@ -794,10 +799,11 @@ def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
     assert (record.block, record.tag, record.offer) == (0, TAG, offer)
     assert record.nonce == ""
     counted = end.all[1]
-    assert kept(counted) == NOTHING_TO_DO, "the next step saves what was counted"
+    assert counted.save is None, "the next step saves what was counted"
     saved = end.hears(measurement(k=end.core.record.k + 1, applied_k=record.k), 2.0)
+    assert saved.save is not None
     assert saved.record == record
-    assert [row.j for row in saved.rows.contributions] == [4]
+    assert [row.j for row in saved.save.rows.contributions] == [4]
 
 
 def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:
@@ -813,10 +819,10 @@ def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits()
     saved = end.hears(measurement(k=5, applied_k=4), 2.0)
     assert saved.record is not None
     assert saved.record.confirmed == 0
-    assert saved.rows.obsolete_rows == (range(1, 3),), "rows of a block that is confirmed go"
-    assert [(part.block, part.number) for part in saved.rows.parts] == [(0, 0), (0, 1)]
+    assert saved.saved.rows.obsolete_rows == (range(1, 3),), "rows of a block that is confirmed go"
+    assert [(part.block, part.number) for part in saved.saved.rows.parts] == [(0, 0), (0, 1)]
     again = end.hears(measurement(k=6, applied_k=5), 3.0)
-    assert (again.rows.obsolete_rows, again.rows.parts) == ((), ()), "once"
+    assert (again.saved.rows.obsolete_rows, again.saved.rows.parts) == ((), ()), "once"
 
 
 def test_a_block_that_differs_gives_no_key_and_ends_the_session() -> None:
@@ -845,12 +851,14 @@ def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
     end = keys_at_work()
     k = end.core.record.k
     for count, level in ((3, "error"), (1, "info")):
-        actions = end.core.appear(count)
+        actions = gathered(end.core.appear(count))
         assert actions.events == (Appearances(S, k, count),)
         (notice,) = actions.notices
         assert (notice.level, notice.subject) == (level, "appearances")
         assert f"{count} time" in notice.text
-        assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
+        assert gathered(end.core.appear(count)) == Asked(events=actions.events), (
+            "as often as before"
+        )
         status = end.core.status()
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
         said = end.hears(measurement(k=k + count, applied_k=1, x_after=()), 10.0 / count)
@@ -864,9 +872,10 @@ def test_what_was_reported_counts_before_it_is_counted() -> None:
     end = Told().at_work()
     seen = [(end.core.reported, end.core.unfinished)]
     for said in (measurement(applied_k=1, x_after=()), measurement(k=5, applied_k=4)):
-        end.core.receive(Measurement, said.wire(), 1.0)
+        effects = iter(end.core.receive(Measurement, said.wire(), 1.0))
+        assert isinstance(next(effects), Save)
         seen.append((end.core.reported, end.core.unfinished))
-        end.core.finish_step()
+        gathered(effects)
         seen.append((end.core.reported, end.core.unfinished))
     assert seen == [(2, False), (2, True), (2, False), (3, True), (3, False)]
 
@@ -876,13 +885,13 @@ def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session(
     old = measurement(k=2, applied_k=1)
     end = Told().at_work()
     for i in range(STALE - 1):
-        assert end.hears(old, 1.0 + i * STALE_S) == NOTHING_TO_DO
+        assert end.hears(old, 1.0 + i * STALE_S) == NOTHING
     end.hears(hello(session=NEW), 10.0)
     assert end.core.record.session == NEW
     end.hears(measurement(session=NEW, k=7, applied_k=-1, x_after=()), 11.0)
     old = old.model_copy(update={"session": NEW})
     for i in range(STALE - 1):
-        assert end.hears(old, 12.0 + i * STALE_S) == NOTHING_TO_DO
+        assert end.hears(old, 12.0 + i * STALE_S) == NOTHING
     assert end.notices[-1:] != [("warning", "refusals")]
     end.hears(old, 20.0)
     assert end.core.record.session is None
@@ -892,7 +901,7 @@ def test_a_burst_of_old_measurements_ends_no_session() -> None:
     """A replay, or what a network held back: thousands at once, each of another step or one."""
     end = Told().at_work()
     for k in 10 * STALE * (0, 1, 2):
-        assert end.hears(measurement(k=k, applied_k=-1, x_after=()), 1.0) == NOTHING_TO_DO
+        assert end.hears(measurement(k=k, applied_k=-1, x_after=()), 1.0) == NOTHING
     said = end.hears(measurement(k=4, applied_k=3), 1.0)
     assert any(isinstance(message, Offer) for message in said.publish)
     assert end.core.record.session == S
@@ -903,5 +912,5 @@ def test_a_wrong_message_of_its_own_is_no_malformed_input(monkeypatch: pytest.Mo
     monkeypatch.setitem(globals(), "propose", lambda _x: ((nan,), (1.0,)))
     end = Told().at_work()
     with pytest.raises(ValidationError, match="candidates"):
-        end.core.receive(Measurement, measurement(k=4, applied_k=3).wire(), 1.0)
+        gathered(end.core.receive(Measurement, measurement(k=4, applied_k=3).wire(), 1.0))
     assert end.core.malformed == 0

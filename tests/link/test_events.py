@@ -7,6 +7,7 @@ import pytest
 from protocol.agreement import AgreementResult
 from protocol.box_observer import Box
 from protocol.link.distiller import BlockEnded, Distiller
+from protocol.link.effects import Notice
 from protocol.link.events import (
     Alarm,
     AttackBegan,
@@ -19,7 +20,6 @@ from protocol.link.events import (
     lines,
 )
 from protocol.link.key_events import Appearances, block_notices, extraction_done
-from protocol.link.peer import Actions, Notice
 from protocol.link.session import CountedTransition, Truth
 from protocol.messages import SendCommand
 from protocol.secret.blocks import ExtractionFailed, Schedule
@@ -187,11 +187,11 @@ DIFFERS = f"key block 2 of session {S} differs from the partner's"
     ],
 )
 def test_what_is_told_of_a_block(ended: BlockEnded, notices: tuple[Notice, ...]) -> None:
-    assert block_notices(Distiller(SCHEDULE, 2, fresh_nonce), (ended,)) == notices
+    assert (*block_notices(Distiller(SCHEDULE, 2, fresh_nonce), (ended,)),) == notices
 
 
 def test_where_blocks_cannot_be_extracted_it_is_told_once_and_why() -> None:
     keys = Distiller(SCHEDULE, 2, fresh_nonce)
     told = Notice("no key is made from here on: disk", "error")
-    assert extraction_done(keys, ExtractionFailed("disk")) == Actions(notices=(told,))
+    assert [*extraction_done(keys, ExtractionFailed("disk"))] == [told]
     assert keys.status_fields()["keys_refused"] == "disk"

@@ -5,6 +5,7 @@ from pydantic import ValidationError
 
 from controller_service.core import STALE
 from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.step import Read
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done, OneMessage
 from tests.support.line_ends import line_rules
@@ -394,8 +395,9 @@ def test_a_measurement_too_large_to_reckon_with_is_malformed(number: float) -> N
     sender, receiver = met()
     offer = answer(sender, receiver.measurement())
     before = sender.record
-    true = receiver.dies_over(offer, 0, (0.5,)).measurement
-    assert true is not None
+    step = receiver.dies_over(offer, 0, (0.5,)).step
+    assert isinstance(step, Read)
+    true = step.report
     for change in ({"x": (number,)}, {"x_after": (number,)}):
         with pytest.raises(ValueError, match="beyond 1e"):
             sender.measured(true.model_copy(update=change))

@@ -13,6 +13,7 @@ from protocol.link.session import Truth, rules_of
 from protocol.messages import Measurement
 from protocol.vectors import Vector
 from runtime.scenario_file import scenario_of
+from tests.support.asked import gathered
 from tests.support.controller_in_hand import ControllerInHand
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
@@ -180,9 +181,8 @@ def test_a_session_begins_without_a_box(rule: OutputRule) -> None:
     pair = Pair()
     pair.step(rule, 1)
     reported = pair.plant.measurement()
-    pair.controller.core.receive(
-        Measurement, reported.model_copy(update={"x_after": ()}).wire(), 1.0
-    )
+    said = reported.model_copy(update={"x_after": ()}).wire()
+    gathered(pair.controller.core.receive(Measurement, said, 1.0))
     pair.plant.heard_controller(pair.controller.greeting(), NEW)
     unknown = pair.controller.heard_plant(pair.plant.hello()).reply
     assert unknown is not None
@@ -195,9 +195,10 @@ def test_an_alarm_says_what_would_have_been_read(rule: OutputRule) -> None:
     record = pair.plant.record
     box = rule.box(None, 0, record.x)
     pair.step(rule, 1, off=NOWHERE)
-    pair.controller.core.receive(Measurement, pair.plant.measurement().wire(), 1e6)
-    counted = pair.controller.core.finish_step()
-    (alarm,) = [event for event in counted.events if isinstance(event, Alarm)]
+    asked = gathered(
+        pair.controller.core.receive(Measurement, pair.plant.measurement().wire(), 1e6)
+    )
+    (alarm,) = [event for event in asked.events if isinstance(event, Alarm)]
     predictions = rule.predictions(box, pair.propose(record.x))
     assert alarm.expected == rule.observer.read(predictions[alarm.candidate])
     assert alarm.reading == pair.plant.record.x

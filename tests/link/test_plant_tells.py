@@ -1,6 +1,6 @@
 """All that a plant tells: each status field by field, each notice by level, each event whole."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import inf, nan
 from typing import Any
@@ -9,16 +9,11 @@ import pytest
 from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
-from plant_service.core import (
-    FAREWELL_S,
-    HELLO_S,
-    MEETING_S,
-    SYMBOLS_AT_ONCE,
-    PlantCore,
-    hex_digits,
-)
+from plant_service.core import PlantCore
 from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
+from plant_service.watchdog import FAREWELL_S, MEETING_S
 from protocol.link.distiller import BlockEnded
+from protocol.link.effects import Notice, Save
 from protocol.link.events import (
     FELL_BACK,
     NEW_JOURNAL,
@@ -28,11 +23,13 @@ from protocol.link.events import (
     SessionBegan,
     Timing,
 )
+from protocol.link.incoming import SYMBOLS_AT_ONCE, hex_digits
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice
-from protocol.link.records import ReceiverRecord
+from protocol.link.plant_session import HELLO_S
+from protocol.link.records import Loaded, ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
+from protocol.link.step import IDLE, Begun, Read, Step
 from protocol.messages import (
     ControllerHello,
     Measurement,
@@ -53,7 +50,8 @@ from protocol.secret.stream import Part, Position
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
-from tests.support.end_in_hand import EndInHand, fields, kept
+from tests.support.asked import NOTHING, Asked, gathered, turns
+from tests.support.end_in_hand import EndInHand, fields
 from tests.support.line_ends import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -116,10 +114,19 @@ class Told(EndInHand[PlantCore]):
         *,
         machine: Machine | None = None,
         step_s: float | None = 1.0,
+        step: Step = IDLE,
+        contributions: Sequence[Contribution] = (),
+        parts: Sequence[Part] = (),
+        symbols: str = "",
+        fresh: bool = False,
+        fell_back: bool = False,
         **more: Any,
     ) -> None:
         self.machine = machine or Machine()
         coin: Any = self.machine
+        loaded = Loaded(
+            record, step, tuple(contributions), tuple(parts), symbols, fell_back=fell_back
+        )
         super().__init__(
             PlantCore(
                 rules,
@@ -130,7 +137,8 @@ class Told(EndInHand[PlantCore]):
                 lambda: NEW,
                 0.0,
                 instance=P,
-                record=record,
+                loaded=loaded._replace(record=None) if fresh else loaded,
+                first=record if fresh else None,
                 **more,
             )
         )
@@ -169,7 +177,7 @@ def offer(**fields: object) -> Offer:
     return OFFER.model_copy(update=fields)
 
 
-def published(actions: Actions, kind: type[Message]) -> list[Any]:
+def published(actions: Asked, kind: type[Message]) -> list[Any]:
     return [message for message in actions.publish if type(message) is kind]
 
 
@@ -187,13 +195,13 @@ def test_the_first_actions_say_which_session_it_is_and_save_a_new_one(
     fresh: bool, attack: AttackBegan | None
 ) -> None:
     end = Told(fresh=fresh, attack=attack)
-    began = end.core.start(0.0)
+    began = gathered(end.core.start(0.0))
     (session, *others) = began.events
     assert isinstance(session, SessionBegan)
     assert session.session == S
     assert (session.reason == NEW_JOURNAL) == fresh
     assert others == ([] if attack is None else [attack])
-    assert began == Actions(events=began.events, record=end.core.record if fresh else None)
+    assert began == Asked(began.events, Save(end.core.record) if fresh else None)
 
 
 REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
@@ -202,12 +210,10 @@ REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
 def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
     machine = Machine()
     machine.truth = TRUTH
-    end = Told(machine=machine, offer=OFFER, tossed=0, report=REPORT)
+    end = Told(machine=machine, step=Read(OFFER, 0, REPORT))
     end.does(end.core.start(0.0))
-    first, second = end.all
-    assert first.finish_step
-    assert [type(e) for e in first.events] == [SessionBegan]
-    (counted,) = second.events
+    began, counted = end.events
+    assert isinstance(began, SessionBegan)
     assert isinstance(counted, CountedTransition)
     assert (counted.coin, counted.u, counted.truth, counted.x_next) == (0, (1.5,), TRUTH, (1.5,))
     assert end.core.record.k == 4
@@ -220,9 +226,9 @@ def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
     known = bool(of)
     machine = Machine(acts=True, device=True)
     machine.truth = TRUTH
-    begun: dict[str, Any] = {"offer": offer(session=of), "tossed": 1} if known else {}
-    end = Told(machine=machine, **begun, back=(9.0,))
-    began = end.core.start(0.0)
+    step = Begun(offer(session=of), 1) if known else IDLE
+    end = Told(machine=machine, step=step, back=(9.0,))
+    began = gathered(end.core.start(0.0))
     assert [type(e) for e in began.events] == [SessionBegan, Interrupted]
     assert began.events[1] == Interrupted(
         session=S,
@@ -234,11 +240,10 @@ def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
         coin=1 if known else -1,
         truth=TRUTH,
     )
-    assert kept(began) == Actions(record=end.core.record)
+    assert began.save == Save(end.core.record)
     record = end.core.record
     assert (record.k, record.x, record.missed, record.transitions) == (4, (9.0,), 1, 2)
     assert record.u == machine.fallback, "the fallback is in force"
-    assert not began.finish_step
     assert machine.asked == [
         ("fall back", (9.0,), (-1.5,) if known else (0.25,)),
         ("begin", 4, (9.0,), machine.fallback),
@@ -247,26 +252,26 @@ def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
 
 def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() -> None:
     machine = Machine(acts=True, device=True)
-    end = Told(machine=machine, offer=OFFER, tossed=0, report=REPORT, back=(9.0,))
+    end = Told(machine=machine, step=Read(OFFER, 0, REPORT), back=(9.0,))
     end.does(end.core.start(0.0))
-    _, after = end.all
-    assert [type(e) for e in after.events] == [CountedTransition, Interrupted]
-    interrupted = after.events[1]
+    (after,) = end.all
+    assert [type(e) for e in after.events] == [SessionBegan, CountedTransition, Interrupted]
+    interrupted = after.events[2]
     assert isinstance(interrupted, Interrupted)
     assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
     assert after.record is not None
     assert after.record == end.core.record
     assert end.core.record.k == 5
     end.machine.x_next = (2.0,)
-    end.core.receive(ControllerHello, hello().wire(), 1.0)
+    gathered(end.core.receive(ControllerHello, hello().wire(), 1.0))
     assert [type(e) for e in end.events] == [SessionBegan, CountedTransition, Interrupted]
 
 
 def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew() -> None:
-    end = Told(offer=OFFER, tossed=0, report=REPORT, fell_back=True)
+    end = Told(step=Read(OFFER, 0, REPORT), fell_back=True)
     end.does(end.core.start(0.0))
     last = end.all[-1]
-    assert kept(last) == Actions(record=end.core.record)
+    assert last.save == Save(end.core.record)
     assert [type(m) for m in last.publish] == [PlantHello]
     assert (end.core.record.session, end.core.record.k) == (NEW, 4)
     resumed, counted, began = end.events
@@ -274,7 +279,7 @@ def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew
     assert (resumed.session, counted.session) == (S, S)
     assert began == SessionBegan(NEW, FELL_BACK)
     acting = Machine(acts=True, device=True)
-    dead = Told(machine=acting, offer=OFFER, tossed=0, back=(9.0,), fell_back=True)
+    dead = Told(machine=acting, step=Begun(OFFER, 0), back=(9.0,), fell_back=True)
     dead.does(dead.core.start(0.0))
     assert [type(e) for e in dead.events] == [SessionBegan, Interrupted, SessionBegan]
     assert dead.core.record.session == NEW
@@ -312,7 +317,7 @@ def test_without_telemetry_no_status_is_ever_due() -> None:
     end = Told(step_s=None).met()
     end.hears(OFFER, 0.0)
     assert published(end.wakes(100.0), PlantStatus) == []
-    assert end.core.stop(101.0) == Actions(record=end.core.record)
+    assert gathered(end.core.stop(101.0)) == Asked(save=Save(end.core.record))
     with pytest.raises(AssertionError):
         end.core.status(0.0)
 
@@ -336,7 +341,7 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
         x=(0.5,),
     )
     end = Told(KEYS, record, telemetry=news).met()
-    end.core.receive(Offer, b"{", 0.0)
+    gathered(end.core.receive(Offer, b"{", 0.0))
     said = fields(end.core.status(0.0))
     assert said == {
         "phase": "running",
@@ -360,7 +365,7 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
         "latency_counts": said["latency_counts"],
         "partial": said["partial"],
         "frame_symbols": 40,
-        "frame_length": end.core.deframer.expected_length,
+        "frame_length": end.core.frame.deframer.expected_length,
         "frames_refused": 5,
         "outside": 0,
         "unexplained": 0,
@@ -463,7 +468,7 @@ def test_an_offer_after_its_step_is_late_once(news: PlantTelemetry) -> None:
     assert end.core.record.missed == 1
     assert end.core.status(0.0).late == 0
     for _ in range(2):
-        assert end.hears(OFFER, 1.1) == NOTHING_TO_DO
+        assert end.hears(OFFER, 1.1) == NOTHING
         assert end.core.status(0.0).late == 1
     end.hears(offer(k=4), 1.2)
     end.wakes(2.0)
@@ -484,7 +489,7 @@ def test_a_session_that_is_taken_up_is_told_once(news: PlantTelemetry) -> None:
     end.does(end.core.start(0.0))
     assert end.core.status(0.0).phase == "greeting"
     asks = end.hears(hello(), 0.0)
-    assert asks == Actions(record=end.core.record, publish=asks.publish)
+    assert asks == Asked(save=Save(end.core.record), publish=asks.publish)
     (asked,) = asks.publish
     assert asked == PlantHello(
         instance=P,
@@ -501,7 +506,7 @@ def test_a_session_that_is_taken_up_is_told_once(news: PlantTelemetry) -> None:
     assert A in notice.text
     assert S in notice.text
     assert end.core.status(0.0).phase == "running"
-    assert end.hears(accepts, 0.1) == NOTHING_TO_DO
+    assert end.hears(accepts, 0.1) == NOTHING
 
 
 @pytest.mark.parametrize("known", [True, False])
@@ -523,7 +528,7 @@ def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
         assert silent.publish == ()
         assert len(silent.notices) == 1
         return
-    assert answer == Actions(notices=(notice,))
+    assert answer == Asked(notices=(notice,))
     assert (notice.level, notice.subject) == ("error", "")
     status = end.core.status(0.0)
     assert (status.phase, bool(status.detail)) == ("refused", True)
@@ -533,9 +538,9 @@ def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
         assert "f" * 9 not in text
     assert end.core.wake_at() == -inf
     codes = [end.core.code]
-    assert end.wakes(1.0) == NOTHING_TO_DO
+    assert end.wakes(1.0) == NOTHING
     assert [*codes, end.core.code] == [None, USAGE]
-    assert fields(end.core.stop(2.0).publish[-1])["phase"] == "refused"
+    assert fields(gathered(end.core.stop(2.0)).publish[-1])["phase"] == "refused"
 
 
 def test_two_controllers_are_both_named() -> None:
@@ -564,7 +569,7 @@ def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     (began,) = actions.events
     assert isinstance(began, SessionBegan)
     assert (began.session, bool(began.reason)) == (NEW, True)
-    assert kept(actions) == Actions(record=end.core.record)
+    assert actions.save == Save(end.core.record)
     assert end.core.record == ReceiverRecord(
         session=NEW,
         k=3,
@@ -593,9 +598,9 @@ def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
         (Offer, offer(cipher=7).wire(), "offer.cipher"),
     ]
     for number, (kind, payload, name) in enumerate(wrong):
-        actions = end.core.receive(kind, payload, 0.0)
+        actions = gathered(end.core.receive(kind, payload, 0.0))
         (notice,) = actions.notices
-        assert actions == Actions(notices=(notice,))
+        assert actions == Asked(notices=(notice,))
         assert (notice.level, notice.subject) == ("warning", "malformed")
         assert notice.text.split(":")[0] == name
         assert (end.core.malformed, end.core.record) == (number + 1, record)
@@ -607,7 +612,7 @@ def test_a_wrong_message_of_its_own_is_no_malformed_input() -> None:
     machine.x_next = (nan,)
     end = Told(machine=machine, step_s=None).met()
     with pytest.raises(ValidationError, match="x_after"):
-        end.core.receive(Offer, OFFER.wire(), 0.0)
+        gathered(end.core.receive(Offer, OFFER.wire(), 0.0))
     assert end.core.malformed == 0
 
 
@@ -640,31 +645,31 @@ def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
         ("prepare", 4),
     ]
     first, second = end.all
-    assert first.offer is not None
-    assert (first.coin, first.finish_step) == (0, True)
-    assert first.measurement is not None
-    assert (first.measurement.k, first.measurement.applied_k) == (4, 3)
+    assert first.save is not None
+    assert isinstance(first.save.step, Read)
+    assert first.save.step.coin == 0
+    report = first.save.step.report
+    assert (report.k, report.applied_k) == (4, 3)
     assert first.record == before, "the record before it"
-    assert not first.durable
-    assert kept(second) == NOTHING_TO_DO, "the next step saves what was counted"
+    assert not first.save.durable
+    assert second.save is None, "the next step saves what was counted"
 
 
 def test_a_plant_that_acts_saves_its_coin_before() -> None:
     machine = Machine(acts=True, device=True)
     machine.coin = 1
     end = Told(machine=machine).met()
-    begun = end.core.receive(Offer, OFFER.wire(), 0.25)
-    assert begun == Actions(record=end.core.record, offer=OFFER, coin=1, finish_step=True)
+    effects = iter(end.core.receive(Offer, OFFER.wire(), 0.25))
+    assert next(effects) == Save(end.core.record, Begun(OFFER, 1))
     assert machine.asked == [("toss", 2)]
     assert end.core.under_way == OFFER
-    assert end.core.finish_step() == NOTHING_TO_DO
+    assert [*effects] == []
     assert machine.asked[1:] == [("begin", 3, (0.0,), (-1.5,))]
-    over = end.core.wake(1.0)
-    assert machine.asked[2:] == [("end", 3)]
+    over, counted = turns(end.core.wake(1.0))
+    assert machine.asked[2:3] == [("end", 3)]
     (report,) = published(over, Measurement)
-    assert over.offer is not None
-    assert over.measurement == report
-    counted = end.core.finish_step()
+    assert over.save is not None
+    assert over.save.step == Read(OFFER, 1, report)
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     assert (transition.coin, transition.u) == (1, (-1.5,))
@@ -694,7 +699,7 @@ def test_a_fallback_that_is_in_force_is_not_applied_once_more() -> None:
     end = Told(machine=machine).met()
     end.wakes(1.0)
     assert [what for what, *_ in machine.asked] == ["end", "fall back"]
-    dead = Told(machine=Machine(acts=True, device=True), offer=OFFER, tossed=0, back=(9.0,))
+    dead = Told(machine=Machine(acts=True, device=True), step=Begun(OFFER, 0), back=(9.0,))
     dead.machine.fallback = (1.5,)
     dead.does(dead.core.start(0.0))
     assert dead.machine.asked[-1][0] == "begin", "whether it is in force nobody knows"
@@ -706,14 +711,13 @@ def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
     end = Told(machine=machine).met()
     end.hears(OFFER, 0.25)
     end.hears(hello(verdict="unknown-session", answers=P), 0.5)
-    saved = Actions(record=end.core.record, offer=OFFER, coin=1)
-    assert kept(end.all[-1]) == saved
+    assert end.all[-1].save == Save(end.core.record, Begun(OFFER, 1))
     end.all.clear()
     machine.asked.clear()
-    actions = end.wakes(1.0)
+    actions = gathered(end.core.wake(1.0))
     told = Interrupted(NEW, 3, (0.0,), (-1.5,), (4.0,), CANDIDATES, 1, TRUTH)
     assert actions.events == (told,)
-    assert kept(actions) == Actions(record=end.core.record)
+    assert actions.save == Save(end.core.record)
     assert end.core.under_way is None
     assert (end.core.record.missed, end.core.record.u) == (1, machine.fallback)
     assert machine.asked == [
@@ -729,7 +733,7 @@ def test_an_offer_is_applied_once_and_only_in_its_step() -> None:
     end.hears(OFFER, 0.25)
     asked = list(machine.asked)
     for strange in (OFFER, offer(k=4), offer(k=2), offer(session=T)):
-        assert end.hears(strange, 0.5) == NOTHING_TO_DO
+        assert end.hears(strange, 0.5) == NOTHING
     assert machine.asked == asked
 
 
@@ -742,7 +746,8 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     end = Told(record=record, telemetry=news).met()
     end.hears(offer(cipher=last ^ flipped), 0.25)
     step, counted = end.all[-2:]
-    assert step.durable, "by its report the controller takes the message for delivered"
+    assert step.save is not None
+    assert step.save.durable, "by its report the controller takes the message for delivered"
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     (notice,) = counted.notices
@@ -756,7 +761,7 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
         assert notice.level == "info"
         assert "3" in notice.text
         assert "1 bytes" in notice.text
-    assert kept(counted) == Actions(record=end.core.record, received=received)
+    assert counted.save == Save(end.core.record, received=received)
     status = end.core.status(0.0)
     assert (status.messages, status.frames_refused) == (1 - flipped, flipped)
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
@@ -821,7 +826,7 @@ def test_a_controller_that_is_silent_for_long_is_one_of_many_again() -> None:
 def test_whoever_is_with_it_is_heard_by_whatever_it_says(said: Message, heard: bool) -> None:
     end = Told(step_s=None).met()
     end.hears(said, 1.0)
-    assert end.core.answered_at == (1.0 if heard else 0.0)
+    assert end.core.session.answered_at == (1.0 if heard else 0.0)
 
 
 def test_a_plant_that_waits_for_its_step_to_end_counts_no_silence() -> None:
@@ -829,8 +834,8 @@ def test_a_plant_that_waits_for_its_step_to_end_counts_no_silence() -> None:
     end = Told(machine=machine, step_s=5 * SILENCE_S).met()
     end.hears(OFFER, 0.0)
     assert end.core.wake_at() == 5 * SILENCE_S
-    assert end.wakes(4 * SILENCE_S) == NOTHING_TO_DO
-    assert end.core.answered_at == 4 * SILENCE_S
+    assert end.wakes(4 * SILENCE_S) == NOTHING
+    assert end.core.session.answered_at == 4 * SILENCE_S
 
 
 def test_before_anybody_is_met_the_first_step_has_not_begun() -> None:
@@ -864,7 +869,7 @@ def test_a_plant_without_offers_goes_to_its_safe_state(moved: bool) -> None:
     assert ("safe", "x") not in end.machine.asked
     assert end.core.wake_at() <= 1.0 + patience
     with pytest.raises(PlantError) as why:
-        end.core.wake(1.0 + patience)
+        gathered(end.core.wake(1.0 + patience))
     assert f"{patience:g} s" in str(why.value)
     assert end.machine.asked == [("safe", str(why.value))]
 
@@ -874,14 +879,14 @@ def test_an_offer_that_is_applied_sets_the_watchdog_back() -> None:
     end.hears(OFFER, 2.0)
     end.wakes(4.9)
     with pytest.raises(PlantError):
-        end.core.wake(5.0)
+        gathered(end.core.wake(5.0))
 
 
 def test_a_patient_watchdog_waits_no_shorter_for_the_first_meeting() -> None:
     end = Told(record=RECORD._replace(k=0), step_s=None, watchdog_s=2 * MEETING_S).met()
     end.wakes(1.9 * MEETING_S)
     with pytest.raises(PlantError):
-        end.core.wake(2 * MEETING_S)
+        gathered(end.core.wake(2 * MEETING_S))
 
 
 def test_from_its_first_step_on_the_watchdog_has_its_own_time() -> None:
@@ -890,7 +895,7 @@ def test_from_its_first_step_on_the_watchdog_has_its_own_time() -> None:
     assert end.core.record.missed == 1
     end.wakes(2.9)
     with pytest.raises(PlantError):
-        end.core.wake(3.0)
+        gathered(end.core.wake(3.0))
 
 
 def test_without_a_watchdog_a_plant_waits_for_ever() -> None:
@@ -942,7 +947,7 @@ def test_digits_that_have_served_serve_no_second_step() -> None:
 @pytest.mark.parametrize("served", [True, False])
 def test_a_process_goes_on_with_the_digits_of_the_step_under_way(served: bool) -> None:
     report = REPORT.model_copy(update={"keyed": served, "block": 0, "tag": "a" * 32})
-    end = Told(COIN, CONFIRMED, offer=keyed(0, 0), tossed=0, report=report, parts=(PART,))
+    end = Told(COIN, CONFIRMED, step=Read(keyed(0, 0), 0, report), parts=(PART,))
     end.does(end.core.start(0.0))
     (counted,) = [e for a in end.all for e in a.events if isinstance(e, CountedTransition)]
     assert counted.keyed == served
@@ -966,14 +971,14 @@ def keys_at_work(**more: Any) -> Told:
     end.does(end.core.start(0.0))
     end.hears(hello(), 0.0)
     end.hears(hello(verdict="accepted", answers=P), 0.0)
-    assert end.does(end.core.extracted(MADE)) == NOTHING_TO_DO
+    assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
 
 
 def test_a_life_with_keys_asks_for_blocks_whose_rows_the_journal_has() -> None:
     end = Told(KEYS, RECORD._replace(transitions=4), contributions=rows(4))
-    began = end.core.start(0.0)
+    began = gathered(end.core.start(0.0))
     assert [type(task).__name__ for task in began.tasks] == ["ClosedBlock"]
 
 
@@ -982,21 +987,24 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     end = keys_at_work()
     tag = "a" * 32 if right else "c" * 32
     end.hears(offer(k=5, nonce=NONCE, block=0, tag=tag), 0.25)
-    counted = end.all[-1]
+    counted = end.all[1]
     ended = BlockEnded(S, 0, "confirmed", 2) if right else BlockEnded(S, 0, "unequal")
     assert counted.events[0] == ended
     if right:
         assert [n.level for n in counted.notices] == ["info"], "what the first keys rest on"
-        assert kept(counted) == NOTHING_TO_DO
+        assert counted.save is None
         assert end.core.record.session == S
         assert end.core.keys.stream.left == sum(len(digits(key, 2)) for key in MADE.keys)
         return
-    assert [type(e) for e in counted.events[1:]] == [CountedTransition, SessionBegan]
-    assert [(n.level, n.subject) for n in counted.notices] == [("error", "")] * 2
-    assert NEW in counted.notices[-1].text
+    assert [type(e) for e in counted.events[1:]] == [CountedTransition]
+    anew = end.all[-1]
+    assert [type(e) for e in anew.events] == [SessionBegan]
+    notices = (*counted.notices, *anew.notices)
+    assert [(n.level, n.subject) for n in notices] == [("error", "")] * 2
+    assert NEW in notices[-1].text
     assert end.core.record.session == NEW
-    assert kept(counted) == Actions(record=end.core.record)
-    assert [type(m) for m in counted.publish] == [PlantHello]
+    assert anew.save == Save(end.core.record)
+    assert [type(m) for m in anew.publish] == [PlantHello]
     assert end.core.keys.stream.left == 0
 
 
@@ -1005,7 +1013,7 @@ def test_rows_of_a_confirmed_block_go_with_the_step_that_announces_it_and_digits
     step = end.hears(offer(k=5, nonce=NONCE, block=0, tag="a" * 32), 0.25)
     end.wakes(1.0)
     later = end.hears(offer(k=6, nonce=NONCE, block=0, tag="a" * 32), 1.25)
-    rows = [one.rows for one in (step, later)]
+    rows = [one.saved.rows for one in (step, later)]
     assert [part.number for one in rows for part in one.parts] == [0, 1], "once"
     assert [gone for one in rows for gone in one.obsolete_rows] == [range(1, 3)]
 
@@ -1026,7 +1034,7 @@ def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
     partial = "".join(f"{symbol:0{hex_digits(size)}x}" for symbol in frame)
     rules = line_rules(alpha=4.0, largest_input=5.0, scheme=Switched(size))
     end = Told(rules, RECORD._replace(partial=partial[-2:]), symbols=partial[:-2])
-    assert list(end.core.deframer.symbols) == frame
+    assert list(end.core.frame.deframer.symbols) == frame
     assert hex_digits(size) == len(f"{size - 1:x}")
 
 
@@ -1041,7 +1049,11 @@ def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
         end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
         counted = end.all[-1]
         differs = tag[0] == "c"
-        assert len(counted.symbols) == end.core.record.stored == (0 if differs else SYMBOLS_AT_ONCE)
+        assert (
+            len(counted.saved.symbols)
+            == end.core.record.stored
+            == (0 if differs else SYMBOLS_AT_ONCE)
+        )
         assert counted.record == end.core.record
         assert end.core.record.partial == ""
 
@@ -1059,7 +1071,7 @@ def test_a_status_between_models_shows_the_newest_steps_alone(news: PlantTelemet
 
 def test_blocks_that_cannot_be_extracted_are_an_error(news: PlantTelemetry) -> None:
     end = keys_at_work(telemetry=news)
-    (notice,) = end.core.extracted(ExtractionFailed("no memory")).notices
+    (notice,) = gathered(end.core.extracted(ExtractionFailed("no memory"))).notices
     assert (notice.level, notice.subject) == ("error", "")
     assert "no memory" in notice.text
     assert end.core.status(0.0).keys_refused == "no memory"
@@ -1068,15 +1080,15 @@ def test_blocks_that_cannot_be_extracted_are_an_error(news: PlantTelemetry) -> N
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone(news: PlantTelemetry) -> None:
     end = keys_at_work(telemetry=news)
     for now, count, level in ((1.0, 3, "error"), (2.0, 1, "info")):
-        actions = end.core.appear(count)
+        actions = gathered(end.core.appear(count))
         assert actions.events == (Appearances(S, end.core.record.k, count),)
         (notice,) = actions.notices
         assert (notice.level, notice.subject) == (level, "appearances")
         assert f"{count} time" in notice.text
-        assert end.core.appear(count) == Actions(events=actions.events), "as often as before"
+        assert gathered(end.core.appear(count)) == Asked(actions.events), "as often as before"
         status = end.core.status(0.0)
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
-        (said,) = published(end.wakes(now), Measurement)
+        (said,) = published(gathered(end.core.wake(now)), Measurement)
         assert said.copy_number == (count > 1)
         assert (said.nonce == end.core.record.nonce) == (count == 1)
 
@@ -1099,7 +1111,7 @@ def test_a_plant_that_is_over_reports_until_it_is_answered_or_time_is_up(
     assert end.core.wake_at() == 10.0 + LOCKSTEP_REPEAT_S
     assert len(end.wakes(until - 0.001).publish) == 1
     assert end.core.code is None
-    assert end.wakes(until) == NOTHING_TO_DO
+    assert end.wakes(until) == NOTHING
     assert end.core.code == DONE
 
 
@@ -1108,9 +1120,9 @@ def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> N
     end.does(end.core.start(10.0))
     end.wakes(10.0)
     for said in (offer(k=2), hello(verdict="unknown-session", answers=P), offer(k=4)):
-        assert end.hears(said, 10.1) == NOTHING_TO_DO
+        assert end.hears(said, 10.1) == NOTHING
     assert end.core.code is None
-    assert end.hears(OFFER, 10.2) == NOTHING_TO_DO
+    assert end.hears(OFFER, 10.2) == NOTHING
     assert end.core.code == DONE
 
 
@@ -1121,7 +1133,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     end.wakes(0.5)  # which is no tick
     end.wakes(1.0)
     machine.asked.clear()
-    stopped = end.core.stop(1.01)
+    stopped = gathered(end.core.stop(1.01))
     assert [what for what, *_ in machine.asked] == ["safe", "close"]
     assert machine.asked[0][1], "it is told why"
     assert stopped.events == (Timing(4, 1, (0.0,) * 3, (), 0),)
@@ -1130,7 +1142,7 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     assert isinstance(status, PlantStatus)
     assert (status.phase, status.k) == ("stopped", 4)
     assert stopped.health == status, "the last status is kept"
-    assert kept(stopped) == Actions(record=end.core.record)
+    assert stopped.save == Save(end.core.record)
 
 
 def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:

@@ -13,7 +13,6 @@ from protocol.scenario import Scenario
 from tests.support.plant_in_hand import PlantInHand
 from tests.support.safety import violations
 from wyner.api import System, design, eavesdrop, run, vary
-from wyner.simulate.engine import SimulationError, simulate_runs
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
@@ -104,14 +103,6 @@ def test_eavesdroppers_hear_the_predictions(nonlinear: System) -> None:
     runs = run(nonlinear, steps=120, seed=3, message=b"far")
     (tap,) = eavesdrop(runs, ["nearest-centre"])
     assert tap.agreements > 50
-
-
-def test_the_engine_refuses_a_nonlinear_model(nonlinear: System) -> None:
-    s = nonlinear.scenario
-    data = s.model_dump(exclude_none=True)
-    with pytest.raises(SimulationError, match=r"defender.model|plant.kind"):
-        simulate_runs(s, nonlinear.law, seed=1, runs=range(1), steps=2)
-    assert data["defender"]["model"] == MODEL
 
 
 def test_the_trace_is_judged_by_the_predictions_in_it(nonlinear: System, tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from protocol.defence.watch import UNWATCHED
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
 from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import CountedTransition, Truth, rules_of
+from protocol.link.session import Counted, CountedTransition, Truth, rules_of
 from protocol.messages import Offer
 from protocol.schemes.base import Carry
 from protocol.schemes.pipelined import Pipelined
@@ -252,15 +252,12 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
         record,
         offer,
         (3.5,),
-        VERDICT,
-        (2, 0),
-        carry,
+        Counted(VERDICT, (2, 0), carry, (1,) if keyed else ()),
         1 if carried else -1,
         ROW,
         1,
         (1.5,),
         truth,
-        keyed,
         0,
     )
     assert made == CountedTransition(
@@ -299,7 +296,7 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
     public = made.shared.as_event()
     assert not {"coin", "u", "expected", "true_u", "true_x_next"} & set(public)
     none = CountedTransition.of(
-        Pipelined(2), record, offer, (3.5,), VERDICT, (2, 0), carry, 1, None
+        Pipelined(2), record, offer, (3.5,), Counted(VERDICT, (2, 0), carry, ()), 1, None
     )
     assert (none.counts, none.coin, none.u, none.truth, none.expected) == (0, -1, (), None, -1)
     assert none.tested, "each transition is tested there"

@@ -16,8 +16,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
+from protocol.link.effects import Effects, Save
 from protocol.link.events import Event, SessionBegan
-from protocol.link.peer import Actions
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Offer, PlantHello
@@ -80,7 +80,7 @@ class Ends(LineEnds):
         super().start(side)
         self._starting = False
 
-    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
+    def do(self, side: Name, act: Callable[[float], Effects]) -> None:
         super().do(side, act)
         if side == "plant":
             assert not self.plant.refused
@@ -105,10 +105,10 @@ class Ends(LineEnds):
             self._offered.append(Offer.model_validate_json(message.payload))
         super().said(side, message)
 
-    def saved(self, side: Name, actions: Actions) -> None:
-        super().saved(side, actions)
-        if actions.received is not None:
-            self.ever.append(actions.received)
+    def saved(self, side: Name, save: Save) -> None:
+        super().saved(side, save)
+        if save.received is not None:
+            self.ever.append(save.received)
 
     def traced(self, side: Name, event: Event) -> None:
         if side == "plant" and self.device is not None:
@@ -235,7 +235,7 @@ class Link(RuleBasedStateMachine):
             self.ends.device.u = None  # what it was told is known to nobody any more
         self.ends.die(side)
 
-    @precondition(lambda self: self.ends.plant.controller is not None)
+    @precondition(lambda self: self.ends.plant.session.controller is not None)
     @rule(dies=st.sampled_from(DEATHS))
     def the_controller_knows_no_session(self, dies: CrashPoint | None) -> None:
         """As one does that was misled: whatever the plant is doing, its session is over."""

@@ -8,8 +8,7 @@ import pytest
 from controller_service.core import ControllerCore
 from plant_service.status import PlantTelemetry
 from protocol.link.events import Missed, Timing
-from protocol.link.peer import Actions
-from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, Loaded, ReceiverRecord, SenderRecord
 from protocol.link.session import Rules, Truth
 from protocol.messages import (
     ControllerHello,
@@ -23,6 +22,7 @@ from protocol.messages import (
 from protocol.scenario import Scenario
 from protocol.schemes.framing import encode_frame
 from runtime.journal import ControllerJournal
+from tests.support.asked import Asked, gathered, turns
 from tests.support.controller_in_hand import PERIOD_S, Zeros
 from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
@@ -51,21 +51,19 @@ def controller(
         Zeros(),
         instance=A,
         period_s=PERIOD_S,
-        record=record,
+        loaded=Loaded(record),
         message=message,
     )
 
 
-def first_words(core: ControllerCore) -> list[Actions]:
+def first_words(core: ControllerCore) -> list[Asked]:
     """All that a life begins with."""
-    said = [core.start(0.0)]
-    while said[-1].finish_step:
-        said.append(core.finish_step())
-    return said
+    return [*turns(core.start(0.0))]
 
 
-def queued(said: list[Actions]) -> list[SendCommand]:
-    return [actions.queued for actions in said if actions.queued is not None]
+def queued(said: list[Asked]) -> list[SendCommand]:
+    saves = [asked.save for asked in said if asked.save is not None]
+    return [save.queued for save in saves if save.queued is not None]
 
 
 def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_greets() -> None:
@@ -74,10 +72,10 @@ def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_g
     command = SendCommand(id=INITIAL_ID, payload=b"hi")
     assert queued(said) == [command]
     assert said[0].events == (command,)
-    assert [type(message) for actions in said for message in actions.publish] == [ControllerHello]
-    for actions in said:
-        if actions.record is not None:
-            journal.save(actions)
+    assert [type(message) for asked in said for message in asked.publish] == [ControllerHello]
+    for asked in said:
+        if asked.save is not None:
+            journal.save(asked.save)
     again = first_words(controller(journal, b"hi", journal.load().record))
     assert queued(again) == []
     assert [type(message) for message in again[-1].publish] == [ControllerHello]
@@ -89,7 +87,7 @@ def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
 ) -> None:
     record = SenderRecord(halted=halted)
     said = first_words(controller(controller_journal(), None, record, HALTING))
-    assert [n.subject for actions in said for n in actions.notices] == ["refusals"] * halted
+    assert [n.subject for asked in said for n in asked.notices] == ["refusals"] * halted
 
 
 def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> None:
@@ -106,10 +104,9 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> 
 
     def offers(core: ControllerCore) -> bool:
         first_words(core)
-        core.receive(PlantHello, hello.wire(), 1.0)
-        return any(
-            isinstance(m, Offer) for m in core.receive(Measurement, REPORTED.wire(), 2.0).publish
-        )
+        gathered(core.receive(PlantHello, hello.wire(), 1.0))
+        asked = gathered(core.receive(Measurement, REPORTED.wire(), 2.0))
+        return any(isinstance(message, Offer) for message in asked.publish)
 
     assert offers(controller(controller_journal(), None, record, HALTING))
     kept = record._replace(halted=True)
@@ -203,11 +200,11 @@ def test_a_plant_that_stops_tells_how_punctual_it_was(news: PlantTelemetry) -> N
     receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, telemetry=news))
     receiver.missed((0.0,), (0.0,))
     receiver.carry_out(receiver.core.wake(receiver.core.pacing.deadline + STEP_S / 4))
-    stopped = receiver.core.stop(2 * STEP_S)
+    stopped = gathered(receiver.core.stop(2 * STEP_S))
     assert stopped.events == (Timing(5, 2, (0.0, STEP_S / 4, STEP_S / 4), (), 0),)
     (told,) = [message for message in stopped.publish if isinstance(message, PlantStatus)]
     assert (told.phase, told.k) == ("stopped", 5)
-    assert PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0).events == ()
+    assert gathered(PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0)).events == ()
 
 
 def test_a_missed_step_is_told_with_what_it_really_came_to() -> None:
@@ -221,6 +218,7 @@ def test_a_missed_step_is_told_with_what_it_really_came_to() -> None:
 
 
 def test_a_plant_that_cannot_be_closed_says_why() -> None:
-    assert PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0).notices == ()
-    (line,) = PlantInHand(RULES, P, AT_THE_PLANT, plant=Jammed()).core.stop(0.0).notices
+    assert gathered(PlantInHand(RULES, P, AT_THE_PLANT).core.stop(0.0)).notices == ()
+    jammed = PlantInHand(RULES, P, AT_THE_PLANT, plant=Jammed())
+    (line,) = gathered(jammed.core.stop(0.0)).notices
     assert (line.level, line.text) == ("error", "the valve does not move")

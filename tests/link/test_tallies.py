@@ -13,11 +13,12 @@ from zlib import crc32
 
 import pytest
 
-from plant_service.core import SYMBOLS_AT_ONCE
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.distiller import BlockEnded
+from protocol.link.incoming import SYMBOLS_AT_ONCE
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
+from protocol.link.step import Read
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.schemes.base import Scheme
 from protocol.schemes.framing import IDLE, encode_frame
@@ -348,9 +349,7 @@ class Ends:
                 record,
                 self.symbols,
                 rows,
-                offer=step.offer,
-                tossed=step.coin,
-                report=step.measurement,
+                step=step.step,
             )
             self.woke, unsaved = self.keys, ()
             counted = [e for e in self.receiver.events if isinstance(e, CountedTransition)]
@@ -365,7 +364,8 @@ class Ends:
             [(chunk, frame, row)] if chunk or frame is not None else []
         )
         self.unsaved = () if saved else row
-        assert self.receiver.step is None or self.receiver.step.coin == coin
+        last = self.receiver.step
+        assert last is None or (isinstance(last.step, Read) and last.step.coin == coin)
         self.symbols = "" if frame is not None else self.symbols + chunk
         if not self.receiver.accepted:
             self.meet()

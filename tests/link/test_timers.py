@@ -3,6 +3,7 @@
 import random
 
 from protocol.messages import ControllerHello
+from tests.support.asked import gathered
 from tests.support.journals import plant_journal
 from tests.support.line_ends import line_plant, line_rules
 
@@ -15,7 +16,7 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
     for _ in range(300):  # the sum answered + silence rounds, now and then below their difference
         now = draw.random() * 3
         plant, _ = line_plant(RULES, plant_journal(), lambda: "5" * 16, "b" * 16, now, None)
-        plant.start(now)
+        gathered(plant.start(now))
         hello = ControllerHello(
             instance=PARTNER,
             incarnation=1,
@@ -24,14 +25,14 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
             session=None,
             answers=None,
         )
-        plant.receive(ControllerHello, hello.wire(), now)
+        gathered(plant.receive(ControllerHello, hello.wire(), now))
         accepted = hello.model_copy(
             update={"verdict": "accepted", "session": "5" * 16, "answers": "b" * 16}
         )
-        plant.receive(ControllerHello, accepted.wire(), now)
+        gathered(plant.receive(ControllerHello, accepted.wire(), now))
         assert plant.accepted
         until = now + 2.5
         while now < until:
             now = max(now, plant.wake_at())
-            plant.wake(now)
+            gathered(plant.wake(now))
             assert plant.wake_at() > now

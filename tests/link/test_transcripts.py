@@ -13,9 +13,9 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition
+from protocol.link.step import IDLE, Answered, Step
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_ends import line_rules
@@ -53,10 +53,10 @@ class Link:
         self.draws = Draws()
         self.instances = 0
         self.sessions = 1
-        self.saved_sender: tuple[SenderRecord | None, Actions] = (None, NOTHING_TO_DO)
+        self.saved_sender: tuple[SenderRecord | None, Step] = (None, IDLE)
         self.sender = self.new_sender(None)
         first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-        self.saved_receiver: tuple[ReceiverRecord, Actions] = (first, NOTHING_TO_DO)
+        self.saved_receiver: tuple[ReceiverRecord, Step] = (first, IDLE)
         self.receiver = self.new_receiver(first)
         self.measurement: Measurement | None = None
         self.measured: list[Measurement] = []
@@ -72,28 +72,23 @@ class Link:
         self.instances += 1
         return f"{self.instances:016x}"
 
-    def new_sender(
-        self, record: SenderRecord | None, step: Actions = NOTHING_TO_DO
-    ) -> ControllerInHand:
+    def new_sender(self, record: SenderRecord | None, step: Step = IDLE) -> ControllerInHand:
         return ControllerInHand(
             RULES,
             propose,
             self.instance(),
             record,
-            step.measurement,
-            step.offer,
+            *(step if isinstance(step, Answered) else (None, None)),
             messages=self.queue,
             fresh=self.draws,
         )
 
-    def new_receiver(self, record: ReceiverRecord, step: Actions = NOTHING_TO_DO) -> PlantInHand:
+    def new_receiver(self, record: ReceiverRecord, step: Step = IDLE) -> PlantInHand:
         return PlantInHand(
             RULES,
             self.instance(),
             record,
-            offer=step.offer,
-            tossed=step.coin,
-            report=step.measurement,
+            step=step,
         )
 
     # --- commands ---------------------------------------------------------------------------------
@@ -130,7 +125,7 @@ class Link:
         self.sessions += 1
         outcome = self.receiver.heard_controller(said, self.session_id())
         if outcome in ("greet", "ended"):
-            self.saved_receiver = (self.receiver.record, NOTHING_TO_DO)
+            self.saved_receiver = (self.receiver.record, IDLE)
         if outcome == "ended":
             self.say("plant", f"begins session {self.sessions}")
         else:
@@ -158,7 +153,7 @@ class Link:
             assert effects.offer is not None
             self.saved_sender = (
                 self.sender.record,
-                Actions(offer=effects.offer, measurement=self.measurement),
+                Answered(self.measurement, effects.offer),
             )
         if how == "and dies before sending":
             self.say("controller", "has saved, and dies before it has sent")
@@ -186,7 +181,7 @@ class Link:
         if effects.transition is not None:
             self.tell("controller", effects.transition)
         if effects.save:
-            self.saved_sender = (self.sender.record, NOTHING_TO_DO)
+            self.saved_sender = (self.sender.record, IDLE)
         if effects.delivered is not None:
             self.say("controller", f"message {effects.delivered} is delivered")
 
@@ -203,7 +198,7 @@ class Link:
             return
         if how == "and dies before counting":
             record = self.receiver.record
-            self.saved_receiver = (record, self.receiver.dies_over(self.offer, coin, x_next))
+            self.saved_receiver = (record, self.receiver.dies_over(self.offer, coin, x_next).step)
             self.say(
                 "plant", f"applies candidate {coin}, has saved, and dies before it has counted"
             )
@@ -211,13 +206,13 @@ class Link:
         before = self.receiver.record
         transition = self.receiver.applied(self.offer, coin, x_next)
         assert self.receiver.step is not None
-        self.saved_receiver = (before, self.receiver.step)
+        self.saved_receiver = (before, self.receiver.step.step)
         self.tell("plant", transition, f"b_r={coin}, ")
 
     def miss(self, d: float) -> None:
         record = self.receiver.record
         self.receiver.missed(record.u, (record.x[0] + record.u[0] + d,))
-        self.saved_receiver = (self.receiver.record, NOTHING_TO_DO)
+        self.saved_receiver = (self.receiver.record, IDLE)
         self.say("plant", f"no offer in time: holds u={record.u[0]:g}")
 
     def tell(self, who: str, t: CountedTransition, more: str = "") -> None:
@@ -262,7 +257,7 @@ class Link:
                 if self.sender.unfinished:
                     self.finished(self.sender.finish_step())
             case ["controller", "forgets"]:
-                self.saved_sender = (None, NOTHING_TO_DO)
+                self.saved_sender = (None, IDLE)
                 self.sender = self.new_sender(None)
             case ["plant", "restarts"]:
                 self.receiver = self.new_receiver(*self.saved_receiver)
@@ -272,7 +267,7 @@ class Link:
             case ["plant", "forgets"]:
                 self.sessions += 1
                 first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-                self.saved_receiver = (first, NOTHING_TO_DO)
+                self.saved_receiver = (first, IDLE)
                 self.receiver = self.new_receiver(first)
             case _:
                 raise AssertionError(f"no such command: {command}")

@@ -48,8 +48,8 @@ def test_a_keyed_coin_needs_candidates_that_every_step_tells_apart() -> None:
     changed = tables("watched")
     changed["control"]["alphabet"] = {"spacing": 1.9}
     assert (
-        "defence.coin: got 'keys' beside control.alphabet.spacing = 1.9, expected a spacing "
-        "of 2 or more"
+        "control.alphabet.spacing = 1.9 does not tell candidates apart in every step, "
+        "expected 2 or more"
     ) in refused(changed)
     changed["control"]["alphabet"] = {"spacing": 2.0}
     assert made(changed).defence.keyed
@@ -57,7 +57,7 @@ def test_a_keyed_coin_needs_candidates_that_every_step_tells_apart() -> None:
         changed = tables(law)
         changed |= {"keys": {"eps_E": 0.3}, "defence": {"coin": "keys"}}
         assert (
-            f"defence.coin: got 'keys' beside control.law = '{law}', expected law 'packed'"
+            f"control.law = '{law}' does not keep its candidates apart, expected 'packed'"
         ) in refused(changed)
         del changed["defence"]
         assert made(changed).keys is not None

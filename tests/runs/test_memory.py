@@ -1,4 +1,4 @@
-"""Who looks at a run holds some bytes a step of it, and never the run."""
+"""Who looks at a run holds some bytes a step of it: 400 MB for a million steps, with keys."""
 
 import json
 import subprocess
@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime.recording import TRACE_FORMAT, TRACE_VERSION, LineWriter, dumps
-from runtime.run_folder import BELIEFS, GUESSES
+from runtime.recording import LineWriter, decode, dumps, raw_lines
+from runtime.run_folder import BELIEFS, CAPTURE, GUESSES
 from tests.support.long_run import make_run
 from wyner.runs.run import Run
 
@@ -18,6 +18,9 @@ SHORT, LONG = 4_000, 10_000
 GROWN = 6 * 2**20
 """Bytes that 6,000 steps more may take: the lines of a trace, as Python has them, would be 15 MB.
 What is bounded (points of a chart, a part of each file) is filling up meanwhile."""
+
+FEW, MANY = 8_000, 40_000
+MOST = 400 * 2**20
 
 SUMMARY = """
 from wyner.runs.run import Run
@@ -30,7 +33,7 @@ code = main(["{0}", sys.argv[1]])
 """
 EXPORT = """
 from wyner.cli.main import main
-code = main(["export", "--steps", "--truth", "--to", "csv", sys.argv[1]])
+code = main(["report", "--steps", "--truth", "--to", "csv", sys.argv[1]])
 """
 HIGHEST = """
 with open("/proc/self/status") as status:
@@ -54,19 +57,19 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return guessed(folder / "short", SHORT), guessed(folder / "long", LONG)
 
 
-def guessed(folder: Path, steps: int) -> Path:
+def guessed(folder: Path, steps: int, scenario: str = "sustained") -> Path:
     """A run with an eavesdropper who guesses each step."""
-    make_run(folder, steps)
-    events: list[dict[str, object]] = []
-    Run.load(folder).feed("plant", events.append)
-    made = [e for e in events if e["event"] == "transition"]
-    writer = LineWriter(folder / GUESSES, {"format": TRACE_FORMAT, "version": TRACE_VERSION})
-    for e in made:
-        at = {"name": "t", "session": e["session"], "k": e["k"]}
+    make_run(folder, steps, scenario)
+    trace = Run.load(folder).columns("plant")
+    made = [trace.where(row) for row in trace.rows if row["j"] >= 0]
+    header = next(raw_lines(folder / CAPTURE))[1]
+    writer = LineWriter(folder / GUESSES, decode(header) or {})
+    for session, k in made:
+        at = {"name": "t", "session": session, "k": k}
         writer.append(dumps({"event": "guess", **at, "symbol": 0, "p": 1, "agreed": 1}))
     writer.close()
     record = {
-        "name": "t", "session": made[-1]["session"], "failed": "", "message": "", "whole": [],
+        "name": "t", "session": made[-1][0], "failed": "", "message": "", "whole": [],
         "whole_count": 0, "candidates_left": 0, "solved_k": -1, "confidence": 0.0, "symbols": [],
     }  # fmt: skip
     (folder / BELIEFS).write_text(json.dumps({"t": record}))
@@ -80,6 +83,19 @@ def peak(name: str, folder: Path) -> int:
         [sys.executable, "-c", code, str(folder)], capture_output=True, text=True, check=True
     )
     return 1024 * int(done.stderr.split()[-2])
+
+
+@pytest.fixture(scope="module")
+def keyed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("keyed")
+    return guessed(folder / "few", FEW, "keys"), guessed(folder / "many", MANY, "keys")
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_million_steps_with_keys_take_400_mb_at_most(keyed: tuple[Path, Path], name: str) -> None:
+    """By what each step more takes."""
+    least, most = (peak(name, folder) for folder in keyed)
+    assert least + (most - least) / (MANY - FEW) * 1_000_000 <= MOST
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -19,8 +19,16 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service import service
 from plant_service.service import run_plants
-from protocol.link.peer import NOTHING_TO_DO, Actions, Peer
-from protocol.messages import LATENCY_BOUNDS_S, Message, Offer, PlantStatus, SendCommand
+from protocol.link.effects import Effects
+from protocol.link.peer import Peer
+from protocol.messages import (
+    LATENCY_BOUNDS_S,
+    ControllerStatus,
+    Message,
+    Offer,
+    PlantStatus,
+    SendCommand,
+)
 from protocol.topics import key_of
 from runtime import host
 from runtime.bus_options import add_service_arguments, fleet_of
@@ -28,14 +36,21 @@ from runtime.errors import DONE, UsageError
 from runtime.files import StatusFile
 from runtime.fleet import Fleet, numbered, read_fleet
 from runtime.health import read_status
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.options import message_of, picked
 from runtime.pace import Pace
 from runtime.ports import Files
 from runtime.recording import Bounds
-from runtime.run_folder import PLANT_JOURNAL, PLANT_STATUS, PLANT_TRACE
+from runtime.run_folder import (
+    CONTROLLER_STATUS,
+    CONTROLLER_TRACE,
+    PLANT_JOURNAL,
+    PLANT_STATUS,
+    PLANT_TRACE,
+)
 from runtime.shipped import SCENARIOS
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.small_run import law_of
 from tests.support.traces import read_trace
 from wyner.cli.main import main
 
@@ -312,23 +327,23 @@ class Overloaded:
     def __init__(self) -> None:
         self.commands = self.wakes = 0
 
-    def start(self, _now: float) -> Actions:
-        return NOTHING_TO_DO
+    def start(self, _now: float) -> Effects:
+        return ()
 
     def wake_at(self) -> float:
         return -inf
 
-    def wake(self, _now: float) -> Actions:
+    def wake(self, _now: float) -> Effects:
         self.wakes += 1
         time.sleep(0.001)
-        return NOTHING_TO_DO
+        return ()
 
-    def receive(self, *_: object) -> Actions:
+    def receive(self, *_: object) -> Effects:
         self.commands += 1
-        return NOTHING_TO_DO
+        return ()
 
-    def stop(self, _now: float) -> Actions:
-        return NOTHING_TO_DO
+    def stop(self, _now: float) -> Effects:
+        return ()
 
 
 def test_an_end_that_is_always_due_is_told_of_commands_and_stops() -> None:
@@ -432,3 +447,25 @@ def test_an_interrupt_while_its_threads_are_started_stays_one(
     monkeypatch.setattr(threading.Thread, "start", interrupted)
     with pytest.raises(KeyboardInterrupt):
         running.run()
+
+
+@pytest.mark.long
+def test_every_loop_of_a_fleet_has_a_keyed_coin_after_its_first_block(tmp_path: Path) -> None:
+    """In version 1.0.0 no key of a fleet ever served, and its status named the defence."""
+    watched = law_of("watched")[1]
+    hosts = Hosts(lambda: numbered(20, "watched", seed=1), watched, tmp_path)
+    names = list(hosts.fleet().loops)
+    steps = 10
+
+    def keyed(name: str) -> bool:
+        path = tmp_path / name / CONTROLLER_STATUS
+        return path.exists() and read_status(path, ControllerStatus).watched >= steps
+
+    with hosts.running("realtime"):
+        hosts.wait(lambda: all(map(keyed, names)))
+    for name in names:
+        trace = read_trace(tmp_path / name / CONTROLLER_TRACE)
+        served = [e["k"] for e in trace.of("transition") if e.get("keyed")]
+        after = [e["k"] for e in trace.of("transition") if e["k"] >= served[0]]
+        assert served == after
+        assert not list(trace.of("alarm"))

@@ -14,10 +14,10 @@ from zlib import crc32
 
 import pytest
 
-from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import KeyRows
-from protocol.link.peer import Actions
-from protocol.link.records import INITIAL_ID, ReceiverRecord, SenderRecord
+from protocol.link.effects import Save
+from protocol.link.records import INITIAL_ID, Loaded, ReceiverRecord, SenderRecord
+from protocol.link.step import Answered, Begun, Read
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import Part
@@ -27,7 +27,6 @@ from runtime.journal import (
     REMEMBERED,
     ControllerJournal,
     JournalError,
-    Loaded,
     PlantJournal,
 )
 from tests.support.journals import copied, step_of
@@ -72,12 +71,12 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     plant = PlantJournal(None if in_memory else tmp_path / "p", SCENARIO)
     assert controller.load() == Loaded()
     assert plant.load() == Loaded()
-    controller.save(Actions(record=SENDER, rows=KeyRows((row(5), row(4)), parts=(PART,))))
-    plant.save(Actions(record=RECEIVER._replace(stored=3), symbols="100"))
-    plant.save(Actions(record=RECEIVER._replace(stored=5), symbols="11", offer=OFFER, coin=1))
-    assert plant.load() == Loaded(RECEIVER._replace(stored=5), OFFER, 1, None, symbols="10011")
-    controller.save(Actions(record=SENDER, offer=OFFER, measurement=MEASUREMENT))
-    step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT)
+    controller.save(Save(SENDER, rows=KeyRows((row(5), row(4)), parts=(PART,))))
+    plant.save(Save(RECEIVER._replace(stored=3), symbols="100"))
+    plant.save(Save(RECEIVER._replace(stored=5), symbols="11", step=Begun(OFFER, 1)))
+    assert plant.load() == Loaded(RECEIVER._replace(stored=5), Begun(OFFER, 1), symbols="10011")
+    controller.save(Save(SENDER, step=Answered(MEASUREMENT, OFFER)))
+    step = Save(RECEIVER, step=Read(OFFER, 1, MEASUREMENT))
     plant.save(step)
     if not in_memory:
         controller.close()
@@ -85,9 +84,9 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
         controller = ControllerJournal(controller.path, SCENARIO)
         plant = PlantJournal(plant.path, SCENARIO)
     rows = (row(4), row(5))
-    assert controller.load() == Loaded(SENDER, OFFER, NO_SYMBOL, MEASUREMENT, rows, (PART,))
-    assert plant.load() == Loaded(RECEIVER, OFFER, 1, MEASUREMENT), "the frame is over"
-    plant.save(Actions(record=RECEIVER._replace(k=5)))
+    assert controller.load() == Loaded(SENDER, Answered(MEASUREMENT, OFFER), rows, (PART,))
+    assert plant.load() == Loaded(RECEIVER, Read(OFFER, 1, MEASUREMENT)), "the frame is over"
+    plant.save(Save(RECEIVER._replace(k=5)))
     assert plant.load() == Loaded(RECEIVER._replace(k=5)), "a record takes the step's place"
     controller.close()
     plant.close()
@@ -95,12 +94,12 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
 
 def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER, rows=KeyRows(tuple(map(row, range(5))))))
-        journal.save(Actions(record=RECEIVER, rows=KeyRows(obsolete_rows=(range(2), range(3, 4)))))
+        journal.save(Save(RECEIVER, rows=KeyRows(tuple(map(row, range(5))))))
+        journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=(range(2), range(3, 4)))))
         assert journal.load().rows == (row(2), row(4))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         following = RECEIVER._replace(session="fedcba9876543210")
-        journal.save(Actions(record=following, rows=KeyRows((row(0),))))
+        journal.save(Save(following, rows=KeyRows((row(0),))))
         assert journal.load().rows == (row(0),)
 
 
@@ -110,16 +109,16 @@ def test_digits_of_the_key_stream_shrink_and_go_and_with_their_session(tmp_path:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
         first, second = Part(0, 0, 0, secret), Part(0, 1, len(secret), b"behind them")
-        journal.save(Actions(record=RECEIVER, rows=KeyRows(parts=(first, second))))
+        journal.save(Save(RECEIVER, rows=KeyRows(parts=(first, second))))
         assert journal.load().parts == (first, second)
         left = Part(0, 0, 7, secret[7:])
-        journal.save(Actions(record=RECEIVER, rows=KeyRows(parts=(left,))))
+        journal.save(Save(RECEIVER, rows=KeyRows(parts=(left,))))
         assert journal.load().parts == (left, second)
-        journal.save(Actions(record=RECEIVER, rows=KeyRows(parts=(left._replace(digits=b""),))))
+        journal.save(Save(RECEIVER, rows=KeyRows(parts=(left._replace(digits=b""),))))
         assert journal.load().parts == (second,)
     assert secret not in path.read_bytes()
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER._replace(session="fedcba9876543210")))
+        journal.save(Save(RECEIVER._replace(session="fedcba9876543210")))
         assert journal.load().parts == ()
 
 
@@ -127,7 +126,7 @@ def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.last_message() is None
         for payload in (b"the first of them", b"", b"the last"):
-            journal.save(Actions(record=RECEIVER, received=payload))
+            journal.save(Save(RECEIVER, received=payload))
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         assert journal.last_message() == b"the last"
     assert b"the first of them" not in (tmp_path / "p").read_bytes()
@@ -135,7 +134,7 @@ def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
 
 def send(journal: ControllerJournal, name: str, payload: bytes, delivered: int = 0) -> None:
     record = SENDER._replace(message=delivered)
-    journal.save(Actions(record=record, queued=SendCommand(id=name, payload=payload), durable=True))
+    journal.save(Save(record, queued=SendCommand(id=name, payload=payload), durable=True))
 
 
 def test_messages_are_numbered_in_order(tmp_path: Path) -> None:
@@ -158,7 +157,7 @@ def test_a_message_that_was_delivered_is_gone_and_its_identifier_is_known(tmp_pa
     with ControllerJournal(path, SCENARIO) as journal:
         send(journal, INITIAL_ID, secret)
         send(journal, "next", b"waits")
-        journal.save(Actions(record=SENDER._replace(message=1)))
+        journal.save(Save(SENDER._replace(message=1)))
         assert journal.payload(0) is None
         assert journal.waiting() == [(1, "next", b"waits")]
         assert journal.crc_of(INITIAL_ID) == crc32(secret)
@@ -174,7 +173,7 @@ def test_a_long_run_of_messages_and_steps_takes_no_more_room(tmp_path: Path) -> 
         for number in range(3 * REMEMBERED):
             payload = b"message number %d " % number * 10
             send(journal, f"m{number}", payload, delivered=number)
-            journal.save(Actions(record=SENDER._replace(message=number + 1, k=number)))
+            journal.save(Save(SENDER._replace(message=number + 1, k=number)))
             if number > 2 * REMEMBERED:
                 sizes.add(path.stat().st_size)
         log = path.with_name("c-wal").read_bytes()
@@ -193,12 +192,12 @@ TRACED = r"""
 import os, sys
 from pathlib import Path
 from protocol.link.distiller import KeyRows
-from protocol.link.peer import Actions
+from protocol.link.effects import Save
 from protocol.link.records import SenderRecord
 from runtime.journal import ControllerJournal
 with ControllerJournal(Path(sys.argv[1]), "f" * 64) as journal:
     for k in range(50):
-        journal.save(Actions(record=SenderRecord(k=k), durable=k in (20, 30)))
+        journal.save(Save(SenderRecord(k=k), durable=k in (20, 30)))
         os.write(2, b"%d\n" % k)
     os.write(2, b"over\n")
 """
@@ -223,7 +222,7 @@ def test_another_boot_of_the_machine_is_told_unless_the_journal_was_closed(
     monkeypatch.setattr(journals, "BOOT_ID", boot)
     boot.write_text("one\n")
     with PlantJournal(tmp_path / "live" / "p", SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER))
+        journal.save(Save(RECEIVER))
         killed = copied(tmp_path / "live" / "p", tmp_path / "killed")
         again = copied(tmp_path / "live" / "p", tmp_path / "again")
     with PlantJournal(killed, SCENARIO) as journal:
@@ -270,7 +269,7 @@ def test_two_processes_cannot_hold_one_journal(tmp_path: Path) -> None:
 
 def test_another_scenario_is_refused_and_changes_nothing(tmp_path: Path) -> None:
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER))
+        journal.save(Save(RECEIVER))
     with pytest.raises(JournalError) as error:
         PlantJournal(tmp_path / "p", "0" * 64)
     assert "scenario: got" in one_line(error, tmp_path / "p")
@@ -303,7 +302,7 @@ def test_a_step_that_is_none_is_refused(tmp_path: Path, wrong: bytes) -> None:
     offer = OFFER.model_copy()
     offer.__dict__["_bytes"] = wrong
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER, offer=offer, coin=0, measurement=MEASUREMENT))
+        journal.save(Save(RECEIVER, step=Read(offer, 0, MEASUREMENT)))
     with pytest.raises(JournalError) as error:
         PlantJournal(tmp_path / "p", SCENARIO)
     assert "step" in one_line(error, tmp_path / "p")
@@ -329,7 +328,7 @@ def test_an_older_journal_is_one_line(tmp_path: Path) -> None:
 def test_a_record_that_was_altered_is_refused(tmp_path: Path, change: str) -> None:
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER))
+        journal.save(Save(RECEIVER))
     database = sqlite3.connect(path)
     database.execute(f"UPDATE step SET {change}")
     database.commit()
@@ -362,34 +361,35 @@ WRITER = """
 import sys
 from pathlib import Path
 from protocol.link.distiller import KeyRows
-from protocol.link.peer import Actions
+from protocol.link.effects import Save
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
 from protocol.link.records import ReceiverRecord
+from protocol.link.step import IDLE, Read
 
 def count(record):
     record = record._replace(k=record.k + 1, p=record.p + 1)
     if record.p % 50 == 0:
         record = record._replace(stored=0, messages=record.messages + 1)
-        journal.save(Actions(record=record, received=b"%d" % record.p))
+        journal.save(Save(record, received=b"%d" % record.p))
     elif record.p % 7 == 0:
         record = record._replace(stored=record.stored + 1)
-        journal.save(Actions(record=record, symbols="1"))
+        journal.save(Save(record, symbols="1"))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
-record, offer, *_ = journal.load()
+record, step, *_ = journal.load()
 if record is None:
     record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
-    journal.save(Actions(record=record))
-if offer is not None:
+    journal.save(Save(record))
+if step != IDLE:
     record = count(record)
 while True:
     offer = Offer(session=record.session, k=record.k, candidates=((1.0,), (2.0,)), cipher=0)
     measurement = Measurement(
         session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
     )
-    journal.save(Actions(record=record, offer=offer, coin=record.k % 2, measurement=measurement))
+    journal.save(Save(record, step=Read(offer, record.k % 2, measurement)))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -416,7 +416,8 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
         if rest:
             acknowledged = int(rest[-1])
         with PlantJournal(path, SCENARIO) as journal:
-            record, offer, coin, measurement, _, _, symbols, _ = journal.load()
+            record, _, _, _, symbols, _ = journal.load()
+            offer, coin, measurement = step_of(journal)
             assert record is not None
             assert record.k + (offer is not None) in (acknowledged, acknowledged + 1)
             if offer is not None:
@@ -452,9 +453,9 @@ def test_a_journal_that_cannot_be_written_any_more_names_its_file(
     tmp_path: Path, durable: bool
 ) -> None:
     path = tmp_path / "j"
-    step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT, durable=durable)
+    step = Save(RECEIVER, step=Read(OFFER, 1, MEASUREMENT), durable=durable)
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER))
+        journal.save(Save(RECEIVER))
         with no_file_grows(), pytest.raises(JournalError) as error:
             journal.save(step)
         one_line(error, path)
@@ -485,9 +486,9 @@ def test_a_torn_or_flipped_save_is_not_there_or_told(tmp_path: Path) -> None:
     """Cut at many places, and many bytes of it flipped: the state before it, or one line."""
     live = tmp_path / "live" / "journal"
     with PlantJournal(live, SCENARIO) as journal:
-        journal.save(Actions(record=RECEIVER, rows=KeyRows((row(1),)), symbols="0101"))
+        journal.save(Save(RECEIVER, rows=KeyRows((row(1),)), symbols="0101"))
         before = copied(live, tmp_path / "before")
-        step = Actions(record=RECEIVER, offer=OFFER, coin=1, measurement=MEASUREMENT)
+        step = Save(RECEIVER, step=Read(OFFER, 1, MEASUREMENT))
         journal.save(step._replace(rows=KeyRows((row(2),)), received=b"whole"))
         after = copied(live, tmp_path / "after")
     log = "journal-wal"

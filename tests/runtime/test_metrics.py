@@ -16,9 +16,9 @@ from protocol.scenario import Scenario
 from protocol.topics import key_of
 from runtime.errors import UsageError
 from runtime.host import Host
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 
 pytest.importorskip("prometheus_client")

@@ -1,17 +1,18 @@
 """The order of effects, and every death that a short run has room for."""
 
 from collections.abc import Callable
+from itertools import chain, islice
 
 import pytest
 
+from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
 from protocol.link.events import Event, Missed
-from protocol.link.peer import Actions, Notice
 from protocol.link.records import SenderRecord
 from protocol.link.session import CountedTransition
+from protocol.link.step import Answered
 from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
-from protocol.secret.blocks import ClosedBlock, ExtractedBlock, ExtractionFailed
+from protocol.secret.blocks import ClosedBlock
 from runtime.perform import Crashed, CrashingPorts, perform
-from tests.support.end_in_hand import kept
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
 from tests.support.rehearsal import Rehearsal
@@ -19,8 +20,8 @@ from tests.support.two_ends import LineEnds, Name
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
 OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)
-STEP = Actions(record=SenderRecord(), offer=OFFER, coin=0, measurement=SAID)
-RECORD = Actions(record=SenderRecord(k=7))
+STEP = Save(SenderRecord(), Answered(SAID, OFFER))
+RECORD = Save(SenderRecord(k=7))
 BLOCK = ClosedBlock("1" * 16, 0, 1, 1, 1, 2, "1", (b"n" * 32,), 1)
 WELL = next(
     arrival.message
@@ -30,43 +31,16 @@ WELL = next(
 EVENT = Missed("1" * 16, 0, (0.0,), (0.0,), (0.0,))
 
 
-class Script:
-    """An endpoint that has one thing to settle."""
-
-    hears: tuple[type[Message], ...] = ()
-    says: tuple[type[Message], ...] = ()
-    code: int | None = None
-    makes_keys = True
-
-    def __init__(self, done: list[object]) -> None:
-        self._done = done
-
-    def start(self, now: float) -> Actions:
-        raise NotImplementedError
-
-    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
-        raise NotImplementedError
-
-    def wake_at(self) -> float:
-        raise NotImplementedError
-
-    def wake(self, now: float) -> Actions:
-        raise NotImplementedError
-
-    def finish_step(self) -> Actions:
-        self._done.append("settle")
-        return RECORD._replace(
-            events=(EVENT,), notices=(Notice("told"),), health=WELL, tasks=(BLOCK,)
-        )
-
-    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
-        raise NotImplementedError
-
-    def appear(self, count: int) -> Actions:
-        raise NotImplementedError
-
-    def stop(self, now: float) -> Actions:
-        raise NotImplementedError
+def a_step(done: list[object]) -> Effects:
+    """What an end asks for, and when it counts."""
+    yield STEP
+    yield Publish(SAID)
+    done.append("count")
+    yield Tell(EVENT)
+    yield RECORD
+    yield Extract(BLOCK)
+    yield Notice("told")
+    yield Show(WELL)
 
 
 class Listing:
@@ -75,8 +49,8 @@ class Listing:
     def __init__(self, done: list[object]) -> None:
         self._done = done
 
-    def save(self, actions: Actions) -> None:
-        self._done.append(kept(actions))
+    def save(self, save: Save) -> None:
+        self._done.append(save)
 
     def publish(self, message: Message) -> None:
         self._done.append(message)
@@ -94,18 +68,17 @@ class Listing:
         self._done.append(status)
 
 
-def test_save_publish_settle_trace_keep_tell() -> None:
+def test_each_effect_is_done_before_the_end_goes_on() -> None:
     done: list[object] = []
-    actions = STEP._replace(publish=(SAID,), finish_step=True)
-    perform(actions, Script(done), Listing(done))
-    assert done == [STEP, SAID, "settle", EVENT, RECORD, BLOCK, "told", WELL]
+    perform(a_step(done), Listing(done))
+    assert done == [STEP, SAID, "count", EVENT, RECORD, BLOCK, "told", WELL]
 
 
 @pytest.mark.parametrize(("before", "done"), [
     ("saving", []),
     ("publishing", [STEP]),
-    ("tracing", [STEP, SAID, "settle"]),
-    ("extracting", [STEP, SAID, "settle", EVENT, RECORD]),
+    ("tracing", [STEP, SAID, "count"]),
+    ("extracting", [STEP, SAID, "count", EVENT, RECORD]),
 ])  # fmt: skip
 def test_who_dies_before_something_has_done_all_that_comes_before_it(
     before: str, done: list[object]
@@ -113,18 +86,19 @@ def test_who_dies_before_something_has_done_all_that_comes_before_it(
     happened: list[object] = []
     ports = CrashingPorts(Listing(happened))
     ports.crash_at(before=before)  # type: ignore[arg-type]
-    actions = STEP._replace(publish=(SAID,), finish_step=True)
     with pytest.raises(Crashed):
-        perform(actions, Script(happened), ports)
+        perform(a_step(happened), ports)
     assert happened == done
 
 
-EVERYTHING = STEP._replace(
-    events=(EVENT, EVENT),
-    publish=(SAID,),
-    notices=(Notice("told"),),
-    health=WELL,
-    tasks=(BLOCK,),
+EVERYTHING = (
+    Tell(EVENT),
+    Tell(EVENT),
+    STEP,
+    Publish(SAID),
+    Extract(BLOCK),
+    Notice("told"),
+    Show(WELL),
 )
 DONE = [EVENT, EVENT, STEP, SAID, BLOCK, "told", WELL]
 
@@ -136,7 +110,7 @@ def test_who_dies_after_so_many_things_has_done_as_many(after: int) -> None:
     ports = CrashingPorts(Listing(happened))
     ports.crash_at(after=after)
     with pytest.raises(Crashed):
-        perform(EVERYTHING, Script(happened), ports)
+        perform(EVERYTHING, ports)
     assert happened == DONE[:after]
 
 
@@ -145,15 +119,15 @@ def test_who_does_not_crash_or_no_longer_lives_on() -> None:
         happened: list[object] = []
         ports = CrashingPorts(Listing(happened))
         crash_at(ports)
-        perform(EVERYTHING, Script(happened), ports)
+        perform(EVERYTHING, ports)
         assert happened == DONE
     ports.crash_at()
-    perform(EVERYTHING, Script(happened), ports)
+    perform(EVERYTHING, ports)
     ports.crash_at("tracing")
     with pytest.raises(Crashed):
-        perform(EVERYTHING, Script(happened), ports)
+        perform(EVERYTHING, ports)
     ports.crash_at()
-    perform(EVERYTHING, Script(happened), ports)
+    perform(EVERYTHING, ports)
     assert happened == DONE * 3
 
 
@@ -199,18 +173,19 @@ class Pair(LineEnds):
         self.line.d = 0.5 if self.line.coin else -0.5
         super().hear(side, message)
 
-    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
+    def do(self, side: Name, act: Callable[[float], Effects]) -> None:
         """One act of one side: if it is the fatal one, the side dies in it and comes back."""
 
-        def fatal(now: float) -> Actions:
-            actions = act(now)
-            things = 5 if actions != Actions() else 0
+        def fatal(now: float) -> Effects:
+            effects = iter(act(now))
+            first = tuple(islice(effects, 1))
+            things = 5 if first else 0
             if side == self.crashing and not self.died:
                 if self.acts <= self.nth < self.acts + things:
                     self.crash_at(side, after=self.nth - self.acts)
                     self.died = True
                 self.acts += things
-            return actions
+            return chain(first, effects)
 
         super().do(side, fatal)
 

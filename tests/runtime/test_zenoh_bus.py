@@ -17,7 +17,6 @@ import pytest
 
 from runtime.addresses import Addresses, TlsFiles, check_endpoint, free_endpoints
 from runtime.bus import Bus, ChannelClosed, TransportError
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.zenoh_bus import (
     CLOSE_S,
     LARGEST_MESSAGE,
@@ -27,6 +26,7 @@ from runtime.zenoh_bus import (
     open_router,
 )
 from runtime.zenoh_settings import OPEN_MS
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 
 KEY = "wyner/v2/loop/offer"

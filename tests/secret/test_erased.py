@@ -10,12 +10,12 @@ from typing import Any, NamedTuple
 import pytest
 
 from protocol.link.distiller import Distiller
-from protocol.link.records import Side
+from protocol.link.records import Loaded, Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
 from protocol.secret.stream import Part, Position, Stream
 from runtime.chance import fresh_nonce
-from runtime.journal import ControllerJournal, Loaded, PlantJournal
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,

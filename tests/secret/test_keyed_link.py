@@ -15,10 +15,10 @@ from controller_service import core as controller_core
 from plant_service import core as plant_core
 from protocol.link import distiller as distiller_module
 from protocol.link.distiller import Distiller
-from protocol.link.peer import Actions, Peer
 from protocol.link.records import Side
 from protocol.secret.nonces import Contribution, contribution_of
-from runtime.perform import CrashPoint, Ports, perform
+from runtime.perform import CrashPoint
+from tests.support.asked import hasty
 from tests.support.broken import FIRST_COPY, broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.size import size
@@ -133,13 +133,7 @@ def shaken(world: KeyedEnds, seed: int, rounds: int = 60) -> KeyedEnds:
 class Hasty(KeyedEnds):
     """A shell that sends before it saves."""
 
-    @staticmethod
-    def performer(actions: Actions, endpoint: Peer, ports: Ports) -> None:
-        if actions.offer is not None:
-            for message in actions.publish:
-                ports.publish(message)
-            actions = actions._replace(publish=())
-        perform(actions, endpoint, ports)
+    performer = staticmethod(hasty)
 
 
 def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:

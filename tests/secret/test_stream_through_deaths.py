@@ -10,8 +10,8 @@ import pytest
 from hypothesis import HealthCheck, settings
 
 from controller_service import core as controller_core
+from protocol.link.effects import Save
 from protocol.link.events import Event
-from protocol.link.peer import Actions
 from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
@@ -42,10 +42,10 @@ class SealedEnds(KeyedEnds):
         self.received: list[bytes] = []
         super().__init__(SEALED, payloads=PAYLOADS)
 
-    def saved(self, side: Name, actions: Actions) -> None:
-        super().saved(side, actions)
-        if actions.received is not None:
-            self.received.append(actions.received)
+    def saved(self, side: Name, save: Save) -> None:
+        super().saved(side, save)
+        if save.received is not None:
+            self.received.append(save.received)
             assert self.received == list(PAYLOADS[: len(self.received)])
 
     def traced(self, side: Name, event: Event) -> None:
@@ -135,7 +135,7 @@ def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
 
 
 def a_controller_takes_no_notice_of_what_was_used(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, controller_core, "if self.rules.scheme.from_stream and not served:", "if False:")
+    broken(patch, controller_core, "if rules.scheme.from_stream and not digits:", "if False:")
 
 
 WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [

@@ -11,7 +11,7 @@ from attacker_service.attacks import named
 from attacker_service.base import UNKNOWN, Attack, Model, Observation, SensorAttack
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from protocol.agreement import INSIDE, Gauge, predict
+from protocol.agreement import INSIDE, Gauge
 from protocol.arrays import Array
 from protocol.plugins import UnknownError
 from protocol.scenario import Scenario
@@ -224,24 +224,6 @@ def test_one_matrix_is_learnt_from_two_steps(packed: tuple[Scenario, CandidateLa
 
 
 # --- the loop itself ------------------------------------------------------------------------------
-
-
-def test_the_gauges_are_those_of_the_agreement_test(
-    packed: tuple[Scenario, CandidateLaw],
-) -> None:
-    from wyner.simulate.engine.attacks import AttackedLoop
-
-    scenario, law = packed
-    loop, draw = AttackedLoop(scenario, law, 300, None), np.random.default_rng(7)
-    x, reported = draw.normal(size=(300, 2)), draw.normal(size=(300, 2))
-    candidates = loop.offer(x, 0)
-    gauge = Gauge.from_rows(*scenario.defender.disturbance.rows())
-    found = loop.gauges(x, candidates, reported)
-    for r in range(300):
-        for i in range(4):
-            centre = predict(scenario.A, scenario.B, x[r].tolist(), candidates[r, i].tolist())
-            off = [a - b for a, b in zip(reported[r].tolist(), centre, strict=True)]
-            assert found[r, i] == pytest.approx(gauge(off), abs=1e-9)
 
 
 def test_the_same_seed_gives_the_same_runs(packed: tuple[Scenario, CandidateLaw]) -> None:

@@ -17,12 +17,11 @@ from protocol.scenario import Disturbance, Scenario
 from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
-from protocol.streams import CIPHER, COIN, DISTURBANCE, Stream, generator
+from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream, generator
 from runtime.scenario_file import load_scenario
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
 from wyner.simulate.engine import (
-    Draws,
     Runs,
     SimulationError,
     chunks,
@@ -31,7 +30,7 @@ from wyner.simulate.engine import (
     simulate_runs,
     transfer,
 )
-from wyner.simulate.engine.draws import disturbances
+from wyner.simulate.engine.draws import SeededDraws, disturbances
 from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.seeding import generator_states
 from wyner.simulate.engine.taps import EavesdropperError, listen
@@ -121,17 +120,17 @@ def assert_same(ours: Runs, place: int, theirs: Runs, tolerance: float = 0.0) ->
 
 
 def test_draws_in_blocks_are_the_streams_of_each_run() -> None:
-    draws = Draws(5, range(3, 6), 2)
-    blocks = [draws.block(steps) for steps in (7, 300, 1)]
-    noise, coins = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    assert noise.shape == (308, 2, 3)
+    scenario = load_scenario(SCENARIOS / "sustained.toml")
+    spec, draws = scenario.plant.disturbance, SeededDraws(scenario, 5, range(3, 6))
+    blocks = [draws.block(k, steps) for k, steps in ((0, 7), (7, 300), (307, 1))]
+    d, coins = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
+    assert d.shape == (308, 2, 3)
     for place, run in enumerate(range(3, 6)):
         stream = Stream(5, DISTURBANCE, width=2, run=run)
-        coin = Stream(5, COIN, run=run)
+        coin = SeededSymbols(5, COIN, run=run)
         for k in (0, 1, 6, 7, 255, 256, 307):
-            assert tuple(noise[k, :, place]) == stream.at(k)
-            assert coins[k, place] == coin.at(k)[0]
-        assert (noise[:, :, place] == generator(5, run, DISTURBANCE).random((308, 2))).all()
+            assert tuple(d[k, :, place]) == disturbance(spec, k, stream.at(k))
+            assert coins[k, place] == coin.symbol(k, 2)
 
 
 @given(

@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from controller_service.laws.base import CandidateLaw
-from protocol.link.peer import Actions
+from protocol.link.effects import Save
+from protocol.link.step import Read
 from protocol.scenario import Scenario
 from runtime.journal import PlantJournal
 from tests.support.safety import violations
@@ -133,10 +134,10 @@ class Watched(PlantJournal):
         self._executed = executed
         self.of_steps: list[int] = []
 
-    def save(self, actions: Actions) -> None:
+    def save(self, save: Save) -> None:
         before = len(self._executed)
-        super().save(actions)
-        if actions.measurement is not None and not actions.durable:
+        super().save(save)
+        if isinstance(save.step, Read) and not save.durable:
             self.of_steps.append(len(self._executed) - before)
 
     def forget(self) -> None:
@@ -167,4 +168,4 @@ def test_what_the_plant_saves_has_the_same_shape_in_both_states(
     roles = [t.role for t in history.plant.values()]
     assert set(roles) == {"test", "message"}
     assert 0 <= len(roles) - len(journal.of_steps) <= len(payloads), "of a last symbol"
-    assert set(journal.of_steps) == {3}, "one row in one transaction"
+    assert set(journal.of_steps) == {1}, "one row, which is a transaction"

@@ -19,7 +19,6 @@ from tap_service.inference.fitted_shape import fitted_widths
 from wyner.simulate.engine import Runs, follow, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.taps import transcript
-from wyner.simulate.single import simulate_plant
 
 MESSAGE = b"We sail at dawn."
 
@@ -127,12 +126,12 @@ def test_a_fit_of_noise_alone_is_not_trusted_to_be_smaller_than_the_noise() -> N
     assert fitted_widths(along) == pytest.approx(np.abs(along).max(axis=(0, 1)), rel=0.05)
 
 
-def test_the_scalar_loop_and_the_engine_are_one() -> None:
+def test_one_run_at_a_time_is_the_same_as_all_together() -> None:
     scenario = shaped((0.24, 0.96), 2.0, 4)
     law = make_law(scenario, cached_design(scenario))
     engine = simulate_runs(scenario, law, seed=3, runs=range(2), steps=80, record=True)
-    scalar = simulate_plant(
-        scenario, law, lambda: open_plant(scenario), seed=3, runs=range(2), steps=80
+    scalar = simulate_runs(
+        scenario, law, seed=3, runs=range(2), steps=80, plant=lambda: open_plant(scenario)
     )
     assert (engine.symbol == scalar.symbol).all()
     assert (engine.largest == scalar.largest).all()

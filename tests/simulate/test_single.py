@@ -11,7 +11,6 @@ from protocol.scenario import Scenario
 from tests.adapters.plants import Device, PythonLine, build_fmu, line, operated
 from wyner.api import System, build, design, load, run, vary
 from wyner.simulate.engine import Runs, SimulationError, simulate_runs
-from wyner.simulate.single import simulate_plant
 
 STEPS = 150
 
@@ -46,10 +45,11 @@ def test_a_disturbed_plant_is_the_engines(kind: str, system: System, tmp_path: P
     engine = simulate_runs(
         system.scenario, system.law, seed=3, runs=range(2), steps=STEPS, record=True
     )
-    mine = simulate_plant(
+    mine = simulate_runs(
         system.scenario,
         system.law,
-        lambda: operated(line(kind, tmp_path)),
+        plant=lambda: operated(line(kind, tmp_path)),
+        record=True,
         seed=3,
         runs=range(2),
         steps=STEPS,
@@ -66,10 +66,11 @@ def test_an_undisturbed_plant_is_the_engines(
 ) -> None:
     scenario = undisturbed.scenario
     engine = simulate_runs(scenario, undisturbed.law, seed=3, runs=range(1), steps=60, record=True)
-    mine = simulate_plant(
+    mine = simulate_runs(
         quiet(scenario),
         undisturbed.law,
-        lambda: operated(line(kind, tmp_path)),
+        plant=lambda: operated(line(kind, tmp_path)),
+        record=True,
         seed=3,
         runs=range(1),
         steps=60,
@@ -148,17 +149,6 @@ def test_a_plant_that_fails_stops_the_run_and_says_where(system: System) -> None
     scenario = quiet(system.scenario)
     with pytest.raises(SimulationError, match=r"^run 0, step \d+: plant: .*belt torn"):
         run(System(scenario, system.design, system.law), plant=Broken())
-
-
-def test_the_engine_refuses_what_it_cannot_step(undisturbed: System) -> None:
-    data = tables(undisturbed)
-    data["plant"] = {
-        **data["plant"],  # type: ignore[dict-item]
-        "kind": "python",
-        "object": "a:b",
-    }
-    with pytest.raises(SimulationError, match=r"plant.kind: got 'python', expected 'linear'"):
-        simulate_runs(build(data), undisturbed.law, seed=1, runs=range(1), steps=2)
 
 
 def test_a_plant_named_but_not_there_is_one_line(undisturbed: System, tmp_path: Path) -> None:

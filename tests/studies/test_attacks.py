@@ -2,34 +2,37 @@
 
 import csv
 import shutil
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from protocol.statistics import clopper_pearson
+from studies.__main__ import main
 from studies.attacks import study, tables
-from studies.attacks.__main__ import main
-from studies.attacks.study import EYES, Task, distilled, measure, seen_through, tasks
-from studies.attacks.tables import PAGE, rows_of, share, unseen, written
+from studies.attacks.study import EYES, Task, distilled, seen_through, tasks
+from studies.attacks.tables import share, unseen
+from studies.registry import Row, between_marks, recorded, studies
 from studies.signalling import changed
 from tests.house.test_docs import ROOT
-from wyner.sweeps.grid import SweepError
 
 RARE = 1e-6
+PAGE = ROOT / "docs" / "attacks.md"
 
 
 @pytest.fixture(scope="module")
-def rows() -> list[tables.Row]:
-    return rows_of()
+def rows() -> list[Row]:
+    return recorded("attacks")
 
 
-def test_every_task_has_its_row(rows: list[tables.Row]) -> None:
+def test_every_task_has_its_row(rows: list[Row]) -> None:
     assert [row["task"] for row in rows] == [task.id for task in tasks()]
     assert len({row["version"] for row in rows}) == 1
 
 
-def test_shares_are_within_binomial_error_of_the_theory(rows: list[tables.Row]) -> None:
+def test_shares_are_within_binomial_error_of_the_theory(rows: list[Row]) -> None:
     checked = set()
     for row in rows:
         if not row["theory"]:
@@ -45,7 +48,7 @@ def test_shares_are_within_binomial_error_of_the_theory(rows: list[tables.Row]) 
     assert ("packed", "4", "Gaussian watermark") in checked
 
 
-def test_who_has_the_key_decides(rows: list[tables.Row]) -> None:
+def test_who_has_the_key_decides(rows: list[Row]) -> None:
     mine = {
         (row["attack"], row["defence"], row["key"]): row for row in rows if row["group"] == "key"
     }
@@ -61,7 +64,7 @@ def test_who_has_the_key_decides(rows: list[tables.Row]) -> None:
     assert unseen(row)[100] == int(row["runs"])
 
 
-def test_the_limit_and_the_baseline(rows: list[tables.Row]) -> None:
+def test_the_limit_and_the_baseline(rows: list[Row]) -> None:
     (limit,) = (row for row in rows if row["group"] == "limit")
     assert unseen(limit)[100] == int(limit["runs"])
     assert float(limit["away"]) > 30
@@ -80,7 +83,7 @@ def test_the_limit_and_the_baseline(rows: list[tables.Row]) -> None:
             assert float(row["away"]) > 4
 
 
-def test_no_honest_step_alarms(rows: list[tables.Row]) -> None:
+def test_no_honest_step_alarms(rows: list[Row]) -> None:
     assert sum(int(row["false_alarms"]) for row in rows) == 0
     honest = [row for row in rows if row["group"] == "honest"]
     assert len(honest) == 7
@@ -88,20 +91,18 @@ def test_no_honest_step_alarms(rows: list[tables.Row]) -> None:
 
 
 @pytest.mark.slow
-def test_a_row_measured_again_is_the_same(rows: list[tables.Row]) -> None:
+def test_a_row_measured_again_is_the_same(rows: list[Row]) -> None:
     by_task = {row["task"]: row for row in rows}
     again = [t for t in tasks() if t.group == "matrix" and t.attack in ("ghost", "covert, 0.3")]
     for task in again[:6]:
-        fresh = {name: str(value) for name, value in measure(task).items()}
+        (fresh,) = studies()["attacks"].measured(task)
         for name in set(fresh) - {"version"}:
             assert fresh[name] == by_task[task.id][name], (task, name)
 
 
-def test_the_page_has_the_tables_of_the_data(rows: list[tables.Row]) -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    assert written(text, rows) == text, "run: python -m studies.attacks"
+def test_a_page_without_marks_is_told() -> None:
     with pytest.raises(ValueError, match="'matrix'"):
-        written("# Attacks", rows)
+        between_marks("# Attacks", "matrix", "")
 
 
 def test_an_eye_is_as_sharp_as_one_that_is_drawn() -> None:
@@ -130,43 +131,42 @@ def test_shares_in_words() -> None:
     assert share(250, 1000) == "0.250 [0.224, 0.278]"
 
 
-def test_what_is_stopped_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_stopped_goes_on(tmp_path: Path) -> None:
     few = [Task("key", "ghost", runs=20, steps=3, onset=2), Task("key", "stuck", runs=20, steps=3)]
-    monkeypatch.setattr(study, "tasks", lambda: iter(few))
+    one = replace(studies()["attacks"], tasks=lambda: iter(few))
     path = tmp_path / "some" / "attacks.csv"
-    assert main(["--output", str(path)]) == 0
+    one.measure(path)
     whole = path.read_bytes()
     lines = whole.splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:1]) + lines[1][:30])  # killed while it wrote
-    assert main(["--output", str(path), "--jobs", "2"]) == 0
+    with ProcessPoolExecutor(2) as pool:
+        one.measure(path, pool)
     assert path.read_bytes() == whole
     with path.open(newline="") as file:
         assert [row["attack"] for row in csv.DictReader(file)] == ["ghost", "stuck"]
-    with pytest.raises(SweepError, match="cannot be read"):
-        rows_of(tmp_path / "nothing.csv")
 
 
 @pytest.mark.slow
 def test_the_defence_of_the_page_runs(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = shutil.copy(PAGE.parents[1] / "examples" / "own" / "edge.py", tmp_path)
+    file = shutil.copy(ROOT / "examples" / "own" / "edge.py", tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(tables, "OWN_RUNS", 50)
-    assert main(["--defence", f"{Path(file).name}:Edge"]) == 0
+    assert main(["defence", f"{Path(file).name}:Edge"]) == 0
     said = capsys.readouterr().out
     assert "ghost, key secret: unseen after 1: 0 (below 0.0713)" in said  # she pushes to the edge
     assert "covert, 0.3, key secret: unseen after 1: 1 (above 0.9287)" in said
     assert "honest steps alarmed" not in said
-    assert "--defence examples/own/edge.py:Edge" in PAGE.read_text()
+    assert "studies defence examples/own/edge.py:Edge" in PAGE.read_text()
 
 
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
-        (["--jobs", "0"], "--jobs: got 0, expected at least 1"),
-        (["--defence", "no.py:None"], "--defence: no.py: no such file"),
-        (["--defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
+        (["measure", "attacks", "--jobs", "0"], "--jobs: got 0, expected at least 1"),
+        (["defence", "no.py:None"], "--defence: no.py: no such file"),
+        (["defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
     ],
 )
 def test_what_cannot_be_is_one_line(
@@ -176,7 +176,7 @@ def test_what_cannot_be_is_one_line(
     assert line in capsys.readouterr().err
 
 
-def test_the_page_says_what_the_data_say(rows: list[tables.Row]) -> None:
+def test_the_page_says_what_the_data_say(rows: list[Row]) -> None:
     """Numbers in its sentences: the ghost's shares, how far the plant is, what is shown."""
     text = PAGE.read_text(encoding="utf-8")
     (row,) = (r for r in rows if (r["group"], r["attack"], r["key"]) == ("key", "ghost", "secret"))

@@ -5,7 +5,7 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -17,14 +17,13 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean, wilson
 from runtime.scenario_file import scenario_of
-from studies import DATA, FIGURES_FOLDER, settled
+from studies import DATA, FIGURES_FOLDER
+from studies.__main__ import main
 from studies.figures import FIGURES, FigureError, draw
-from studies.figures.__main__ import main as figures
 from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
 from studies.loops import centre_distances, closed_form, gauges_of, system, tap_rows
-from studies.measurements import MEASUREMENTS, stale, write
-from studies.secrecy.tables import PAGE
+from studies.registry import pages, recorded, stale, studies
 from tests.support.patience import PATIENCE_S
 from tests.support.size import size
 from wyner.advice.rate import long_runs, settled_rate
@@ -34,6 +33,7 @@ from wyner.sweeps.code import ROOT
 from wyner.sweeps.grid import Row, load_sweep, points_of
 from wyner.sweeps.results import SUMS, read_rows, read_table
 
+PAGE = ROOT / "docs" / "findings.md"
 PAGES = {
     "idea": ROOT / "README.md",
     "network": ROOT / "docs" / "control.md",
@@ -98,7 +98,7 @@ def test_a_figure_is_that_of_the_page_and_states_runs_seed_and_intervals(
 @pytest.mark.long
 def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
     (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
-    command = [sys.executable, "-m", "studies.figures", "distance", "--output", "there"]
+    command = [sys.executable, "-m", "studies", "figures", "distance", "--output", "there"]
     env = os.environ | {"PYTHONPATH": str(ROOT)}
     subprocess.run(
         command, cwd=tmp_path, env=env, check=True, capture_output=True, timeout=PATIENCE_S
@@ -117,14 +117,18 @@ def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
         for file in kind.data:
             assert f"data/{file}.csv" in text or name == "idea"
             assert (DATA / f"{file}.csv").exists()
-            assert file in MEASUREMENTS
+            assert file in studies()
+
+
+def figures(arguments: list[str]) -> int:
+    return main(["figures", *arguments])
 
 
 def test_a_wrong_name_and_missing_data_are_told_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert figures(["nothing"]) == 2
-    assert "got 'nothing', expected rate-paper" in capsys.readouterr().err
+    assert "got 'nothing', expected undetected" in capsys.readouterr().err
     assert figures(["distance", "--data", str(tmp_path)]) == 1
     assert figures(["price", "--data", str(tmp_path)]) == 1
     errors = capsys.readouterr().err.splitlines()
@@ -187,37 +191,29 @@ def test_what_is_wrong_with_a_sweeps_data_is_told(
 def test_measuring_again_gives_the_same_bytes(tmp_path: Path) -> None:
     for name in ("a", "b"):
         for file in ("sets", "fig7-paper-20"):
-            MEASUREMENTS[file].measure(tmp_path / name / f"{file}.csv")
+            studies()[file].measure(tmp_path / name / f"{file}.csv")
     for file in ("sets.csv", "fig7-paper-20.csv"):
         assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
 
 
-def test_a_measurement_that_fails_loses_nothing(tmp_path: Path) -> None:
-    path = tmp_path / "some.csv"
-    write(path, ("a",), [(1,)], "1+a")
-    before = path.read_bytes()
-
-    def failing() -> Iterator[tuple[int]]:
-        yield (2,)
-        raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        write(path, ("a",), failing(), "1+a")
-    assert path.read_bytes() == before
-    write(path, ("a",), [(3,)], "1+a")
-    assert path.read_text(encoding="utf-8").endswith(",3\n")
-    assert [one.name for one in tmp_path.iterdir()] == ["some.csv"]
-
-
 def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
-    for name, (_, version) in MEASUREMENTS.items():
-        write(tmp_path / f"{name}.csv", ("a",), [(1,), (2,)], version())
+    one = studies()["widths"]
+    path = tmp_path / "widths.csv"
+    rows = recorded("widths")
+    path.write_text(
+        "\n".join([",".join(one.head), *(",".join(row.values()) for row in rows), ""]).replace(
+            rows[0]["version"], one.version
+        )
+    )
     assert list(stale(tmp_path)) == []
-    path = tmp_path / "secrecy-ladder.csv"
-    now = MEASUREMENTS["secrecy-ladder"].version()
-    path.write_text(f"version,a\n0.1.0,1\n0.1.0,2\n1.0.0+deadbeef,3\n{now},4\n")
-    told = "secrecy-ladder.csv: 3 of 4 rows by 0.1.0 (2), 1.0.0+deadbeef (1); today " + now
-    assert list(stale(tmp_path)) == [told]
+    path.write_text(path.read_text().replace(one.version, "1.0.0+00000001"))
+    told = f"widths.csv: {len(rows)} of {len(rows)} rows by 1.0.0+00000001 ({len(rows)}); today "
+    assert list(stale(tmp_path)) == [told + one.version]
+
+
+def test_every_page_has_its_tables_as_the_data_have_them() -> None:
+    for path, text in pages().items():
+        assert path.read_text(encoding="utf-8") == text, "run: python -m studies tables"
 
 
 def without_version(path: Path) -> list[Row]:
@@ -231,14 +227,14 @@ def without_version(path: Path) -> list[Row]:
     "name", ["sets", "distance", "fig7-paper", "fig7-paper-20", "fig7-sustained"]
 )
 def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
-    MEASUREMENTS[name].measure(tmp_path / "now.csv")
+    studies()[name].measure(tmp_path / "now.csv")
     assert without_version(tmp_path / "now.csv") == without_version(DATA / f"{name}.csv")
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price"])
 def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
-    MEASUREMENTS[name].measure(tmp_path / "now.csv")
+    studies()[name].measure(tmp_path / "now.csv")
     now, shipped = read_rows(tmp_path / "now.csv"), read_rows(DATA / f"{name}.csv")
     for ours, theirs in zip(now, shipped, strict=True):
         sums = {key: pytest.approx(ours[key], rel=1e-9) for key in SUMS}  # a solver's rounding
@@ -317,9 +313,7 @@ def settled_rates() -> dict[tuple[str, str, float], tuple[float, float]]:
     }
 
 
-def test_the_table_of_settled_rates_is_that_of_the_data() -> None:
-    page = PAGE.read_text(encoding="utf-8")
-    assert settled.written(page, settled.recorded()) == page
+def test_what_settles_at_nothing() -> None:
     rates = settled_rates()
     assert rates["scenario", "double-integrator", 8.0][0] == 0
     assert rates["disturbance", "constant bias", 8.0][0] == 0
@@ -401,7 +395,7 @@ def test_the_closed_form_at_its_limits() -> None:
 @pytest.mark.long
 def test_taps_get_what_the_scheme_claims_to_hide() -> None:
     runs = size(1, 3)
-    rows = [row[-4:] for row in tap_rows(runs, 1200)]
+    rows = [row[-4:] for row in tap_rows(None, runs, 1200)]
     assert len(rows) == 8
     for agreements, right, delivered, read in rows:
         assert right == agreements > 0

@@ -157,7 +157,7 @@ def test_one_who_knows_the_law_of_d_leaves_more(four: LinearLoop, noise: float) 
 def test_smoother_with_measurements_alone_is_above_the_bound(
     four: LinearLoop, noise: float
 ) -> None:
-    left = smoother_left(scenario_of("packed"), four, noise, 200, 3, 1)
+    left = smoother_left(scenario_of("packed"), noise, 200, 3, 1)
     assert left.bits >= four.coin(noise).bits
     assert left.whole <= four.coin(noise).guess
 

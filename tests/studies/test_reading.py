@@ -6,34 +6,20 @@ from collections.abc import Sequence
 import pytest
 
 from protocol.statistics import MISSTATED, wilson
-from studies.pages import markdown_table
+from studies.registry import Row, recorded
 from studies.secrecy.reading import ANY_BYTES
-from studies.secrecy.reading_tables import (
-    STATED_HEAD,
-    Row,
-    median,
-    misstated,
-    read_rows,
-    reliability,
-    results,
-    tails,
-    views,
-)
 from studies.secrecy.study import ALL_READ, VIEWS, tasks
-from studies.secrecy.tables import PAGE, against_the_smoother
+from studies.secrecy.tables import STATED_HEAD, median, misstated, reliability, tails
 from tap_service.inference.message_reader import SURE
 
 
 @pytest.fixture(scope="module")
 def rows() -> Sequence[Row]:
-    return read_rows()
+    return recorded("secrecy-reading")
 
 
-def test_the_page_shows_the_tables_of_its_data(rows: Sequence[Row]) -> None:
-    text = PAGE.read_text(encoding="utf-8")
-    assert markdown_table(results(rows)) in text
-    assert markdown_table(reliability([*rows, *views()])) in text
-    assert against_the_smoother(views()) in text
+def views() -> Sequence[Row]:
+    return recorded("secrecy-view")
 
 
 def test_a_median_lies_between_the_values_that_the_signs_alone_give() -> None:
@@ -68,7 +54,7 @@ def test_what_text_states_comes_true_as_often_as_it_is_stated(rows: Sequence[Row
     measured, and of no class an exact test rejects it. Above it one claim was wrong.
     """
     everything = [*rows, *views()]
-    head, *classes = reliability(everything)
+    head, *classes = reliability(everything, [])
     assert head == STATED_HEAD
     counted = 0
     for name, messages, stated, right, _, few, many in classes:
@@ -80,7 +66,6 @@ def test_what_text_states_comes_true_as_often_as_it_is_stated(rows: Sequence[Row
     assert counted >= 200
     (top,) = [c for c in classes if c[0] == "0.99 to 1"]
     assert int(top[3]) >= 0.98 * int(top[1])
-    assert misstated(everything) in PAGE.read_text(encoding="utf-8")
 
 
 def test_the_tails_of_a_count_are_exact() -> None:
@@ -98,9 +83,9 @@ def test_a_tap_that_states_too_much_or_too_little_is_called_so() -> None:
             for x in [1] * right + [0] * (100 - right)
         ]
 
-    assert "no tail is below" in misstated(rows_of(0.8, 80))
-    assert "0.5 to 0.9, where more is stated than 60 of 100" in misstated(rows_of(0.8, 60))
-    assert "0.5 to 0.9, where less is stated than 95 of 100" in misstated(rows_of(0.8, 95))
+    assert "no tail is below" in misstated(rows_of(0.8, 80), [])
+    assert "0.5 to 0.9, where more is stated than 60 of 100" in misstated(rows_of(0.8, 60), [])
+    assert "0.5 to 0.9, where less is stated than 95 of 100" in misstated(rows_of(0.8, 95), [])
 
 
 @pytest.mark.parametrize(

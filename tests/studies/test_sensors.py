@@ -33,7 +33,8 @@ def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.Monk
     """A small one, measured now: 4 runs of 100 steps."""
     for name, value in (("RUNS", 4), ("AT_ONCE", 2), ("STEPS", 100)):
         monkeypatch.setattr(corners, name, value)
-    rows = {row[0]: dict(zip(corners.COLUMNS, row, strict=True)) for row in corners.corner_rows()}
+    made = (row for name in corners.noisy_scenarios() for row in corners.corner_rows(name))
+    rows = {row[0]: dict(zip(corners.COLUMNS.split(), row, strict=True)) for row in made}
     assert rows.keys() == {"encoder", "noisy"}
     for name, row in rows.items():
         assert row["wrong"] == 0
@@ -44,35 +45,16 @@ def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.Monk
         assert scenario.plant.noise.half_widths == scenario.defender.noise.half_widths
 
 
-def test_the_page_has_the_listeners_at_an_encoder_as_they_are_on_record() -> None:
-    page = outputs.PAGE.read_text(encoding="utf-8")
-    assert page == outputs.written(page, outputs.recorded())
-
-
-def test_the_page_has_the_listeners_to_noisy_readings_as_they_are_on_record() -> None:
-    page = readings.PAGE.read_text(encoding="utf-8")
-    assert page == readings.written(page, readings.recorded())
-
-
-def test_the_page_has_the_listeners_whom_d_e_tells_no_test_as_they_are_on_record() -> None:
-    page = other_sets.PAGE.read_text(encoding="utf-8")
-    assert page == other_sets.written(page, other_sets.recorded())
-
-
 def test_whom_d_e_tells_no_test_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one, 2 runs of 60 steps: a shape misleads the nearest, noise does not."""
     for name, value in (("RUNS", 2), ("STEPS", 60), ("TAPS", ("nearest-centre", "fitted-box"))):
         monkeypatch.setattr(other_sets, name, value)
-    rows = [dict(zip(other_sets.COLUMNS, r, strict=True)) for r in other_sets.other_set_rows()]
+    made = (r for c in other_sets.CONDITIONS for r in other_sets.other_set_rows(c))
+    rows = [dict(zip(other_sets.COLUMNS.split(), r, strict=True)) for r in made]
     by = {(row["condition"], row["tap"]): row["keys"] for row in rows}
     shape, noise = other_sets.CONDITIONS
     assert by[shape, "nearest-centre"] < 1.0
     assert by[noise, "nearest-centre"] == by[noise, "fitted-box"] == 1.0
-
-
-def test_the_page_has_the_listeners_to_a_plant_that_misses_steps_as_they_are_on_record() -> None:
-    page = missed_steps.PAGE.read_text(encoding="utf-8")
-    assert page == missed_steps.written(page, missed_steps.recorded())
 
 
 def test_a_plant_that_misses_steps_measured_now() -> None:
@@ -106,10 +88,12 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
 
 def test_a_row_of_noisy_readings_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one: 5 runs of 40 steps at one noise, the lightest listener."""
-    small = {"RUNS": 5, "STEPS": 40, "HEARD": 5, "SHARES": (0.2,), "TAPS": ("nearest-centre",)}
+    small = {"RUNS": 5, "STEPS": 40, "HEARD": 5, "TAPS": ("nearest-centre",)}
     for name, value in small.items():
         monkeypatch.setattr(readings, name, value)
-    ((row),) = [dict(zip(readings.COLUMNS, row, strict=True)) for row in readings.reading_rows()]
+    ((row),) = [
+        dict(zip(readings.COLUMNS.split(), row, strict=True)) for row in readings.reading_rows(0.2)
+    ]
     assert (row["candidates"], row["agreed"], row["wrong"]) == (3, 1.0, 0)
     assert row["keys"] > 0.95
     assert row["keys_low"] <= row["keys"] <= row["keys_high"]
@@ -119,7 +103,8 @@ def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) ->
     """A small one: 1 run of 60 steps, the lightest listeners."""
     for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "smoother"))):
         monkeypatch.setattr(outputs, name, value)
-    rows = [dict(zip(outputs.COLUMNS, row, strict=True)) for row in outputs.output_rows()]
+    made = (row for c in outputs.CONDITIONS for row in outputs.output_rows(c))
+    rows = [dict(zip(outputs.COLUMNS.split(), row, strict=True)) for row in made]
     assert [(row["condition"], row["tap"]) for row in rows] == [
         (condition, tap) for condition in outputs.CONDITIONS for tap in outputs.TAPS
     ]
@@ -134,8 +119,11 @@ def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers
 ) -> None:
     """60 steps, seed 5: at alpha 2.5 her own box calls symbols secret that four readings tell."""
     monkeypatch.setattr(waiting, "STEPS", 60)
-    monkeypatch.setattr(waiting, "ALPHAS", (2.5, 12.0))
-    small, large = (dict(zip(waiting.COLUMNS, r, strict=True)) for r in waiting.waiting_rows())
+    small, large = (
+        dict(zip(waiting.COLUMNS.split(), row, strict=True))
+        for alpha in (2.5, 12.0)
+        for row in waiting.waiting_rows(alpha)
+    )
     assert small["within"] == 0
     assert small["one_step_resolved"] > 0.2 * small["one_step_secret"] > 0
     assert large["within"] == 1
@@ -143,31 +131,20 @@ def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers
     assert large["offer_resolved"] == 0
 
 
-def test_the_share_computed_lies_in_the_interval_of_each_point_on_record() -> None:
-    """33 rows: six losses and five delays under three fallbacks, 100 runs of 500 steps each."""
-    rows = recorded("network")
-    assert len(rows) == 33
-    for row in rows:
-        low, high = float(row["missed_low"]), float(row["missed_high"])
-        assert low <= float(row["expected_missed"]) <= high, row
-
-
 @pytest.mark.long
-def test_a_point_of_the_network_measured_now_is_the_one_on_record(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+def test_a_point_of_the_network_measured_now_is_the_one_on_record() -> None:
     """Losses of 0.4 each way: cost, rate and missed steps under the three fallbacks."""
-    monkeypatch.setattr(network, "LOSSES", (0.4,))
-    monkeypatch.setattr(network, "ROUND_TRIPS", ())
-    monkeypatch.setattr(network, "FIRST_SEED", {"loss": 102, "delay": 200})
-    now = [dict(zip(network.COLUMNS, map(str, row), strict=True)) for row in network.network_rows()]
+    now = [
+        dict(zip(network.COLUMNS.split(), map(str, row), strict=True))
+        for row in network.network_rows(("loss", 0.4, 102))
+    ]
     there = [row for row in recorded("network") if (row["part"], row["value"]) == ("loss", "0.4")]
     assert len(now) == len(there) == 3
     for mine, theirs in zip(now, there, strict=True):
-        for name in network.COLUMNS:
+        for name in network.COLUMNS.split():
             assert same(mine[name], theirs[name]), name
 
 
 def test_data_are_measured_by_name(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["nothing", "--data", str(tmp_path)]) == 2
+    assert main(["measure", "nothing", "--data", str(tmp_path)]) == 2
     assert capsys.readouterr().err.startswith("wyner: name: got 'nothing'")

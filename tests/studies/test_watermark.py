@@ -119,7 +119,7 @@ def test_no_symmetry_is_needed() -> None:
 
 
 def test_prices_are_those_of_the_variance() -> None:
-    rows = [row for row in price_rows() if row[2] == 4]
+    rows = [row for row in price_rows(None) if row[2] == 4]
     (proved, alphabet, normal) = (row[5:] for row in rows)
     assert alphabet == pytest.approx(proved)
     assert np.array(normal) / np.array(alphabet) == pytest.approx([1.9698] * 2, abs=1e-3)

@@ -3,22 +3,24 @@
 Time moves on by a second with each thing that is heard, so that no greeting comes too soon.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from copy import copy
 from typing import Any, NamedTuple
 from zlib import crc32
 
 from controller_service.core import ControllerCore, Predict
 from protocol.link.distiller import BlockEnded, Distiller
-from protocol.link.peer import Actions
-from protocol.link.records import SenderRecord
+from protocol.link.effects import Effect, Notice, Publish, Save
+from protocol.link.records import Loaded, SenderRecord
 from protocol.link.session import CountedTransition, Rules
+from protocol.link.step import IDLE, Answered
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.nonces import Contribution, NonceSource
 from protocol.streams import SymbolSource
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
+from tests.support.asked import turns
 
 PERIOD_S = 0.1
 
@@ -49,7 +51,7 @@ class Zeros:
 
 
 class Done(NamedTuple):
-    """What a core's actions come to, of one event.
+    """What a core asked for, of one event.
 
     ``append`` says that a step was saved before its offer, ``save`` that a record was at once.
     """
@@ -68,28 +70,33 @@ class Done(NamedTuple):
 NOTHING = Done()
 
 
-def done(actions: Actions) -> Done:
-    """What ``actions`` come to."""
+def done(effects: Sequence[Effect]) -> Done:
+    """What ``effects`` come to."""
     said: dict[Any, Any] = {}
-    for message in actions.publish:
-        assert type(message) not in said
-        said[type(message)] = message
-    transitions = [event for event in actions.events if isinstance(event, CountedTransition)]
+    events: list[Any] = []
+    refusals: list[str] = []
+    saves = [effect for effect in effects if isinstance(effect, Save)]
+    for asked in turns(effects):
+        for message in asked.publish:
+            assert type(message) not in said
+            said[type(message)] = message
+        events += asked.events
+        refusals += [notice.text for notice in asked.notices if notice.subject == "refusals"]
+    transitions = [event for event in events if isinstance(event, CountedTransition)]
     delivered = [t.delivered.id for t in transitions if t.delivered is not None]
-    refusals = [notice.text for notice in actions.notices if notice.subject == "refusals"]
     assert len(transitions) <= 1
     assert len(refusals) <= 1
-    save = actions.record is not None and actions.offer is None
+    save = any(save.step is IDLE for save in saves)
     return Done(
         save=save,
-        append=actions.offer is not None,
+        append=any(save.step is not IDLE for save in saves),
         transition=transitions[0] if transitions else None,
         delivered=delivered[0] if delivered else None,
         offer=said.get(Offer),
         reply=said.get(ControllerHello),
         refusal=refusals[0] if refusals else "",
-        rows=actions.rows.contributions if save else (),
-        blocks=tuple(event for event in actions.events if isinstance(event, BlockEnded)),
+        rows=tuple(row for save in saves if save.step is IDLE for row in save.rows.contributions),
+        blocks=tuple(event for event in events if isinstance(event, BlockEnded)),
     )
 
 
@@ -119,6 +126,7 @@ class ControllerInHand:
         predict: Predict | None = None,
     ) -> None:
         self._now = 0.0
+        self._rest: Iterable[Effect] = ()
         self.core = ControllerCore(
             rules,
             propose,
@@ -126,10 +134,11 @@ class ControllerInHand:
             fresh or Zeros(),
             instance=instance,
             period_s=PERIOD_S,
-            record=record,
-            measurement=measurement,
-            offer=offer,
-            contributions=contributions,
+            loaded=Loaded(
+                record,
+                IDLE if measurement is None or offer is None else Answered(measurement, offer),
+                tuple(contributions),
+            ),
             predict=predict,
             nonces=nonces,
         )
@@ -144,7 +153,7 @@ class ControllerInHand:
 
     @property
     def plant(self) -> str | None:
-        return self.core.plant
+        return self.core.session.plant
 
     @property
     def refused(self) -> bool:
@@ -165,14 +174,14 @@ class ControllerInHand:
 
     def greeting(self) -> ControllerHello:
         """Its greeting, as it was when it started."""
-        said = done(copy(self.core).start(self._now)).reply  # which leaves nothing behind
+        said = done([*copy(self.core).start(self._now)]).reply  # which leaves nothing behind
         assert said is not None
         return said
 
     def heard_plant(self, hello: PlantHello, *, running: bool = False) -> Done:
         """The plant speaks; ``running`` says that the one served was heard just now."""
         self._now += 1.0 if running else 1000.0
-        return done(self.core.receive(PlantHello, hello.wire(), self._now))
+        return done([*self.core.receive(PlantHello, hello.wire(), self._now)])
 
     def measured(self, measurement: Measurement) -> Done:
         """A measurement arrives.
@@ -183,14 +192,19 @@ class ControllerInHand:
             When it says that the measurement is malformed.
         """
         self._now += 1.0
-        actions = self.core.receive(Measurement, measurement.wire(), self._now)
-        for notice in actions.notices:
-            if notice.subject == "malformed":
-                raise ValueError(notice.text.removesuffix("; ignored"))
-        made = done(actions)
-        assert actions.finish_step == made.append
-        return made
+        self._rest = iter(self.core.receive(Measurement, measurement.wire(), self._now))
+        effects = []
+        for effect in self._rest:
+            effects.append(effect)
+            if isinstance(effect, Notice) and effect.subject == "malformed":
+                raise ValueError(effect.text.removesuffix("; ignored"))
+            if isinstance(effect, Publish) and isinstance(effect.message, Offer):
+                break
+        return done(effects)
 
     def finish_step(self) -> Done:
         """Count the step under way."""
-        return done(self.core.finish_step())
+        if self.core.unfinished and not self._rest:  # as it was read back
+            *counted, _, _ = self.core.start(self._now)  # and then it greets, saved before
+            return done(counted)
+        return done([*self._rest])

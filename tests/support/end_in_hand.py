@@ -2,14 +2,16 @@
 
 from typing import Any, Generic, TypeVar
 
-from protocol.link.peer import Actions, Peer
+from protocol.link.effects import Effects
+from protocol.link.peer import Peer
 from protocol.messages import Message
+from tests.support.asked import NOTHING, Asked, turns
 
 E = TypeVar("E", bound=Peer)
 
 
 class EndInHand(Generic[E]):
-    """An end whose test is its shell, and keeps every :class:`Actions`.
+    """An end whose test is its shell, and keeps every :class:`Asked`.
 
     Parameters
     ----------
@@ -18,26 +20,25 @@ class EndInHand(Generic[E]):
 
     def __init__(self, core: E) -> None:
         self.core = core
-        self.all: list[Actions] = []
+        self.all: list[Asked] = []
 
-    def carry_out(self, actions: Actions) -> None:
+    def carry_out(self, asked: Asked) -> None:
         """What the shell does besides; nothing here."""
 
-    def does(self, actions: Actions) -> Actions:
-        """What a shell does with the actions, and with those after them; the first ones."""
-        first = actions
-        while True:
-            self.all.append(actions)
-            assert all(notice.text for notice in actions.notices)
-            self.carry_out(actions)
-            if not actions.finish_step:
-                return first
-            actions = self.core.finish_step()
+    def does(self, effects: Effects) -> Asked:
+        """What a shell does with the effects; the first of them that belong together."""
+        done = []
+        for asked in turns(effects):
+            done.append(asked)
+            assert all(notice.text for notice in asked.notices)
+            self.carry_out(asked)
+        self.all += done
+        return done[0] if done else NOTHING
 
-    def hears(self, message: Message, now: float) -> Actions:
+    def hears(self, message: Message, now: float) -> Asked:
         return self.does(self.core.receive(type(message), message.wire(), now))
 
-    def wakes(self, now: float) -> Actions:
+    def wakes(self, now: float) -> Asked:
         return self.does(self.core.wake(now))
 
     @property
@@ -48,13 +49,6 @@ class EndInHand(Generic[E]):
         ]
         self.all.clear()
         return said
-
-
-def kept(actions: Actions) -> Actions:
-    """What of the actions is saved, and nothing else."""
-    return actions._replace(
-        events=(), publish=(), notices=(), health=None, finish_step=False, tasks=()
-    )
 
 
 def fields(status: Message) -> dict[str, Any]:

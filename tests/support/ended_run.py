@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from protocol.link.peer import Actions
+from protocol.link.effects import Save
 from protocol.messages import SendCommand
 from runtime.files import write_atomically
 from runtime.journal import ControllerJournal, PlantJournal
@@ -29,13 +29,11 @@ def ended_run(folder: Path, payloads: tuple[bytes, ...]) -> SmallRun:
     with ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint) as journal:
         for number, payload in enumerate(payloads):
             journal.save(
-                Actions(
-                    record=run.sender.record, queued=SendCommand(id=f"m{number}", payload=payload)
-                )
+                Save(run.sender.record, queued=SendCommand(id=f"m{number}", payload=payload))
             )
     with PlantJournal(folder / PLANT_JOURNAL, fingerprint) as journal:
         for payload in run.received:
-            journal.save(Actions(record=run.receiver.record, received=payload))
+            journal.save(Save(run.receiver.record, received=payload))
     manifest = {"wyner": "0", **run.scenario.identity()}
     write_atomically(folder / MANIFEST, json.dumps(manifest).encode())
     messages = len(read_lines(folder / CAPTURE)) - 2

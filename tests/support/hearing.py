@@ -1,6 +1,6 @@
 """An end of the link that keeps what it hears: for the tests of what stands before an end."""
 
-from protocol.link.peer import Actions
+from protocol.link.effects import Effects, Publish
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 
@@ -35,36 +35,33 @@ class Hearing:
         self.appearances = 0
         self.blocks: list[ExtractedBlock | ExtractionFailed] = []
 
-    def _said(self) -> Actions:
-        return Actions(publish=self.says_now)
+    def _said(self) -> Effects:
+        return [Publish(message) for message in self.says_now]
 
-    def start(self, now: float) -> Actions:
+    def start(self, now: float) -> Effects:
         self.started.append(now)
         return self._said()
 
-    def receive(self, kind: type[Message], payload: bytes, now: float) -> Actions:
+    def receive(self, kind: type[Message], payload: bytes, now: float) -> Effects:
         self.heard.append((now, kind, payload))
         return self._said()
 
     def wake_at(self) -> float:
         return self.due
 
-    def wake(self, now: float) -> Actions:
+    def wake(self, now: float) -> Effects:
         self.woken.append(now)
         self.due = now + 10.0
         return self._said()
 
-    def finish_step(self) -> Actions:
-        return self._said()
-
-    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Actions:
+    def extracted(self, block: ExtractedBlock | ExtractionFailed) -> Effects:
         self.blocks.append(block)
         return self._said()
 
-    def appear(self, count: int) -> Actions:
+    def appear(self, count: int) -> Effects:
         self.appearances = count
         return self._said()
 
-    def stop(self, now: float) -> Actions:
+    def stop(self, now: float) -> Effects:
         self.stopped.append(now)
         return self._said()

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.step import Answered, Begun, Read
 from protocol.messages import Measurement, Offer, SendCommand
 from runtime.journal import ControllerJournal, PlantJournal
 
@@ -45,7 +46,14 @@ def step_of(
 ) -> tuple[Offer | None, int, Measurement | None]:
     """The step that follows the record; :data:`NO_STEP` where none does."""
     loaded: Any = journal.load()
-    return loaded.offer, loaded.coin, loaded.measurement
+    match loaded.step:
+        case Begun(offer, coin):
+            return offer, coin, None
+        case Read(offer, coin, report):
+            return offer, coin, report
+        case Answered(measurement, offer):
+            return offer, NO_SYMBOL, measurement
+    return NO_STEP
 
 
 class _Copied:

@@ -11,12 +11,13 @@ from controller_service.core import ControllerCore
 from plant_service.adapters.operated import Operated
 from plant_service.core import PlantCore
 from plant_service.plant import Coin, OperatedPlant
-from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge
+from protocol.agreement import AgreementRule, Gauge
+from protocol.link.effects import Save
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions
 from protocol.link.records import ReceiverRecord
 from protocol.link.session import CountedTransition, Rules, Truth
+from protocol.link.step import Read
 from protocol.messages import ControllerHello, Measurement
 from protocol.schemes.base import Scheme
 from protocol.schemes.switched import Switched
@@ -51,7 +52,7 @@ def line_rules(
 def disowned(plant: PlantCore) -> ControllerHello:
     """What a controller says that was misled, or holds other keys: the session is over."""
     return ControllerHello(
-        instance=plant.controller or "",
+        instance=plant.session.controller or "",
         incarnation=plant.record.incarnation,
         fingerprint=plant.rules.fingerprint,
         verdict="unknown-session",
@@ -101,13 +102,12 @@ class Reports:
     def __init__(self) -> None:
         self._said: Measurement | None = None
 
-    def look(self, actions: Actions) -> None:
+    def look(self, save: Save) -> None:
         """A step's record says what its report said, before the report may be said again."""
-        record = actions.record
-        assert record is not None
+        record = save.record
         report, self._said = self._said, None
-        if actions.coin != NO_SYMBOL:
-            self._said = actions.measurement
+        if isinstance(save.step, Read):
+            self._said = save.step.report
         if report is None or not isinstance(record, ReceiverRecord) or record.k != report.k:
             return
         if record.session == report.session:
@@ -131,7 +131,6 @@ def line_controller(
     period_s: float = PERIOD_S,
 ) -> ControllerCore:
     """A controller's endpoint as its journal has it."""
-    loaded = journal.load()
     return ControllerCore(
         rules,
         propose,
@@ -139,11 +138,7 @@ def line_controller(
         fresh,
         instance=instance,
         period_s=period_s,
-        record=loaded.record,
-        measurement=loaded.measurement,
-        offer=loaded.offer,
-        contributions=loaded.rows,
-        parts=loaded.parts,
+        loaded=journal.load(),
         nonces=nonces,
     )
 
@@ -246,8 +241,9 @@ def line_plant(
     x = None if device is None else device.start()
     plant = LinePlant() if device is None else ActingLine(device)
     loaded = journal.load()
-    record = loaded.record
-    first = record or ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
+    first = None
+    if loaded.record is None:
+        first = ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
     core = PlantCore(
         rules,
         plant,
@@ -257,15 +253,9 @@ def line_plant(
         new_id,
         now,
         instance=instance,
-        record=first,
-        symbols=loaded.symbols,
-        contributions=loaded.rows,
-        parts=loaded.parts,
-        offer=loaded.offer,
-        tossed=loaded.coin,
-        report=loaded.measurement,
-        back=None if record is None else x,
-        fresh=record is None,
+        loaded=loaded,
+        first=first,
+        back=None if first is not None else x,
         steps=steps,
         nonces=nonces,
     )

@@ -10,16 +10,19 @@ from controller_service.service import ControllerConfig, open_controller
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.events import lines
 from protocol.messages import FIELD, ControllerHello, Measurement, Offer, PlantHello
+from protocol.secret.extractor import extracted
 from runtime.pace import Pace
 from runtime.perform import perform
+from runtime.recording import Bounds
 from runtime.run_folder import CAPTURE, SCENARIO
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from tap_service.capture.recording import Limits, RotatingLog
+from tap_service.capture.recording import RotatingLog
 
 if TYPE_CHECKING:
+    from protocol.link.effects import Notice, Save
     from protocol.link.events import Event
-    from protocol.link.peer import Actions, Notice, Peer
+    from protocol.link.peer import Peer
     from protocol.messages import Message, Status
     from protocol.secret.blocks import ClosedBlock
     from runtime.ports import Files
@@ -36,11 +39,12 @@ class Ports:
     def __init__(self, files: "Files", tap: RotatingLog) -> None:
         self.files = files
         self.mail: list[tuple[type[Message], bytes]] = []
+        self.blocks: list[ClosedBlock] = []
         self._tap = tap
 
-    def save(self, actions: "Actions") -> None:
+    def save(self, save: "Save") -> None:
         """Keep it in the journal."""
-        self.files.journal.save(actions)
+        self.files.journal.save(save)
 
     def publish(self, message: "Message") -> None:
         """Leave it for the partner, and on record."""
@@ -51,8 +55,8 @@ class Ports:
             self._tap.write(line % (time.time_ns(), message.topic.encode(), payload))
 
     def extract(self, block: "ClosedBlock") -> None:
-        """No scenario of these makes keys."""
-        raise AssertionError(block)
+        """Extract it when the step is over."""
+        self.blocks.append(block)
 
     def trace(self, event: "Event") -> None:
         """Write it to the trace."""
@@ -71,7 +75,7 @@ def make_run(folder: Path, steps: int, name: str = "sustained") -> None:
     (folder / SCENARIO).write_bytes((SCENARIOS / f"{name}.toml").read_bytes())
     scenario = load_scenario(folder / SCENARIO)
     view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-    limits = Limits(total_bytes=2**40, free_bytes=0)
+    limits = Bounds(total_bytes=2**40, free_bytes=0)
     tap = RotatingLog(folder / CAPTURE, {"view": view}, limits, logging.getLogger("tap"))
     law = make_law(scenario, cached_design(scenario))
     controller, controller_files = open_controller(
@@ -84,16 +88,19 @@ def make_run(folder: Path, steps: int, name: str = "sustained") -> None:
         "plant": (plant, Ports(plant_files, tap)),
     }
     for endpoint, ports in ends.values():
-        perform(endpoint.start(time.monotonic()), endpoint, ports)
+        perform(endpoint.start(time.monotonic()), ports)
     while plant.record.k < steps:
         for side, other in (("controller", "plant"), ("plant", "controller")):
             (endpoint, ports), now = ends[side], time.monotonic()
             mail, ends[other][1].mail = ends[other][1].mail, []
             if endpoint.wake_at() <= now:
-                perform(endpoint.wake(now), endpoint, ports)
+                perform(endpoint.wake(now), ports)
             for kind, payload in mail:
                 if kind in HEARS[side]:
-                    perform(endpoint.receive(kind, payload, now), endpoint, ports)
+                    perform(endpoint.receive(kind, payload, now), ports)
+            while ports.blocks:
+                block = extracted(ports.blocks.pop(0))
+                perform(endpoint.extracted(block), ports)
     controller_files.close()
     plant_files.close()
     tap.close()

@@ -16,7 +16,7 @@ from controller_service.sets.design import Design, input_interval
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import Scenario
-from wyner.simulate.engine.draws import Draws, disturbances
+from wyner.simulate.engine.draws import SeededDraws
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,8 +71,7 @@ def plain_run(scenario: Scenario, design: Design, *, seed: int, run: int, steps:
     low, high = input_interval(scenario.control.inputs)
     Hc, hc = (np.array(a) for a in scenario.defender.disturbance.rows())
     He, he = (np.array(a) for a in scenario.eavesdropper_set.rows())
-    uniforms, coins = Draws(seed, range(run, run + 1), scenario.n).block(steps)
-    d = disturbances(scenario.plant.disturbance, 0, uniforms)[:, :, 0]
+    d, coins = SeededDraws(scenario, seed, range(run, run + 1)).block(0, steps)
     forms = ((2 * B.T @ B, 2 * B.T @ A), (2 * np.eye(B.shape[1]), np.zeros_like(B.T)))
     x = np.array(scenario.initial_state)
     symbols = []
@@ -81,7 +80,7 @@ def plain_run(scenario: Scenario, design: Design, *, seed: int, run: int, steps:
         H, h = design.targets[max(i - 1, 0)]
         b = h * (1 - 1e-9) - H @ A @ x
         candidates = [solve(P, F @ x, H @ B, b, low, high) for P, F in forms]
-        x_next = A @ x + B @ candidates[int(coins[k, 0] * 2)] + d[k]
+        x_next = A @ x + B @ candidates[int(coins[k, 0])] + d[k, :, 0]
         predictions = [A @ x + B @ u for u in candidates]
         defender = [reach_contains(c, Hc, hc, x_next) for c in predictions]
         eavesdropper = [reach_contains(c, He, he, x_next) for c in predictions]

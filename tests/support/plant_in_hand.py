@@ -8,16 +8,17 @@ from collections.abc import Callable, Iterable
 from copy import copy, deepcopy
 from typing import Any
 
-from plant_service.core import HELLO_S, PlantCore
+from plant_service.core import PlantCore
 from plant_service.plant import Coin, Plant
 from plant_service.status import PlantTelemetry
-from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import Distiller
+from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Tell
 from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Actions, Notice
-from protocol.link.records import ReceiverRecord
+from protocol.link.plant_session import HELLO_S
+from protocol.link.records import Loaded, ReceiverRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
+from protocol.link.step import IDLE, Idle, Step
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
 from protocol.schemes.framing import Deframer
 from protocol.secret.blocks import ClosedBlock
@@ -69,8 +70,10 @@ class PlantInHand:
 
     Parameters
     ----------
-    rules, instance, record, symbols, contributions, offer, tossed, report
+    rules, instance
         As of :class:`plant_service.core.PlantCore`.
+    record, symbols, contributions, step
+        What its journal has.
     fresh : NonceSource
     plant, coin, fallback : optional
         In place of those that do as they are told.
@@ -87,9 +90,7 @@ class PlantInHand:
         contributions: Iterable[Contribution] = (),
         fresh: NonceSource = fresh_nonce,
         *,
-        offer: Offer | None = None,
-        tossed: int = NO_SYMBOL,
-        report: Measurement | None = None,
+        step: Step = IDLE,
         plant: Plant | None = None,
         coin: Coin | None = None,
         fallback: Callable[[Vector, Vector], Vector] | None = None,
@@ -98,9 +99,9 @@ class PlantInHand:
         self.line = ScriptedLine()
         self.events: list[Event] = []
         self.notices: list[Notice] = []
-        self.saved: list[Actions] = []
+        self.saved: list[Save] = []
         self.tasks: list[ClosedBlock] = []
-        self.step: Actions | None = None
+        self.step: Save | None = None
         """The step that was saved last, as its journal has it."""
         self.published: list[Message] = []
         self._new = ""
@@ -115,12 +116,7 @@ class PlantInHand:
             lambda: self._new,
             0.0,
             instance=instance,
-            record=record,
-            symbols=symbols,
-            contributions=contributions,
-            offer=offer,
-            tossed=tossed,
-            report=report,
+            loaded=Loaded(record, step, tuple(contributions), symbols=symbols),
             telemetry=telemetry,
             nonces=fresh,
         )
@@ -140,7 +136,7 @@ class PlantInHand:
 
     @property
     def controller(self) -> str | None:
-        return self.core.controller
+        return self.core.session.controller
 
     @property
     def keys(self) -> Distiller:
@@ -148,22 +144,24 @@ class PlantInHand:
 
     @property
     def deframer(self) -> Deframer:
-        return self.core.deframer
+        return self.core.frame.deframer
 
-    def carry_out(self, actions: Actions) -> None:
+    def carry_out(self, effects: Effects) -> None:
         """What `perform` does."""
-        while True:
-            self.events += actions.events
-            self.notices += actions.notices
-            self.published += actions.publish
-            self.tasks += actions.tasks
-            if actions.record is not None and actions.finish_step and actions.offer is not None:
-                self.step = actions
-            elif actions.record is not None:
-                self.saved.append(actions)
-            if not actions.finish_step:
-                return
-            actions = self.core.finish_step()
+        for effect in effects:
+            match effect:
+                case Tell(event):
+                    self.events.append(event)
+                case Notice():
+                    self.notices.append(effect)
+                case Publish(message):
+                    self.published.append(message)
+                case Extract(block):
+                    self.tasks.append(block)
+                case Save(step=Idle()):
+                    self.saved.append(effect)
+                case Save():
+                    self.step = effect
 
     def _forget(self) -> None:
         self.events.clear()
@@ -210,12 +208,12 @@ class PlantInHand:
 
     def look_around(self) -> None:
         """The controller is silent for long."""
-        self.core.answered_at = self._now - SILENCE_S - 1
+        self.core.session.answered_at = self._now - SILENCE_S - 1
         self._wake()
 
     def hello(self) -> PlantHello:
         """Its hello: at its time while it looks for somebody, or told to who is not asked."""
-        if self.accepted and self.core.state != "silent":
+        if self.accepted and self.core.session.state != "silent":
             stranger = ControllerHello(
                 instance="0123456789abcdef",
                 incarnation=0,
@@ -223,10 +221,12 @@ class PlantInHand:
                 verdict="greeting",
             )
             core = copy(self.core)  # a stranger's greeting leaves nothing behind
-            said = list(core.receive(ControllerHello, stranger.wire(), self._now).publish)
+            core.session = copy(core.session)
+            asked = core.receive(ControllerHello, stranger.wire(), self._now)
+            said = [effect.message for effect in asked if isinstance(effect, Publish)]
         else:
-            silent = self.core.state in ("silent", "unanswered")
-            self.core.answered_at = self._now - SILENCE_S - 1 if silent else self._now
+            silent = self.core.session.state in ("silent", "unanswered")
+            self.core.session.answered_at = self._now - SILENCE_S - 1 if silent else self._now
             self._now += HELLO_S
             self._forget()
             self.carry_out(self.core.wake(self._now))
@@ -246,7 +246,7 @@ class PlantInHand:
     def _tick(self) -> None:
         """The step is over."""
         self._now = max(self._now, self.core.pacing.deadline)
-        self.core.answered_at = self._now
+        self.core.session.answered_at = self._now
         self._wake()
 
     def measurement(self) -> Measurement:
@@ -263,7 +263,7 @@ class PlantInHand:
         first = self._first
         if first is None or (first.session, first.k) != (record.session, record.k):
             self._now += 2 * STEP_S / REPEATS
-            self.core.answered_at = self._now
+            self.core.session.answered_at = self._now
             self._wake()
         assert self._first is not None
         assert self._first.k == self.record.k
@@ -280,14 +280,14 @@ class PlantInHand:
         """
         core = copy(self.core)
         core.pacing, core.keys = copy(core.pacing), deepcopy(core.keys)
-        core.answered_at = -1.0
-        actions = core.receive(Offer, offer.wire(), self._now)
-        for notice in actions.notices:
-            if notice.subject == "malformed":
-                raise ValueError(notice.text.removesuffix("; ignored"))
-        if actions.offer is not None:
+        core.session = copy(core.session)
+        core.session.answered_at = -1.0
+        effect = next(iter(core.receive(Offer, offer.wire(), self._now)), None)
+        if isinstance(effect, Notice) and effect.subject == "malformed":
+            raise ValueError(effect.text.removesuffix("; ignored"))
+        if isinstance(effect, Save):
             return "current"
-        return "foreign" if core.answered_at == -1.0 else "stale"
+        return "foreign" if core.session.answered_at == -1.0 else "stale"
 
     def applied(self, offer: Offer, coin: int, x_next: Vector) -> CountedTransition:
         """The offer is applied, and its step is over."""
@@ -309,13 +309,16 @@ class PlantInHand:
             self.events, self.notices, self.saved, self.step = kept
         return applied
 
-    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> Actions:
+    def dies_over(self, offer: Offer, coin: int, x_next: Vector) -> Save:
         """The offer is applied and saved, and the process is dead: what its journal has."""
         self.line.coin, self.line.x_next = coin, x_next
         self._forget()
-        self.step = self.core.receive(Offer, offer.wire(), self._now)
-        assert self.step.offer == offer
-        return self.step
+        effect = next(iter(self.core.receive(Offer, offer.wire(), self._now)))
+        assert isinstance(effect, Save)
+        assert not isinstance(effect.step, Idle)
+        assert effect.step.offer == offer
+        self.step = effect
+        return effect
 
     def missed(self, u: Vector, x_next: Vector) -> None:
         """No offer comes in time: ``u`` is in force, and leads to ``x_next``."""

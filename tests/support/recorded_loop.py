@@ -14,9 +14,9 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
-from attacker_service.relay import Rewriter
+from attacker_service.attacker import Attacker
 from controller_service.service import ControllerConfig, open_controller
-from plant_service.attacked import AttackedPlant
+from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.networked import behind
 from protocol.link.peer import Peer
@@ -74,6 +74,8 @@ class RecordedLoop(TwoEnds):
     message : bytes
         The controller's first.
     name, more : str
+    change : tuple of str
+        A piece of the shipped scenario, and what stands there instead.
     pace : str
         ``realtime``: a step takes its period. ``fast``: lock-step.
     attack : Attack, optional
@@ -81,7 +83,7 @@ class RecordedLoop(TwoEnds):
 
     Attributes
     ----------
-    relay : Rewriter, optional
+    relay : Attacker, optional
         Through which messages of the field bus pass.
     """
 
@@ -94,15 +96,16 @@ class RecordedLoop(TwoEnds):
         *,
         pace: str = "fast",
         attack: Attack | None = None,
+        change: tuple[str, str] = ("", ""),
     ) -> None:
         super().__init__()
         self._pace = Pace(pace)
         self._attack = attack
-        self.relay: Rewriter | None = None
+        self.relay: Attacker | None = None
         self.folder = folder
         self.ciphers: dict[tuple[str, int], int] = {}
         self._message = message
-        text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8") + more
+        text = (SCENARIOS / f"{name}.toml").read_text(encoding="utf-8").replace(*change) + more
         self.scenario = parse_scenario(tomllib.loads(text), name)
         self._law = law_of(name)[1]
         folder.mkdir(parents=True, exist_ok=True)
@@ -187,19 +190,20 @@ class RecordedLoop(TwoEnds):
             self._one_cipher(Offer.model_validate_json(message.payload))
         if message.kind in FIELD:
             line = mirror_line(self._t_ns(), message.kind.topic, message.payload)
-            self._capture.lines.append(line)
+            self._capture.put(line)
             message = self._attacked(message)
         super().said(side, message)
 
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
         plant = self.plant.plant if "plant" in self.ends else None
-        if isinstance(plant, AttackedPlant):
-            plant.heard.append((message.kind.topic, message.payload))
+        kind: Any = message.kind
+        if isinstance(plant, FilteredPlant):
+            for one in plant.filters:
+                one.incoming(kind, message.payload)
         if self.relay is None:
             return message
-        kind: Any = message.kind
-        return Mail(kind, self.relay.rewritten(kind, message.payload))
+        return Mail(kind, self.relay.incoming(kind, message.payload))
 
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
@@ -239,5 +243,4 @@ class RecordedLoop(TwoEnds):
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""
-        results = check(read_evidence(self.folder))
-        return [f"{r.check.name}: {r.counter.first}" for r in results if r.result == "FAIL"]
+        return [str(finding) for finding in check(read_evidence(self.folder))]

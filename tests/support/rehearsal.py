@@ -10,13 +10,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, Gauge, predict
+from protocol.agreement import NO_SYMBOL, AgreementRule, Gauge, predict
 from protocol.messages import ControllerStatus, PlantModel, PlantStatus, TapStatus
 from protocol.schemes.framing import IDLE, Deframer, encode_frame
 from protocol.schemes.switched import Switched
 from protocol.vectors import Vector
 from wyner.dashboard.model import Arrival
-from wyner.simulate.single import closed_loop
 
 MESSAGE_TEXT: Final = "Close valve 7 at 14:05 and hold the level at 3.2 m until noon."
 PERIOD_S: Final = 0.1
@@ -101,13 +100,10 @@ class Rehearsal:
             centre = predict(self.A, self.B, x, u)
             return tuple(c + v for c, v in zip(centre, d, strict=True))
 
-        def judge(
-            x: Vector, offered: tuple[Vector, ...], _predictions: object, x_next: Vector
-        ) -> AgreementResult:
-            return rule.verdict(x, offered, x_next)
-
-        for step in closed_loop(candidates, judge, toss, move, x, steps):
-            k, x, offered, coin, x_next, verdict, _ = step
+        for k in range(steps):
+            offered, coin = candidates(x), toss(k)
+            x_next = move(k, x, offered[coin])
+            verdict = rule.verdict(x, offered, x_next)
             m_p = frame[p] if p < len(frame) else IDLE
             tested = scheme.tests(state)
             state, (symbol, pad) = scheme.advance(state, verdict.symbol)

@@ -17,11 +17,11 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
-from protocol.link.events import SessionBegan, lines
+from protocol.link.events import MET, NEW_JOURNAL, RESUMED, UNKNOWN_THERE, SessionBegan, lines
 from protocol.link.fallback import Fallback
-from protocol.link.peer import NOTHING_TO_DO, Actions
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
+from protocol.link.step import IDLE, Step
 from protocol.messages import ControllerHello, Measurement, Message, Offer
 from protocol.scenario import Scenario, parse_scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
@@ -113,7 +113,7 @@ class SmallRun:
         self.sender = self._new_sender(None)
         record = first_record(self.scenario, "0" * 15 + "1")
         self._symbols = ""
-        self.receiver = self._new_plant(record, "new journal")
+        self.receiver = self._new_plant(record, NEW_JOURNAL)
         self._meet()
 
     def steps(self, count: int, faults: dict[int, Fault] | None = None) -> None:
@@ -154,10 +154,10 @@ class SmallRun:
         if fault == "plant forgets":
             session = f"{int(self.receiver.record.session, 16) + 1:016x}"
             self._symbols = ""
-            self.receiver = self._new_plant(first_record(self.scenario, session), "new journal")
+            self.receiver = self._new_plant(first_record(self.scenario, session), NEW_JOURNAL)
         if fault == "journal put back":  # the plant's, as it was copied; it holds a step
             record, self._symbols, offer = self._copied
-            self.receiver = self._new_plant(record, "resumed from the journal")
+            self.receiver = self._new_plant(record, RESUMED)
             self.receiver.takes(offer)
             self._counted(saved=True)
         if fault in ("plant forgets", "journal put back", "controller forgets", "controller dies"):
@@ -176,7 +176,7 @@ class SmallRun:
             self._counted()
             step = self.receiver.step
             assert step is not None
-            self.receiver = self._new_plant(record, "resumed from the journal", step)
+            self.receiver = self._new_plant(record, RESUMED, step.step)
             self._counted(saved=True)
             self._meet()
             return
@@ -227,11 +227,13 @@ class SmallRun:
                 return
             if outcome == "ended":
                 self._symbols = ""
-                self._plant_trace.write({"event": "session", "session": new, "reason": "ended"})
+                self._plant_trace.write(
+                    {"event": "session", "session": new, "reason": UNKNOWN_THERE}
+                )
             effects = self.sender.heard_plant(self.receiver.hello())
             if effects.save:
                 session = self.sender.record.session
-                self._trace.write({"event": "session", "session": session, "reason": "met"})
+                self._trace.write({"event": "session", "session": session, "reason": MET})
             said = effects.reply
         raise AssertionError("the two ends did not meet")
 
@@ -246,9 +248,7 @@ class SmallRun:
             fresh=SeededSymbols(self._seed, CIPHER, run=self._lives),
         )
 
-    def _new_plant(
-        self, record: ReceiverRecord, reason: str, step: Actions = NOTHING_TO_DO
-    ) -> PlantInHand:
+    def _new_plant(self, record: ReceiverRecord, reason: str, step: Step = IDLE) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)
             self._plant_trace = self._writer("plant")
@@ -261,9 +261,7 @@ class SmallRun:
             f"{self._lives:016x}",
             record,
             self._symbols,
-            offer=step.offer,
-            tossed=step.coin,
-            report=step.measurement,
+            step=step,
             plant=LinearModel(self.scenario, Disturbances(self.scenario, noise)),
             coin=Coin(coins, self.scenario.secrecy.candidates),
             fallback=Fallback.of(self.scenario).input,
@@ -300,6 +298,7 @@ def kill(writer: TraceWriter) -> None:
     def gone(_file: int, _data: bytes) -> int:
         raise OSError
 
+    assert writer.lines is not None
     writer.lines.disk = gone
     writer.close()
 

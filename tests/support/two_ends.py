@@ -23,8 +23,9 @@ from typing import Any, Final, Literal
 
 from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
+from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Event, lines
-from protocol.link.peer import Actions, Notice, Peer
+from protocol.link.peer import Peer
 from protocol.link.records import Side
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
@@ -57,7 +58,7 @@ Name = Literal["plant", "controller", "rival"]
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
 OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
 HEARS: Final = {"controller": ControllerCore.hears, "plant": PlantCore.hears}
-Performer = Callable[[Actions, Peer, Ports], None]
+Performer = Callable[[Effects, Ports], None]
 
 MEMORY: Final = 12
 """Messages that the network keeps for each side: its memory is long, but not endless."""
@@ -180,11 +181,11 @@ class TwoEnds(ABC):
 
     # --- what may happen --------------------------------------------------------------------------
 
-    def do(self, side: Name, act: Callable[[float], Actions]) -> None:
+    def do(self, side: Name, act: Callable[[float], Effects]) -> None:
         """An end acts; one that dies over it begins anew at once."""
         end = self.ends[side]
         try:
-            self.performer(act(self.now), end.peer, end.ports)
+            self.performer(act(self.now), end.ports)
         except Crashed:
             self.die(side)
 
@@ -286,9 +287,9 @@ class _Ports:
         self._reports = Reports()
         self.extract = closed.append
 
-    def save(self, actions: Actions) -> None:
-        self._reports.look(actions)
-        self._world.saved(self._side, actions)
+    def save(self, save: Save) -> None:
+        self._reports.look(save)
+        self._world.saved(self._side, save)
 
     def publish(self, message: Message) -> None:
         self._world.said(self._side, mail(message))
@@ -377,9 +378,9 @@ class LineEnds(TwoEnds):
         M = self.rules.size
         return tuple([(-x[0] + (2 * i - M + 1) * 1.5,) for i in range(M)])
 
-    def saved(self, side: Name, actions: Actions) -> None:
+    def saved(self, side: Name, save: Save) -> None:
         """An end writes into its journal."""
-        self.journals[side].save(actions)
+        self.journals[side].save(save)
 
     def traced(self, side: Name, event: Event) -> None:
         """An end traces an event."""

@@ -136,7 +136,7 @@ def imported(statement: str) -> set[str]:
         ),
         (
             "from studies.attacks.study import Task, measure;"
-            "measure(Task('bus', 'covert, 0.3', ('keyed-coin',), 'secret', runs=4))",
+            "list(measure(Task('bus', 'covert, 0.3', ('keyed-coin',), 'secret', runs=4)))",
             "studies.attacks.study",
             DOORS,
         ),

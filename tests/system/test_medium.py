@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tests.campaigns.medium import Case, Result, run
 from tests.support.medium import NoNamespaces
+from tests.support.medium_loop import Case, Result, run
 from tests.support.size import size
 
 pytestmark = [pytest.mark.long, pytest.mark.integration]

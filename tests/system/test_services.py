@@ -20,8 +20,9 @@ from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
-from protocol.link.peer import Actions
+from protocol.link.effects import Save
 from protocol.link.session import CountedTransition, rules_of
+from protocol.link.step import IDLE
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -39,7 +40,6 @@ from protocol.topics import key_of
 from runtime.errors import DONE, USAGE, Failure, UsageError
 from runtime.health import read_status
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.pace import Pace
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
@@ -51,6 +51,7 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.plant_in_hand import PlantInHand
 from tests.support.told import log_of, told
@@ -259,10 +260,10 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
         )
         system.wait(lambda: bool(replies))
     with ControllerJournal(path, system.scenario.fingerprint()) as journal:
-        after, offer, *_ = journal.load()
+        after, step, *_ = journal.load()
         assert after is not None
         assert after.k == before.k + 1
-        assert offer is None
+        assert step == IDLE
         assert journal.queued == 1
 
 
@@ -303,7 +304,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
         record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
-        journal.save(Actions(record=record))
+        journal.save(Save(record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
         service = PlantService(
@@ -473,13 +474,13 @@ def test_two_controllers_on_one_loop_take_turns(
     ):
         names = {first.endpoint.instance: b"one", second.endpoint.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.endpoint.controller
+        mine = plant.endpoint.session.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
         running = first if mine == first.endpoint.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.endpoint.controller == mine
+        assert plant.endpoint.session.controller == mine
         system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
@@ -513,7 +514,7 @@ def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
             with system.controller() as first:
                 system.wait(lambda: first.endpoint.status().detail != "")
         with system.controller(name="second") as again:
-            system.wait(lambda: plant.endpoint.controller == again.endpoint.instance)
+            system.wait(lambda: plant.endpoint.session.controller == again.endpoint.instance)
             k = system.k
             system.wait(lambda: plant.endpoint.record.applied_k > k)
     assert second.endpoint.record.session == again.endpoint.record.session
@@ -591,6 +592,7 @@ def test_a_full_disk_ends_the_service_and_no_event_is_lost(
     trace = system.run_dir / (PLANT_TRACE if side == "plant" else CONTROLLER_TRACE)
     with system.controller(b"one") as controller, system.plant() as plant:
         service: PlantService | ControllerService = plant if side == "plant" else controller
+        assert service.trace.lines is not None
         service.trace.lines.disk = Full(room)
         system.wait(lambda: side in system.errors)
     error = system.errors[side]
@@ -682,7 +684,7 @@ def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System)
         with system.plant() as plant:
             receiver = plant.endpoint
             system.wait(
-                lambda: receiver.record.messages == 1 and len(receiver.deframer.symbols) > 80
+                lambda: receiver.record.messages == 1 and len(receiver.frame.deframer.symbols) > 80
             )
         with system.plant() as plant:
             receiver = plant.endpoint
@@ -697,11 +699,11 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
     with system.plant() as plant:
         receiver = plant.endpoint
         with system.controller(message):
-            system.wait(lambda: len(receiver.deframer.symbols) > 100)
+            system.wait(lambda: len(receiver.frame.deframer.symbols) > 100)
         lose(system.run_dir / CONTROLLER_JOURNAL)
         with system.controller(message):
             system.wait(
-                lambda: receiver.record.sessions == 2 and len(receiver.deframer.symbols) > 20
+                lambda: receiver.record.sessions == 2 and len(receiver.frame.deframer.symbols) > 20
             )
             system.stop("plant")
             system.wait(lambda: "plant" in system.codes)

@@ -1,25 +1,24 @@
 """The heavy eavesdroppers' process: what it skips when it is far behind, and what it waits for."""
 
 import logging
-import os
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing.connection import Connection, Pipe
 from pathlib import Path
 
 import pytest
 
 from protocol.messages import TapStatus
 from runtime import recording
-from runtime.child import Line
-from runtime.recording import parts_of
+from runtime.recording import Bounds, parts_of
 from runtime.run_folder import CAPTURE
 from studies.secrecy.runs import Run, simulate
 from tap_service import analysis
 from tap_service.analysis import Assignment, analyse
 from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
-from tap_service.capture.recording import Limits, RotatingLog, malformed_line, mirror_line
+from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tap_service.capture.transcript import Transcript
 from tests.support.patience import PATIENCE_S
 
@@ -58,7 +57,7 @@ def header(run: Run, view: View) -> dict[str, object]:
 
 
 def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
-    limits = Limits(part_bytes=part_bytes, free_bytes=0)
+    limits = Bounds(part_bytes=part_bytes, free_bytes=0)
     log = RotatingLog(run_dir / CAPTURE, header(run, view), limits, LOG)
     for i, message in enumerate(run.messages):
         log.write(mirror_line(i, message.topic, message.wire()))
@@ -68,29 +67,27 @@ def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
 
 
 @contextmanager
-def started(run: Run, run_dir: Path) -> Iterator[Line]:
+def started(run: Run, run_dir: Path) -> Iterator[Connection]:
     knowledge = {NAME: run.scenario.knowledge()}
-    given = Assignment(run_dir, (NAME,), knowledge, Limits(free_bytes=0), header(run, View()))
-    (hers, told), (asked, mine) = os.pipe(), os.pipe()
+    given = Assignment(run_dir, (NAME,), knowledge, Bounds(free_bytes=0), header(run, View()))
+    mine, hers = Pipe()
 
     def run_until_nobody_listens() -> None:
         with suppress(EOFError, ConnectionError):
-            analyse(given, Line(asked, told))
+            analyse(given, hers)
 
     thread = threading.Thread(target=run_until_nobody_listens)
     thread.start()
     try:
-        yield Line(hers, mine)
+        yield mine
     finally:
-        for end in (hers, mine):
-            os.close(end)
+        mine.close()
         thread.join(PATIENCE_S)
-        for end in (asked, told):
-            os.close(end)
+        hers.close()
     assert not thread.is_alive()
 
 
-def status_when_caught_up(pipe: Line) -> TapStatus:
+def status_when_caught_up(pipe: Connection) -> TapStatus:
     while True:
         assert pipe.poll(20.0)
         status: TapStatus = pipe.recv()[0]

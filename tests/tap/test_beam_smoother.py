@@ -8,7 +8,7 @@ import pytest
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from studies.eavesdroppers import LOSS, MEASUREMENTS, OFFERS, simulated
-from studies.outputs import heard_by
+from studies.listeners import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.inference.beam_smoother import BeamSmoother

@@ -16,16 +16,16 @@ from pydantic_core import from_json
 
 from protocol.messages import Measurement, Offer
 from runtime import recording
-from runtime.recording import part_path, parts_of
+from runtime.recording import Bounds, part_path, parts_of
 from runtime.run_folder import CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
-from tap_service.capture.recording import Limits, RotatingLog, malformed_line, mirror_line
+from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
 from tests.support.lines import unmark
 from tests.support.traces import read_trace
 
 LOG = logging.getLogger("test")
 SESSION = "0123456789abcdef"
-ROOMY = Limits(free_bytes=0)
+ROOMY = Bounds(free_bytes=0)
 
 
 def measurement(k: int) -> Measurement:
@@ -38,7 +38,7 @@ def line_of(message: Measurement | Offer, t_ns: int = 0) -> bytes:
     return mirror_line(t_ns, message.topic, message.wire())
 
 
-def record(path: Path, count: int, limits: Limits = ROOMY) -> RotatingLog:
+def record(path: Path, count: int, limits: Bounds = ROOMY) -> RotatingLog:
     log = RotatingLog(path, {"loop": "loop"}, limits, LOG)
     for k in range(count):
         log.write(line_of(measurement(k), k))
@@ -117,7 +117,7 @@ def test_a_malformed_message_is_kept_byte_for_byte(tmp_path: Path) -> None:
 def test_parts_end_by_size_and_the_oldest_go(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    limits = Limits(part_bytes=4096, total_bytes=16384, free_bytes=0)
+    limits = Bounds(part_bytes=4096, total_bytes=16384, free_bytes=0)
     path = tmp_path / CAPTURE
     with caplog.at_level(logging.WARNING):
         log = record(path, 500, limits)
@@ -135,7 +135,7 @@ def test_parts_end_by_size_and_the_oldest_go(
 
 @pytest.mark.parametrize("part_bytes", [1024, 20_000, 64 * 2**20])
 def test_all_parts_together_never_exceed_their_bound(tmp_path: Path, part_bytes: int) -> None:
-    limits = Limits(part_bytes=part_bytes, total_bytes=20_000, free_bytes=0)
+    limits = Bounds(part_bytes=part_bytes, total_bytes=20_000, free_bytes=0)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {"loop": "x" * 300}, limits, LOG)
     most = 0
@@ -152,7 +152,7 @@ def test_all_parts_together_never_exceed_their_bound(tmp_path: Path, part_bytes:
 
 
 def test_a_line_that_no_bound_has_room_for_is_dropped_alone(tmp_path: Path) -> None:
-    limits = Limits(part_bytes=1024, total_bytes=4096, free_bytes=0)
+    limits = Bounds(part_bytes=1024, total_bytes=4096, free_bytes=0)
     log = record(tmp_path / CAPTURE, 3, limits)
     log.write(b"x" * 5000)
     log.close()
@@ -163,11 +163,11 @@ def test_a_line_that_no_bound_has_room_for_is_dropped_alone(tmp_path: Path) -> N
 def test_a_header_that_no_bound_has_room_for_pauses_the_recording(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    limits = Limits(part_bytes=1024, total_bytes=2048, free_bytes=0)
+    limits = Bounds(part_bytes=1024, total_bytes=2048, free_bytes=0)
     log = RotatingLog(tmp_path / CAPTURE, {"loop": "x" * 3000}, limits, LOG)
     log.write(line_of(measurement(0)))
     log.close()
-    assert (log.paused, log.dropped) == (True, 1)
+    assert (log.paused, log.dropped, log.first_part) == (True, 1, 0)
     assert "no room for a header" in caplog.text
     assert parts_of(tmp_path / CAPTURE) == []
 
@@ -175,7 +175,7 @@ def test_a_header_that_no_bound_has_room_for_pauses_the_recording(
 def test_parts_end_by_age(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
     monkeypatch.setattr(time, "monotonic", lambda: now[0])
-    log = RotatingLog(tmp_path / CAPTURE, {}, Limits(part_s=10.0, free_bytes=0), LOG)
+    log = RotatingLog(tmp_path / CAPTURE, {}, Bounds(part_s=10.0, free_bytes=0), LOG)
     for k in range(4):
         log.write(line_of(measurement(k)))
         now[0] += 6.0
@@ -190,7 +190,7 @@ def test_a_full_disk_pauses_the_recording_and_says_so(
     free = [10**9]
     monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: free[0])
     monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
-    log = RotatingLog(tmp_path / CAPTURE, {}, Limits(free_bytes=10**6), LOG)
+    log = RotatingLog(tmp_path / CAPTURE, {}, Bounds(free_bytes=10**6), LOG)
     with caplog.at_level(logging.INFO):
         log.write(line_of(measurement(0)))
         free[0] = 10
@@ -212,7 +212,7 @@ def test_parts_that_end_in_a_pause_count_towards_the_bound(
     free = [10**9]
     monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: free[0])
     monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
-    limits = Limits(part_bytes=10_000, total_bytes=20_000, free_bytes=1000)
+    limits = Bounds(part_bytes=10_000, total_bytes=20_000, free_bytes=1000)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {}, limits, LOG)
     for _ in range(30):
@@ -231,12 +231,12 @@ def test_a_disk_that_others_fill_costs_no_part_of_the_recording(
 ) -> None:
     monkeypatch.setattr(RotatingLog, "LOOK_AT_DISK_S", 0.0)
     path = tmp_path / CAPTURE
-    log = record(path, 100, Limits(part_bytes=2048, free_bytes=0))
+    log = record(path, 100, Bounds(part_bytes=2048, free_bytes=0))
     log.close()
     before = {p: p.read_bytes() for p in parts_of(path)}
     assert len(before) > 5
     monkeypatch.setattr(RotatingLog, "free_bytes", lambda _self: 10)
-    log = RotatingLog(path, {"loop": "loop"}, Limits(part_bytes=2048, free_bytes=1000), LOG)
+    log = RotatingLog(path, {"loop": "loop"}, Bounds(part_bytes=2048, free_bytes=1000), LOG)
     log.write(line_of(measurement(100)))
     log.close()
     assert (log.paused, log.dropped, log.parts_dropped) == (True, 1, 0)
@@ -306,7 +306,7 @@ def test_a_block_that_the_disk_cuts_short_is_counted_line_by_line(
 
 
 def test_reading_follows_a_capture_that_grows_and_rotates(tmp_path: Path) -> None:
-    limits = Limits(part_bytes=2048, total_bytes=10**6, free_bytes=0)
+    limits = Bounds(part_bytes=2048, total_bytes=10**6, free_bytes=0)
     log = RotatingLog(tmp_path / CAPTURE, {}, limits, LOG)
     reader = CaptureReader(tmp_path)
     seen = []
@@ -324,7 +324,7 @@ def test_reading_follows_a_capture_that_grows_and_rotates(tmp_path: Path) -> Non
 
 def test_what_is_not_read_yet_is_told_in_steps_of_two_messages(tmp_path: Path) -> None:
     log = RotatingLog(
-        tmp_path / CAPTURE, {}, Limits(part_bytes=10**6, total_bytes=10**7, free_bytes=0), LOG
+        tmp_path / CAPTURE, {}, Bounds(part_bytes=10**6, total_bytes=10**7, free_bytes=0), LOG
     )
     for k in range(400):
         log.write(line_of(measurement(k)))
@@ -342,7 +342,7 @@ def test_skipping_ahead_counts_every_line_that_it_leaves_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part_bytes: int, keep: int
 ) -> None:
     monkeypatch.setattr(recording, "READ_BYTES", 1500)
-    limits = Limits(part_bytes=part_bytes, total_bytes=10**7, free_bytes=0)
+    limits = Bounds(part_bytes=part_bytes, total_bytes=10**7, free_bytes=0)
     path = tmp_path / CAPTURE
     log = RotatingLog(path, {}, limits, LOG)
     for k in range(200):
@@ -376,7 +376,7 @@ def test_a_reader_whose_part_was_dropped_is_not_ahead_of_the_capture(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / CAPTURE
-    record(path, 1000, Limits(part_bytes=180_000, free_bytes=0)).close()
+    record(path, 1000, Bounds(part_bytes=180_000, free_bytes=0)).close()
     first, second = parts_of(path)
     assert first.stat().st_size > second.stat().st_size
     monkeypatch.setattr(recording, "READ_BYTES", first.stat().st_size)
@@ -501,8 +501,9 @@ WRITER = """
 import logging, sys
 from pathlib import Path
 from protocol.messages import Measurement
-from tap_service.capture.recording import Limits, RotatingLog, mirror_line
-log = RotatingLog(Path(sys.argv[1]), {}, Limits(free_bytes=0), logging.getLogger())
+from runtime.recording import Bounds
+from tap_service.capture.recording import RotatingLog, mirror_line
+log = RotatingLog(Path(sys.argv[1]), {}, Bounds(free_bytes=0), logging.getLogger())
 k = 0
 while True:
     m = Measurement(session="0" * 16, k=k, x=(0.5,), applied_k=-1, x_after=())

@@ -12,13 +12,12 @@ import tap_service.service
 from protocol.messages import Measurement, Offer, TapStatus
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.addresses import Addresses
 from runtime.errors import UsageError
 from runtime.fleet import FleetLoop, read_fleet
-from runtime.memory_bus import MemoryBus, MemoryHub
 from runtime.run_folder import CAPTURE
 from tap_service.config import TapConfig
 from tap_service.fleet import TapFleet
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.told import log_of
 
@@ -38,8 +37,6 @@ def config_of(sustained: Scenario, tmp_path: Path) -> Callable[[FleetLoop], TapC
         return TapConfig(
             run_dir=tmp_path / loop.id,
             knowledge=sustained.knowledge().model_copy(update={"alpha": None}),
-            field=Addresses(),
-            adversary=Addresses(),
             names=("set-membership",),
             loop=loop.id,
         )

@@ -62,6 +62,19 @@ def test_a_steady_disturbance_is_the_offset() -> None:
     assert moved == pytest.approx([0.3, -0.2], abs=0.02)
 
 
+@pytest.mark.parametrize("error", [0.1, 0.3, 0.5])
+def test_a_wrong_model_to_start_from_changes_nothing(error: float) -> None:
+    """Twelve transitions suffice: hence the study's conditions with a wrong model agree."""
+    A, B, x, u, x_next, _ = data(5, 2, 1, 2)
+    signs = np.random.default_rng(6).choice((-error, error), (2, 3))
+    wrong = A * (1 + signs[:, :2]), B * (1 + signs[:, 2:])
+    for steps in (12, RNG_STEPS):
+        told = identify(x[:steps], u[:steps], x_next[:steps], [wrong])
+        untold = identify(x[:steps], u[:steps], x_next[:steps])
+        assert np.allclose(told.A, untold.A, atol=1e-6)
+        assert np.allclose(told.B, untold.B, atol=1e-6)
+
+
 def test_few_steps_give_a_finite_answer() -> None:
     _, _, x, u, x_next, _ = data(5, 2, 1, 2)
     for count in (1, 2, 5, 12):

@@ -40,7 +40,6 @@ from tap_service.status import (
     status_of,
 )
 from tests.support.size import size
-from wyner.runs.score.replay import COUNTS
 from wyner.runs.score.score import SILENT, EavesdropperScore, TapOutput, score
 
 CLEAR = View()
@@ -437,7 +436,11 @@ def test_numbers_of_another_kind_are_taken_as_plain_ones() -> None:
     assert not listener.failed
     assert list(listener.tail) == [Guess(3, (0.25, 0.75), 0.5)] * 3
     belief = listener.belief()
-    status = status_of(listener, belief, dict.fromkeys(COUNTS, 0))
+    status = status_of(
+        listener,
+        belief,
+        dict.fromkeys(("seq", "t_ns", "mirrored", "dropped", "behind", "malformed"), 0),
+    )
     assert status.tail_symbol == (1, 1, 1)
     record = belief_record("s", listener, belief, last=True)
     assert from_json(beliefs_json({"odd": record}))["odd"]["symbols"] == [[1, 0]]

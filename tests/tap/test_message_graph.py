@@ -9,7 +9,7 @@ from protocol.schemes.base import encrypt
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
-from tap_service.inference.english import AnyBytes
+from tap_service.inference.expectation import any_bytes
 from tap_service.inference.lattice import Lattice
 from tap_service.inference.message_beam import Beam
 from tap_service.inference.message_graph import Graph
@@ -17,7 +17,7 @@ from tap_service.inference.message_search import MessageSearch
 
 
 def test_a_beginning_that_nothing_heard_allows_leaves_the_others_finite() -> None:
-    beam = Beam(3, 2, 8, np.uint64)
+    beam = Beam(3, 2, 8, np.uint64, any_bytes().start(3))
     beam.length[:] = (1, 1, 2)  # the first two go on alike, the third by itself
     beam.alpha[:2] = ((0.5, 1.0), (1.0, 0.25))
     beam.alpha[2] = 0.0
@@ -35,7 +35,7 @@ def test_drawing_holds_little_more_than_what_it_gives() -> None:
     """The last thoughts of a long run held three numbers of 8 bytes for each place of each draw."""
     places, count = 60, 30_000
     graph = Graph()
-    beam = Beam(2, 2, places + 1, np.uint64)
+    beam = Beam(2, 2, places + 1, np.uint64, any_bytes().start(2))
     graph.begin(beam)
     for place in range(places):
         beam.text[:, place] = np.arange(len(beam.level))
@@ -67,7 +67,7 @@ def test_a_message_whose_check_was_not_sent_yet_is_searched_for(steps: int) -> N
     lattice = Lattice(table, spread, np.array(ciphers), entry, np.ones(len(ciphers)))
     begin = np.full((steps + 1, states), -np.inf)
     begin[0, 0] = 0.0
-    found = MessageSearch(lattice, 32).find(begin, AnyBytes())
+    found = MessageSearch(lattice, any_bytes(), 32).find(begin)
     assert found is not None
     assert {len(text) for text in found.payloads} <= {1}
-    assert np.isfinite(found.any)
+    assert np.isfinite(max(found.plain, found.open))

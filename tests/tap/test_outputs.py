@@ -10,7 +10,8 @@ from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from protocol.schemes.registry import make_scheme
 from studies.corners import at_the_corners
-from studies.outputs import CONDITIONS, heard_by, over
+from studies.listeners import heard_by
+from studies.outputs import CONDITIONS, over
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import default_names, named

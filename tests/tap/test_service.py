@@ -25,8 +25,8 @@ from protocol.messages import (
     TapStatus,
 )
 from protocol.topics import key_of
-from runtime.addresses import Addresses, free_endpoints
-from runtime.memory_bus import MemoryBus, MemoryHub
+from runtime.addresses import free_endpoints
+from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import Run, simulate
@@ -34,11 +34,11 @@ from tap_service import heavy
 from tap_service import service as tap
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
-from tap_service.capture.recording import Limits
 from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import Guess, KnowledgeError
 from tap_service.service import TapService
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.told import log_of, told
 from wyner.runs.score.replay import Replay
@@ -49,14 +49,12 @@ LIGHT = ("set-membership", "nearest-centre")
 def config(run: Run, run_dir: Path, **more: object) -> TapConfig:
     settings: dict[str, object] = {
         "names": LIGHT,
-        "limits": Limits(free_bytes=0),
+        "limits": Bounds(free_bytes=0),
         "finish_s": PATIENCE_S,
     } | more
     return TapConfig(
         run_dir,
         run.scenario.knowledge(),
-        Addresses(),
-        Addresses(),
         run.scenario.oracle_knowledge(),
         **settings,  # type: ignore[arg-type]
     )
@@ -245,9 +243,7 @@ def test_a_tap_that_is_started_again_says_so(run: Run, tmp_path: Path) -> None:
 def test_a_wrong_choice_is_told_before_anything_starts(
     run: Run, tmp_path: Path, names: tuple[str, ...]
 ) -> None:
-    settings = TapConfig(
-        tmp_path, run.scenario.knowledge(), Addresses(), Addresses(), None, names=names
-    )
+    settings = TapConfig(tmp_path, run.scenario.knowledge(), None, names=names)
     with pytest.raises(KnowledgeError):
         TapService(settings)
     assert not (tmp_path / "tap").exists()
@@ -258,7 +254,7 @@ def test_memory_stays_flat_over_many_steps(tmp_path: Path) -> None:
     import tracemalloc
 
     run = simulate(600, 4)
-    limits = Limits(part_bytes=25_000, total_bytes=100_000, free_bytes=0)
+    limits = Bounds(part_bytes=25_000, total_bytes=100_000, free_bytes=0)
     wire = Wire(config(run, tmp_path, limits=limits))
     sizes = []
     logging.disable()  # pytest keeps every record, and a part that is dropped is told of
@@ -306,7 +302,7 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     child = wire.service.heavy.process
     assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
-    assert child.wait(PATIENCE_S) == 0
+    assert child.end(PATIENCE_S) == 0
 
 
 @pytest.mark.slow

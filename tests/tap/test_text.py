@@ -26,12 +26,8 @@ from tap_service.eavesdroppers import smoother, text
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference import message_search
 from tap_service.inference.alignment import align
-from tap_service.inference.english import (
-    AnyBytes,
-    English,
-    distinct,
-    english,
-)
+from tap_service.inference.counts import distinct
+from tap_service.inference.expectation import any_bytes, expected
 from tap_service.inference.front import Inference
 from tap_service.inference.inferred import InferredStep
 from tap_service.inference.lattice import BEGINS, Lattice
@@ -39,7 +35,6 @@ from tap_service.inference.message_graph import DRAWN
 from tap_service.inference.message_halves import first_of_each
 from tap_service.inference.message_reader import Message, MessageReader
 from tap_service.inference.message_search import BEAM, Found, MessageSearch
-from tap_service.inference.message_sets import SharedSearch
 from tap_service.inference.verdicts import made_of, verdicts_of
 from tests.support.held_memory import kept
 from tests.support.size import size
@@ -233,10 +228,30 @@ def test_a_message_in_any_alphabet_is_read_through_missed_symbols(
     size: int, scheme: str, agree: float
 ) -> None:
     payload = b"Send the keys"
-    reader = MessageReader(make_scheme(scheme, size), english(), certain=agree == 1.0, beam=400)
+    reader = MessageReader(make_scheme(scheme, size), expected(), certain=agree == 1.0, beam=400)
     steps = stretch(payload, size, scheme, 1, missed=0.1, agree=agree)
     (message,) = reader.read(steps, (0.19, 0.21), {})
     assert (message.payload, message.whole) == (payload, True)
+    assert message.probability > 0.9
+    assert message.bits_left < 1
+
+
+@pytest.mark.parametrize(
+    ("payload", "kind"),
+    [
+        (b"SEND THE SPARE KEYS BY NOON", "English in capitals"),
+        (b"Wir treffen uns morgen vor dem Rathaus.", "German"),
+        (b"40.7128, -74.0060", "digits and signs"),
+        (b"d41d8cd98f00b204", "hexadecimal"),
+        (bytes(range(130, 140)), "any bytes"),
+    ],
+)
+def test_a_message_of_any_kind_is_read_and_its_kind_is_named(payload: bytes, kind: str) -> None:
+    """Version 1.0.0 expected English sentences, and read none in capitals."""
+    steps = stretch(payload, 4, "pipelined", 1, missed=0.15, agree=1.0)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
+    (message,) = reader.read(steps, (0.0, 1.0), {})
+    assert (message.payload, message.whole, message.kind) == (payload, True, kind)
     assert message.probability > 0.9
     assert message.bits_left < 1
 
@@ -265,7 +280,7 @@ def test_steps_that_the_plant_missed_and_she_did_not_hear_so_hide_no_message(see
 
     def read(steps: Sequence[InferredStep]) -> Message:
         scheme = make_scheme("pipelined", 4)
-        reader = MessageReader(scheme, english(), certain=True, beam=400)
+        reader = MessageReader(scheme, expected(), certain=True, beam=400)
         return reader.read(steps, (0.0, 1.0), {})[0]
 
     message = read(steps)
@@ -300,14 +315,14 @@ def test_a_step_may_have_been_missed_where_no_measurement_speaks_of_it() -> None
 
 
 def left_of(payload: bytes, missed: float, seed: int) -> tuple[list[int], Array]:
-    """Lengths that she tells, and bits left with English, without, and in truth."""
+    """Lengths that she tells, and bits left as she expects, by any bytes alone, and in truth."""
     steps = stretch(payload, 4, "pipelined", seed, missed=missed, agree=1.0)
     frame = steps[10 : 10 + len(encode_frame(payload, 4))]
     unheard = sum(s.transition.cipher is None for s in frame[9:])  # start and length are sure
     scheme = make_scheme("pipelined", 4)
     told = [
         MessageReader(scheme, language, certain=True, beam=400).read(steps, (0.0, 1.0), {})
-        for language in (english(), AnyBytes())
+        for language in (expected(), any_bytes())
     ]
     assert all(m.probability < 0.5 for m in told[0])
     left = [sum(m.bits_left for m in messages) for messages in told]
@@ -329,7 +344,7 @@ def test_random_bytes_are_reported_as_such(seed: int) -> None:
 def test_random_bytes_of_which_the_check_says_all_are_read(seed: int) -> None:
     payload = random.Random(seed).randbytes(20)
     steps = stretch(payload, 4, "pipelined", seed, missed=0.05, agree=1.0)
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
     (message,) = reader.read(steps, (0.0, 1.0), {})
     assert (message.payload, message.whole) == (payload, True)
     assert message.probability > 0.9
@@ -340,7 +355,7 @@ def test_random_bytes_of_which_the_check_says_all_are_read(seed: int) -> None:
 def test_two_messages_and_one_under_way() -> None:
     first, second = b"The first one was short", b"and the second came later"
     steps = stretch(first, 4, "pipelined", 3, missed=0.1, agree=1.0, second=second)
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
     messages = reader.read(steps, (0.0, 1.0), {})
     assert [(m.payload, m.whole) for m in messages] == [(first, True), (second, True)]
     part = steps[: len(steps) - 70]
@@ -364,7 +379,7 @@ def test_a_message_of_which_the_check_alone_is_not_over_is_under_way(
     payload = b"Send the spare keys by noon"
     steps = stretch(payload, alphabet, "pipelined", 2, missed=0.1, agree=1.0)
     over = 9 + len(encode_frame(payload, alphabet))
-    reader = MessageReader(make_scheme("pipelined", alphabet), english(), certain=True, beam=400)
+    reader = MessageReader(make_scheme("pipelined", alphabet), expected(), certain=True, beam=400)
     (message,) = reader.read(steps[: over + 1 - short], (0.0, 1.0), {})
     assert (message.payload, message.whole, message.refuted) == (payload, False, False)
     assert abs(message.due_k - over) <= 2
@@ -378,7 +393,7 @@ def test_fewer_steps_than_a_check_has_symbols_hold_no_whole_message(
     seed: int, at: int, steps: int
 ) -> None:
     heard = stretch(b"hello you there", 4, "pipelined", seed, missed=0.5, agree=1.0)
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
     messages = reader.read(heard[at : at + steps], (0.0, 1.0), {})
     assert all(not m.whole or m.probability < 0.5 for m in messages)
 
@@ -391,7 +406,7 @@ def test_where_no_message_has_its_check_nothing_is_claimed_and_the_next_one_is_r
         right = steps[i].samples
         assert right is not None
         steps[i] = InferredStep(steps[i].transition, np.roll(right, 1, axis=1))
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
     one, two = reader.read(steps, (0.0, 1.0), {})
     assert (one.refuted, one.probability) == (True, 0.0)
     assert one.bits_left == pytest.approx(8 * len(first), abs=0.1)
@@ -410,7 +425,7 @@ def test_what_she_does_not_have_leaves_bits(seed: int) -> None:
         samples = steps[i].samples
         assert samples is not None
         steps[i] = InferredStep(steps[i].transition, np.roll(samples, 1 + seed % 3, axis=1))
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=100)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=100)
     for part in (steps[:60], steps):
         messages = reader.read(part, (0.0, 1.0), {})
         assert messages
@@ -436,14 +451,12 @@ def test_silence_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     searches: list[int] = []
     find = MessageSearch.find
 
-    def counted(
-        self: MessageSearch, begin: Array, language: English | AnyBytes, beam: int | None = None
-    ) -> Found | None:
+    def counted(self: MessageSearch, begin: Array) -> Found | None:
         searches.append(1)
-        return find(self, begin, language, beam)
+        return find(self, begin)
 
     monkeypatch.setattr(MessageSearch, "find", counted)
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
     (message,) = reader.read(steps, (0.0, 1.0), {})
     assert (message.payload, message.whole) == (payload, True)
     assert len(searches) == 1
@@ -460,7 +473,7 @@ def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
     lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0], np.ones(len(ciphers)))
     begin = np.full((lattice.steps + 1, states), -np.inf)
     begin[0, 0] = 0.0
-    assert not SharedSearch([lattice], 32).silent(begin[None])
+    assert not MessageSearch(lattice, any_bytes()).silent(begin)
 
 
 FOLLOWED = size(600, BEAM)
@@ -535,11 +548,11 @@ def test_through_noise_she_is_not_below_the_smoother(monkeypatch: pytest.MonkeyP
 
 def test_no_message_is_none() -> None:
     steps = stretch(b"x", 4, "pipelined", 4, missed=0.2, agree=1.0)[:9]
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=100)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=100)
     assert reader.read(steps, (0.0, 1.0), {}) == []
 
 
-# --- English ------------------------------------------------------------------------------------
+# --- texts --------------------------------------------------------------------------------------
 
 
 def test_rows_that_differ_are_those_of_a_set_in_order_with_their_first_places() -> None:
@@ -602,7 +615,7 @@ def test_what_she_states_comes_true() -> None:
         payload = words.encode("ascii")
         missed = 0.35 + 0.15 * seed / 9
         steps = stretch(payload, 4, "pipelined", seed, missed=missed, agree=1.0)
-        reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True, beam=400)
+        reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
         messages = reader.read(steps, (0.0, 1.0), {})
         first = messages[0] if messages else None
         claim = first.probability if first is not None else 0.0
@@ -723,7 +736,7 @@ def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
         t = Transition("s", k, (0.0,), None, cipher, (0.0,), start=k == 0)
         key = rng.randrange(4)
         steps.append(InferredStep(t, np.roll(table, key)[None]))
-    reader = MessageReader(make_scheme("pipelined", 4), english(), certain=True)
+    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True)
     tracemalloc.start()
     try:
         assert reader.read(steps, (0.0, 1.0), {}) == []

@@ -13,11 +13,9 @@ from protocol.schemes.framing import encode_frame
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import StateTable
 from tap_service.capture.transcript import Transition
-from tap_service.inference.english import english
+from tap_service.inference.expectation import expected
 from tap_service.inference.inferred import InferredStep
 from tap_service.inference.message_reader import MessageReader
-from tap_service.inference.message_search import Found
-from tap_service.inference.message_sets import together
 from tap_service.inference.thresholds import MOST, Run, likely_thresholds
 
 TRUE = 0.2
@@ -62,8 +60,8 @@ def made(steps: list[InferredStep], entry: Array) -> Run:
     return Run(steps, entry, np.ones(len(steps)))
 
 
-def room(intervals: list[tuple[float, float]]) -> float:
-    return sum(high - low for low, high in intervals)
+def room(intervals: list[tuple[float, float, float]]) -> float:
+    return sum(high - low for low, high, _ in intervals)
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -72,7 +70,7 @@ def test_silence_leaves_the_true_threshold_and_few_others(seed: int) -> None:
     steps = carried(b"Go", seed, silence=40)
     found = likely_thresholds(table, [made(steps, entry)], AMONG)
     assert 1 <= len(found) <= MOST
-    assert any(low <= TRUE <= high for low, high in found)
+    assert any(low <= TRUE <= high for low, high, _ in found)
     assert room(found) < 0.1 * (AMONG[1] - AMONG[0])
     assert all(a[1] <= b[0] for a, b in pairwise(found))
 
@@ -88,7 +86,7 @@ def test_a_step_that_may_not_have_been_made_hides_the_threshold_no_more_than_it_
         steps.append(step)
         unsure.append(1.0)
     found = likely_thresholds(table, [Run(steps, entry, np.array(unsure))], AMONG)
-    assert any(low <= TRUE <= high for low, high in found)
+    assert any(low <= TRUE <= high for low, high, _ in found)
     assert room(found) < 0.5 * room(likely_thresholds(table, [made(steps, entry)], AMONG))
 
 
@@ -109,7 +107,7 @@ def test_thresholds_that_make_no_difference_are_one() -> None:
     ]
     assert len(likely_thresholds(table, [made(steps, entry)], AMONG)) == 1
     near = (0.195, 0.205)
-    assert likely_thresholds(table, [made(carried(b"Go", 1), entry)], near) == [near]
+    assert likely_thresholds(table, [made(carried(b"Go", 1), entry)], near) == [(*near, 1.0)]
 
 
 def test_nothing_is_known_of_the_threshold_where_no_ciphertext_is_heard() -> None:
@@ -127,31 +125,8 @@ def test_a_message_is_read_by_the_threshold_that_all_its_steps_have_in_common(se
     """A third of the steps would agree or not by a threshold of their own: no beam follows that."""
     payload = b"Sail"
     steps = carried(payload, seed)
-    reader = MessageReader(make_scheme("switched", 2), english(), certain=False, beam=100)
+    reader = MessageReader(make_scheme("switched", 2), expected(), certain=False, beam=100)
     (message,) = reader.read(steps, AMONG, {})
     assert (message.payload, message.whole) == (payload, True)
     assert message.probability > 0.99
     assert message.bits_left < 0.1
-
-
-def found(weights: dict[bytes, float], plain: float, kept: float) -> Found:
-    payloads, nodes = tuple(weights), np.zeros((3, 2))
-    values = np.array(list(weights.values()))
-    return Found(
-        payloads, values, plain, kept, 1.0, nodes, plain, b"", -np.inf, -1, 0.0, 8.0, b"", nodes
-    )  # fmt: skip
-
-
-def test_a_message_weighs_what_it_weighs_under_all_thresholds_and_what_was_not_searched_is_lost(
-) -> None:  # fmt: skip
-    one = found({b"a": np.log(3.0), b"b": np.log(1.0)}, np.log(4.0), 0.5)
-    two = found({b"b": np.log(5.0)}, np.log(5.0), 0.8)
-    both = together([one, None, two], (3, 3, 2), float(np.log(2.0)))
-    assert both is not None
-    weights = dict(zip(both.payloads, np.exp(both.weights).tolist(), strict=True))
-    assert weights == pytest.approx({b"b": 6.0, b"a": 3.0})
-    assert both.payloads[0] == b"b"
-    assert np.exp(both.lost) == pytest.approx(4 * 0.5 + 5 * 0.2 + 2)
-    ends = np.isfinite(both.ends).all(axis=(1, 2))
-    assert ends.tolist() == [False, False, True], "under the first another one is likelier"
-    assert together([None, None], (2, 3, 2), 0.0) is None

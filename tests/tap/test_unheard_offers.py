@@ -5,7 +5,7 @@ import pytest
 
 from protocol.knowledge import Knowledge
 from studies.eavesdroppers import MEASUREMENTS, Condition, made_of, simulated
-from studies.outputs import heard_by
+from studies.listeners import heard_by
 from studies.secrecy.runs import simulate
 from studies.secrecy.study import heard_by as heard_of
 from tap_service.capture.channel import View

@@ -158,11 +158,6 @@ class SettledRate:
             )
         if self.still_moves:
             told.append(f"not settled: {self.still_moves}")
-        if not self.silent:
-            told.append(
-                "the rate counts keys by the paper's rule, which is not secrecy: Eve reads them "
-                "where she hears every message (docs/findings.md)"
-            )
         return told
 
 

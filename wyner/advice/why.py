@@ -57,6 +57,8 @@ class Why:
         Median distance of the closest two predictions, in D_c's gauge; from 2 on a key is certain.
     saturated : Interval
         Share of the steps in which an input of a candidate is at a bound of U.
+    left : Interval
+        Share of the steps whose disturbance was outside D_c.
     remedies : tuple of str
         What to change, the most promising first.
     runs : int
@@ -69,6 +71,7 @@ class Why:
     equal: Interval
     distance: float
     saturated: Interval
+    left: Interval
     remedies: tuple[str, ...]
     runs: int
 
@@ -88,6 +91,11 @@ class Why:
             f"(median; from {APART:g} on each step agrees), and one and the same in "
             f"{_hundred(self.equal)} of 100 steps",
         ]
+        if self.left.value:
+            told.append(
+                f"{self.left.scaled(100.0).text('.2g')} of 100 steps leave D_c: a key that is made "
+                "there may be wrong"
+            )
         aim = "to raise the rate" if self.agreed.value else "to keep it talking"
         return told + [f"{aim}: {remedy}" for remedy in self.remedies]
 
@@ -108,6 +116,8 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
     gauges = np.concatenate([_settled(runs.gauges) for runs in parts], axis=-1)
     candidates = np.concatenate([_settled(runs.candidates) for runs in parts], axis=-1)
     largest = np.concatenate([_settled(runs.largest) for runs in parts], axis=-1)
+    coin = np.concatenate([runs.coin[rate.BURN_IN :] for runs in parts], axis=-1)
+    applied = np.take_along_axis(gauges, coin[:, None].astype(np.intp), axis=1)[:, 0]
     steps = len(largest)
     inside = (gauges <= INSIDE).sum(axis=1)
     held = largest <= scenario.secrecy.alpha
@@ -123,6 +133,7 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
         "beyond": one & ~held,
         "equal": apart <= EQUAL,
         "saturated": at_bound,
+        "left": applied > INSIDE,
     }
     shares = {
         name: share_over_runs((int(n), steps) for n in flags.sum(axis=0))
@@ -135,7 +146,7 @@ def why(scenario: "Scenario", parts: "Sequence[Runs]") -> Why:
     one = (gauges <= room * INSIDE).sum(axis=1) == 1
     alone = one & (largest <= scenario.secrecy.alpha * hers)
     values = {name: share.value for name, share in shares.items()}
-    remedies = _remedies(scenario, values, float(alone.mean()))
+    remedies = remedies_for(scenario, values, float(alone.mean()))
     return Why(
         **shares,
         distance=float(np.median(apart)),
@@ -215,17 +226,20 @@ def room_in(scenario: "Scenario") -> float:
     return float((np.abs(H) @ np.array(d.half_widths) / h).max())
 
 
-def _remedies(scenario: "Scenario", found: dict[str, float], tight: float) -> list[str]:
+def remedies_for(scenario: "Scenario", found: dict[str, float], tight: float) -> list[str]:
+    """What to change, the most promising first; ``found`` are the shares of :class:`Why`."""
     control, remedies = scenario.control, []
     if found["agreed"] >= FULL:
         return []
     if not found["agreed"]:
         remedies += _talking(scenario)
     elif found["equal"] >= OFTEN:
+        softer = "smaller control.regulator.next_state or larger control.regulator.input make"
+        if control.regulator is None:
+            softer = "a smaller control.gain, or control.regulator in its place, makes"
         remedies.append(
-            "a larger target set: smaller control.regulator.next_state or larger "
-            "control.regulator.input make a softer K and a wider T_0, in which the candidates can "
-            "lie apart"
+            f"a larger target set: {softer} a softer K and a wider T_0, in which the candidates "
+            "can lie apart"
         )
     if found["agreed"] and found["several"] >= OFTEN:
         if control.law != "packed" and packs(scenario):

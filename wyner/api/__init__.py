@@ -26,11 +26,13 @@ from wyner.api.runs import check, report
 from wyner.api.simulation import Simulated, rate_against_alpha, run
 from wyner.api.systems import System, build, design, load, scenario_names, vary
 from wyner.simulate.engine import SimulationError
+from wyner.simulate.engine.taps import EavesdropperError
 
 __all__ = [
     "LADDER",
     "Belief",
     "Eavesdropper",
+    "EavesdropperError",
     "Guess",
     "Interval",
     "Knowledge",

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from protocol.statistics import NOTHING, Interval, share_over_runs
-from tap_service.eavesdroppers import Eavesdropper, named
+from tap_service.eavesdroppers import Eavesdropper, sound
 from wyner.api.simulation import Simulated
 from wyner.simulate.engine.taps import TapResult, listen
 
@@ -38,23 +38,30 @@ class TapScore:
 
 def eavesdrop(
     runs: Simulated,
-    eavesdroppers: Sequence[str | type[Eavesdropper]] = ("set-membership", "nearest-centre"),
+    eavesdroppers: str | type[Eavesdropper] | Sequence[str | type[Eavesdropper]] = (
+        "set-membership",
+        "nearest-centre",
+    ),
 ) -> list[TapScore]:
     """Let eavesdroppers hear every run's public messages, nothing lost, and score them.
 
     Parameters
     ----------
     runs : Simulated
-    eavesdroppers : sequence of str or class
+    eavesdroppers : str or class, or sequence of them
         Names of :data:`LADDER`, ``file.py:Name``, or classes that extend :class:`Eavesdropper`.
 
     Raises
     ------
     KnowledgeError
         When there is no such eavesdropper.
+    EavesdropperError
+        When one raises; it names her and the step.
     """
+    if isinstance(eavesdroppers, str | type):
+        eavesdroppers = [eavesdroppers]
     heard = [listen(runs.record, runs.link, eavesdroppers, r) for r in range(runs.count)]
-    kinds = [named(e) if isinstance(e, str) else e for e in eavesdroppers]
+    kinds = [sound(e) for e in eavesdroppers]
     return [_score(kind, [of_run[i] for of_run in heard]) for i, kind in enumerate(kinds)]
 
 

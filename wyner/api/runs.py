@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from wyner.runs.check.base import Result
+    from wyner.runs.check.evidence import Finding
 
 
-def check(run_dir: str | Path) -> "list[Result]":
-    """What ``wyner check`` says of a run's folder, one result a check.
+def check(run_dir: str | Path) -> "list[Finding]":
+    """Where a run did not obey a rule, as ``wyner check`` finds it; empty where it obeyed all.
 
     Raises
     ------

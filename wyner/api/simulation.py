@@ -15,13 +15,13 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
 from protocol.brief import Brief
 from protocol.scenario import Scenario
+from protocol.schemes.registry import scheme_named
 from protocol.statistics import Interval, mean_over_runs
 from runtime.errors import needs
 from wyner.api.systems import System, design
-from wyner.simulate import UNATTACKED
+from wyner.simulate import UNATTACKED, UNSEALED
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow, whole_messages
-from wyner.simulate.single import simulate_plant
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -234,28 +234,20 @@ def run(
     s = system if isinstance(system, System) else design(system)
     if s.scenario.attack is not None:
         raise ValueError(f"{s.scenario.name}: {UNATTACKED}")
+    if message and scheme_named(s.scenario.secrecy.scheme).from_stream:
+        raise ValueError(f"{s.scenario.name}: {UNSEALED}")
     place = s.folder if folder is None else Path(folder)
-    linear = s.scenario.plant.kind == "linear" and s.scenario.defender.model is None
-    if plant is None and linear:
-        record = simulate_runs(
-            s.scenario,
-            s.law,
-            seed=seed,
-            runs=range(runs),
-            steps=steps,
-            record=True,
-            folder=place,
-        )
-    else:
-        record = simulate_plant(
-            s.scenario,
-            s.law,
-            lambda: open_plant(s.scenario, place, plant),
-            seed=seed,
-            runs=range(runs),
-            steps=steps,
-            folder=place,
-        )
+    opened = None if plant is None else (lambda: open_plant(s.scenario, place, plant))
+    record = simulate_runs(
+        s.scenario,
+        s.law,
+        seed=seed,
+        runs=range(runs),
+        steps=steps,
+        record=True,
+        folder=place,
+        plant=opened,
+    )
     return Simulated(s, seed, record, transfer(record, payloads=[message] if message else []))
 
 

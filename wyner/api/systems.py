@@ -14,8 +14,8 @@ from controller_service.sets.design import Design
 from protocol.arrays import Array
 from protocol.brief import Brief
 from protocol.convex import Polytope, corners, planar_vertices
-from protocol.scenario import Scenario, parse_scenario, set_field
-from runtime.scenario_file import load_scenario
+from protocol.scenario import Scenario, ScenarioError, parse_scenario, set_field
+from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS, scenario_file_of
 
 
@@ -32,7 +32,10 @@ def load(source: str | Path) -> Scenario:
     ScenarioError
         With one line for each wrong field.
     """
-    return load_scenario(scenario_file_of(str(source)))
+    path = scenario_file_of(str(source))
+    if not path.exists():
+        raise ScenarioError([f"{source}: no such file{others_than(str(source))}"])
+    return load_scenario(path)
 
 
 def build(tables: Mapping[str, Any], source: str = "scenario") -> Scenario:
@@ -52,14 +55,18 @@ def build(tables: Mapping[str, Any], source: str = "scenario") -> Scenario:
     return parse_scenario(dict(tables), source)
 
 
-def vary(scenario: Scenario, changes: Mapping[str, Any]) -> Scenario:
+def vary(scenario: "Scenario | System", changes: Mapping[str, Any]) -> Scenario:
     """The scenario with some fields changed: ``vary(s, {"secrecy.alpha": 4.0})``.
+
+    Of a system, its scenario.
 
     Raises
     ------
     ScenarioError
         When there is no such field, or the whole is no scenario any more.
     """
+    if isinstance(scenario, System):
+        scenario = scenario.scenario
     data = json.loads(scenario.model_dump_json(exclude_none=True, exclude_unset=True))
     for path, value in changes.items():
         set_field(data, path, value)

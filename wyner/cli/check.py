@@ -1,5 +1,4 @@
-"""``wyner check``: replay a run's traces and say, one check after another, whether they obey
-the paper."""
+"""``wyner check``: say, one rule after another, whether a run obeyed it."""
 
 import argparse
 import json
@@ -12,7 +11,7 @@ from protocol.text import printable
 from runtime.errors import DONE, FAILED, UsageError
 
 if TYPE_CHECKING:
-    from wyner.runs.check.base import Result
+    from wyner.runs.check import Result
 
 
 WIDTH: Final = 78
@@ -23,7 +22,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = fill(
         "Replay the traces and the capture of a run that has ended through the pure "
-        "functions of the protocol, and say PASS or FAIL for each check. A check "
+        "functions of the protocol, and say PASS or FAIL for each rule. A rule "
         "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
         "one does, 2 when there is no run.",
         WIDTH,
@@ -81,7 +80,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def results_of(folder: Path) -> "list[Result]":
-    """What each check says of a run.
+    """How a run did by each rule.
 
     Raises
     ------
@@ -89,11 +88,11 @@ def results_of(folder: Path) -> "list[Result]":
         When there is no run that can be read, or it has not ended.
     """
     from protocol.scenario import ScenarioError
-    from wyner.runs.check import check
+    from wyner.runs.check import judge
     from wyner.runs.check.evidence import read_evidence
 
     try:
-        return list(check(read_evidence(folder)))
+        return judge(read_evidence(folder))
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     except OSError as error:
@@ -113,7 +112,7 @@ def summary_of(folder: Path, results: "Sequence[Result]") -> dict[str, Any]:
         "failed": failed,
         "skipped": sum(f.result == "SKIP" for f in results),
         "sealed": is_sealed(Run.load(folder).manifest),
-        "checks": [f.as_json() for f in results],
+        "rules": [f.as_json() for f in results],
         "files": [kind._asdict() for kind in KINDS],
     }
 
@@ -125,15 +124,12 @@ def counted(results: "Sequence[Result]") -> str:
 
 
 def lines_of(result: "Result") -> list[str]:
-    """A check for people: one line, and one more where it does not hold."""
-    check, counter = result.check, result.counter
-    counted = f"{counter.counted} {check.of}"
-    details = counter.skipped or "; ".join(part for part in (counted, counter.note) if part)
-    lines = [f"{result.result}  {check.name:15} {check.source:13} {check.says} [{details}]"]
-    first = counter.first
-    if first is not None:
-        where = f"session {first.session}, " if first.session else ""
-        where += f"transition {first.j}, " if first.j >= 0 else ""
-        where += f"step {first.k}, " if first.k >= 0 else ""
-        lines.append(f"      failures: {counter.failures}, first: {where}{first.text}")
+    """A rule for people: one line, and one more for the first place where it is broken."""
+    rule, findings = result.rule, result.findings
+    note = f" [{result.note}]" if result.note else ""
+    lines = [f"{result.result}  {rule.name:10} {rule.source:25} {rule.says}{note}"]
+    if findings:
+        many = f"{len(findings)} findings" if len(findings) > 1 else "1 finding"
+        where = str(findings[0]).removeprefix(f"{rule.name}: ")
+        lines.append(f"      {many}, first: {where}")
     return lines

@@ -1,56 +1,8 @@
 """``wyner score --decode``: feed a recorded capture to eavesdroppers, all on one transcript."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from wyner.dashboard.model import Arrival
-    from wyner.runs.score.replay import Replay
-
-
-class ReplaySource:
-    """A replay as the dashboard's source: each look decodes a little more."""
-
-    def __init__(self, replay: "Replay", transitions: int) -> None:
-        self._replay = replay
-        self._transitions = transitions
-        self.exhausted = False
-
-    @property
-    def malformed(self) -> int:
-        """Undecodable messages in the capture."""
-        return self._replay.reader.malformed
-
-    def drain(self) -> "Sequence[Arrival]":
-        """Decode some more; the eavesdroppers' statuses after it."""
-        from wyner.dashboard.model import Arrival
-
-        if self.exhausted:
-            return ()
-        self.exhausted = not self._replay.advance(self._transitions)
-        return [Arrival(self.now_ns(), status) for status in self._replay.statuses()]
-
-    def now_ns(self) -> int:
-        """The monotonic clock."""
-        import time
-
-        return time.monotonic_ns()
-
-    def problems(self) -> Sequence[str]:
-        """Torn lines and missing parts."""
-        reader = self._replay.reader
-        lines = []
-        if reader.torn:
-            lines.append(f"replay: {reader.torn} torn lines were left out")
-        if reader.parts_missing:
-            lines.append(f"replay: {reader.parts_missing} parts of the capture are missing")
-        return lines
-
-
-WATCHED_AT_ONCE = 20
-"""Transitions decoded between two looks while watching."""
+from typing import Any
 
 
 def decode(args: argparse.Namespace, path: Path) -> int:
@@ -59,7 +11,6 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     import sys
 
     from runtime.errors import DONE, FAILED, UsageError
-    from runtime.options import at_least
     from runtime.scenario_file import scenario_of
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
@@ -68,28 +19,24 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     from wyner.runs.score.replay import Replay
     from wyner.runs.score.score import RunScore, read_truth, score, summary_of
 
-    at_least("--from", args.first, 0)
-    at_least("--to", args.last, args.first or 0)
     scenario = None if args.scenario is None else scenario_of(args.scenario)
     try:
         names = names_of(args.eavesdropper) or tuple(
             CaptureReader(path).header.get("eavesdroppers") or DEFAULT
         )
-        replay = Replay(path, names, first=args.first, last=args.last, scenario=scenario)
+        replay = Replay(path, names, scenario=scenario)
     except CaptureError as error:
         raise UsageError(str(error)) from None
     except KnowledgeError as error:
         raise UsageError(f"--eavesdropper: {error}") from None
     try:
-        if args.watch:
-            _watch(replay)
         replay.run()
     except CaptureError as error:  # of a part that came later
         raise UsageError(str(error)) from None
     report = replay.report()
     if path.is_dir() and (run := Run.load(path)).has("plant"):
         try:
-            truth = read_truth(run).between(args.first, args.last)
+            truth = read_truth(run)
         except RunError as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.outputs())
@@ -98,20 +45,11 @@ def decode(args: argparse.Namespace, path: Path) -> int:
         print(json.dumps(report))
     else:
         _print(report)
-    for line in ReplaySource(replay, 0).problems():
-        print(line, file=sys.stderr)
+    if torn := replay.reader.torn:
+        print(f"replay: {torn} torn lines were left out", file=sys.stderr)
+    if missing := replay.reader.parts_missing:
+        print(f"replay: {missing} parts of the capture are missing", file=sys.stderr)
     return FAILED if any(tap["failed"] for tap in report["taps"].values()) else DONE
-
-
-def _watch(replay: "Replay") -> None:
-    from wyner.dashboard.app import has_screen, run_dashboard
-    from wyner.dashboard.headless import run_headless
-
-    source = ReplaySource(replay, WATCHED_AT_ONCE)
-    if has_screen():
-        run_dashboard(source, until=lambda: False)
-    else:
-        run_headless(source, until=lambda: source.exhausted)
 
 
 def _print(report: dict[str, Any]) -> None:

@@ -4,7 +4,6 @@ import argparse
 import json
 from typing import TYPE_CHECKING, Any
 
-from protocol.statistics import COMPUTED
 from runtime.errors import DONE, FAILED, Failure, UsageError
 
 if TYPE_CHECKING:
@@ -15,6 +14,7 @@ if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
     from protocol.scenario import Scenario
+    from wyner.advice.answer import Answer
     from wyner.advice.rate import SettledRate
     from wyner.advice.why import Why
 
@@ -96,21 +96,22 @@ def _show_design(args: argparse.Namespace) -> int:
     linear = scenario.plant.kind == "linear" and scenario.plant.disturbance.enters != "input"
     linear = linear and carries is None
     folder = scenario_file_of(args.scenario).parent
-    rate, reasons = (linear and _rate(scenario, law, folder)) or (None, None)
+    rate, reasons, found = (linear and _rate(scenario, law, folder)) or (None, None, None)
+    result["answer"] = None if found is None else found.as_json()
     result["rate"] = None if rate is None else rate.as_json()
     result["simulated"] = linear
     result["under_keys"] = carries
     result["network"] = expected_misses(scenario, folder)
     result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
-    if args.plot is not None:
-        _plot(args.plot, scenario, design, law)
+    drawn = [] if args.plot is None else [str(_plot(args.plot, scenario, design, law))]
     if args.json:
         print(json.dumps(result))
     else:
+        first = [] if found is None else found.lines()
         rates = _rate_lines(rate, linear=linear) if carries is None else [_sealed_line(carries)]
-        shown = [render(result), *rates]
-        print("\n".join([*shown, *(() if reasons is None else reasons.lines())]))
+        shown = [*first, render(result), *rates]
+        print("\n".join([*shown, *(() if reasons is None else reasons.lines()), *drawn]))
     return FAILED if linear and rate is None else DONE
 
 
@@ -167,8 +168,12 @@ def _output_line(scenario: "Scenario") -> str | None:
 
 def _rate(
     scenario: "Scenario", law: "CandidateLaw", folder: "Path"
-) -> "tuple[SettledRate, Why | None] | None":
-    """The rate, and why it is what it is; None where the loop cannot start or leaves the sets."""
+) -> "tuple[SettledRate, Why | None, Answer] | None":
+    """The rate, why it is what it is, and what it is worth.
+
+    None where the loop cannot start or leaves the sets.
+    """
+    from wyner.advice.answer import answer
     from wyner.advice.rate import long_runs, settled_rate
     from wyner.advice.why import why
     from wyner.simulate.engine import SimulationError
@@ -178,18 +183,19 @@ def _rate(
     except SimulationError:
         return None
     rate = settled_rate(runs)
+    found = answer(scenario, law.design, runs, rate.settled)
     if scenario.plant.C is not None:
-        return rate, None
+        return rate, None, found
     if scenario.network is not None:
         whole = scenario.model_copy(update={"network": None})
         try:
             runs = long_runs(whole, law, folder, record=True)
         except SimulationError:
-            return rate, None
-    return rate, why(scenario, runs)
+            return rate, None, found
+    return rate, why(scenario, runs), found
 
 
-def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> None:
+def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw") -> "Path":
     from wyner.cli.drawing import drawn_to
 
     def draw(figure: "Figure") -> str:
@@ -201,7 +207,7 @@ def _plot(text: str, scenario: "Scenario", design: "Design", law: "CandidateLaw"
         except SimulationError as error:
             raise Failure(f"--plot: {error}") from None
 
-    drawn_to("--plot", text, (9.0, 4.2), draw)
+    return drawn_to("--plot", text, (9.0, 4.2), draw)
 
 
 def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dict[str, Any]:
@@ -255,27 +261,18 @@ def describe(scenario: "Scenario", design: "Design", law: "CandidateLaw") -> dic
 def expected_misses(scenario: "Scenario", folder: "Path") -> dict[str, Any] | None:
     """The share of missed steps to expect of the scenario's network; None where it has none.
 
-    Computed from the distributions. Only where messages with jitter keep their order is it counted
-    over simulated messages, for there each waits for all before it.
+    Counted over simulated messages.
     """
     from protocol.statistics import share_over_runs
-    from wyner.advice.missed_share import expected_missed_share
     from wyner.advice.rate import RUNS, SEED, STEPS
     from wyner.simulate.missed import missed_steps
 
-    network = scenario.network
-    if network is None:
-        return None
-    ways = (network.to_plant, network.to_controller)
-    if all(way.reordering or way.delay == "constant" for way in ways):
-        share_of_all = expected_missed_share(scenario, folder)
-        return {"missed_share": share_of_all, "computed": True, "no_interval": COMPUTED}
     missed = missed_steps(scenario, seed=SEED, runs=range(RUNS), steps=STEPS, folder=folder)
-    assert missed is not None
+    if missed is None:
+        return None
     share = share_over_runs([(int(m), STEPS) for m in missed.sum(axis=0)]).as_json()
     return {
         "missed_share": share["value"],
-        "computed": False,
         "interval_95": [share["low"], share["high"]],
         "runs": RUNS,
         "steps": STEPS,
@@ -288,12 +285,10 @@ def network_lines(found: dict[str, Any] | None) -> list[str]:
     if found is None:
         return []
     share = f"network: {100 * found['missed_share']:.3g} % of steps missed"
-    if found["computed"]:
-        return [f"{share}, computed from its distributions; none in lock-step"]
     low, high = (100 * limit for limit in found["interval_95"])
     return [
-        f"{share} [{low:.3g}, {high:.3g}], counted over messages that keep their order "
-        f"({found['runs']} runs of {found['steps']} steps, seed {found['seed']}); none in lock-step"
+        f"{share} [{low:.3g}, {high:.3g}] in {found['runs']} runs of {found['steps']} steps, seed "
+        f"{found['seed']}; none in lock-step"
     ]
 
 

@@ -255,7 +255,10 @@ def _names(option: str, text: str) -> tuple[str, ...]:
 
 def _tables(path: Path) -> dict[str, Any]:
     from runtime.files import read_regular
+    from runtime.scenario_file import others_than
 
+    if not path.exists():
+        raise UsageError(f"{path}: no such file{others_than(str(path))}")
     try:
         return tomllib.loads(read_regular(path).decode())
     except (OSError, UnicodeDecodeError) as error:

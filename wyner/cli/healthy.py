@@ -14,7 +14,7 @@ from pathlib import Path
 
 from protocol.text import printable
 from runtime.errors import DONE, FAILED, Failure, UsageError
-from runtime.health import Look
+from runtime.health import Look, look_at_status
 from runtime.run_folder import loops_below
 from runtime.services import SERVICES
 
@@ -31,14 +31,14 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
         "health check",
         "Exit 0 when a service's report is fresh and what it counts has grown within a few "
-        "seconds: transitions of the controller and the plant, bytes mirrored by the tap. For a "
+        "seconds: transitions of the controller and the plant, messages captured by the tap. For a "
         "router: when it takes a connection.",
     )
     what = group.add_mutually_exclusive_group()
     what.add_argument(
         "--healthy",
         dest="service",
-        choices=(able := [name for name in SERVICES if SERVICES[name].health]),
+        choices=(able := [name for name in SERVICES if SERVICES[name].reports]),
         metavar="SERVICE",
         help=f"one that writes below RUN_DIR: {', '.join(able)}",
     )
@@ -132,27 +132,20 @@ def _endpoint(args: argparse.Namespace) -> str:
 
 
 def _service(args: argparse.Namespace) -> str:
-    look = _look_of(args.service)
-    seen = advances(lambda: look(args.run_dir / args.service, time.time()), args.within)
+    folder = args.run_dir / args.service
+    seen = advances(lambda: look_at_status(folder, time.time()), args.within)
     if seen.health.startswith("bad"):
         raise Failure(seen.health.removeprefix("bad: "))
     return f"{args.service} advances: {seen.text}"
 
 
-def _look_of(service: str) -> Callable[[Path, float], Look]:
-    look = SERVICES[service].health
-    assert look is not None
-    return look
-
-
 def _fleet(args: argparse.Namespace, loops: list[Path]) -> tuple[str, dict[str, str]]:
     """Look at every loop of a fleet, at all of them while one waits; those that are not well."""
-    look = _look_of(args.service)
 
     def one(loop: Path) -> str:
         folder = loop / args.service
         try:
-            told = advances(lambda: look(folder, time.time()), args.within).health
+            told = advances(lambda: look_at_status(folder, time.time()), args.within).health
         except Failure as error:
             return str(error)
         return told.removeprefix("bad: ") if told.startswith("bad") else ""

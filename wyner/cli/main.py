@@ -9,6 +9,7 @@ from importlib.metadata import version
 from typing import Final
 
 from runtime.command import Parser, carry_out
+from runtime.errors import USAGE
 from runtime.services import SERVICES
 
 COMMANDS: Final[dict[str, dict[str, str]]] = {
@@ -108,6 +109,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code and never lets a traceback out."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = next((a for a in arguments if not a.startswith("-")), None)
+    if not arguments:
+        print(overview(), end="", file=sys.stderr)
+        return USAGE
 
     def command() -> int:
         args = build_parser(name).parse_args(arguments)

@@ -76,7 +76,8 @@ def run(args: argparse.Namespace) -> int:
     if (len(A), len(B[0])) not in HORIZONS:
         raise UsageError(
             f"--A, --B: got {_sizes(A, B)}, expected 1 to 4 states and 1 or 2 inputs: more have no "
-            "design"
+            "sets here; a law of your own may bring its own (docs/guides.md, A control law of your "
+            "own)"
         )
     if args.continuous or example:
         A, B = sampled(A, B, period)
@@ -119,6 +120,10 @@ def _matrix(option: str, text: str) -> list[list[float]]:
     matrix = [[float(v) for v in re.split(r"[\s,]+", row)] for row in rows if fullmatch(ROW, row)]
     whole = len(matrix) == len(rows) and text.count("[") == text.count("]")
     small = all(abs(v) <= LARGEST_NUMBER for row in matrix for v in row)
+    entries = [(i, v) for i, row in enumerate(rows, 1) for v in re.split(r"[\s,]+", row) if v]
+    no_number = next(((i, v) for i, v in entries if not fullmatch(NUMBER, v)), None)
+    if no_number is not None and not set(no_number[1]) & set("[];"):
+        raise UsageError(f"{option}: row {no_number[0]}: {_short(no_number[1])!r} is no number")
     if not (whole and small and len({len(row) for row in matrix}) == 1):
         raise UsageError(
             f"{option}: got {_short(text)!r}, expected rows of one length, such as "

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from runtime.errors import DONE, UsageError
 from runtime.logs import logger
-from runtime.services import BUSES, bus_names
+from runtime.services import BUSES
 from runtime.signals import stop_on_signals
 
 
@@ -59,7 +59,7 @@ def by_bus(option: str, values: Sequence[str]) -> dict[str, list[str]]:
         if bus in BUSES and value:
             found.setdefault(bus, []).append(value)
         else:
-            names = bus_names(bus, BUSES)
+            names = ", ".join(BUSES)
             problems.append(f"{option}: got {text!r}, expected BUS=VALUE with BUS one of {names}")
     if problems:
         raise UsageError(problems)

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
-        "of them failed: nobody knows what she would have had. Of a capture alone, or with "
+        "of them failed: nobody knows what it would have had. Of a capture alone, or with "
         "--decode, show what each makes of it."
     )
     parser.add_argument(
@@ -34,14 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenario", metavar="S", help="tell the replayed ones this scenario's model"
     )
-    parser.add_argument("--figure", metavar="FILE", help="draw the report as SVG or PNG")
+    parser.add_argument("--plot", metavar="FILE", help="draw the report as SVG or PNG")
     parser.add_argument(
         "--decode", action="store_true", help="feed the capture to them, and show what they read"
-    )
-    parser.add_argument("--from", dest="first", type=int, metavar="K", help="first step to decode")
-    parser.add_argument("--to", dest="last", type=int, metavar="K", help="last step to decode")
-    parser.add_argument(
-        "--watch", action="store_true", help="watch the decoding, on the dashboard or in lines"
     )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
@@ -52,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.cli.decode import decode
 
     with reading(", ".join(args.runs)):
-        if args.decode or args.watch or args.first is not None or args.last is not None:
+        if args.decode:
             return decode(args, Path(_only(args.runs, "--decode")))
         if any(Path(one).is_file() for one in args.runs):
             return decode(args, Path(_only(args.runs, "a capture")))
@@ -101,17 +96,17 @@ def _run(args: argparse.Namespace) -> int:
             print(f"wyner: {run_dir}: {what}; what is there is scored", file=sys.stderr)
         runs.append(run)
     report = reporting.report(scores)
-    if args.figure is not None:
-        if Path(args.figure).suffix not in (".svg", ".png"):
-            raise UsageError(f"--figure: got {args.figure!r}, expected a name in .svg or .png")
+    if args.plot is not None:
+        if Path(args.plot).suffix not in (".svg", ".png"):
+            raise UsageError(f"--plot: got {args.plot!r}, expected a name in .svg or .png")
         try:
             from wyner.drawing.secrecy import draw_report
 
-            draw_report(report, Path(args.figure))
+            draw_report(report, Path(args.plot))
         except ImportError:
-            raise Failure(needs("--figure", "matplotlib")) from None
+            raise Failure(needs("--plot", "matplotlib")) from None
         except OSError as error:
-            raise Failure(f"{args.figure}: cannot be written: {error.strerror}") from None
+            raise Failure(f"{args.plot}: cannot be written: {error.strerror}") from None
     audits = _audits(runs)
     ending = FAILED if any(tap.failed for score in scores for tap in score.taps) else DONE
     if args.json:
@@ -163,7 +158,7 @@ def _print_keys(name: str, audit: "KeyAudit", *, color: bool) -> None:
 
     print(f"\nkey blocks of {name}")
     if audit.blocks:
-        print("block  transitions  lost  rows  keys  she missed  she holds, bit")
+        print("block  transitions  lost  rows  keys  Eve missed  Eve holds, bit")
     for block in audit.blocks:
         print(
             f"{block.number:5}  {block.transitions:11}  {block.lost:4}  {block.rows:4}  "

@@ -92,6 +92,14 @@ def _statuses(run_dir: Path) -> "tuple[PlantStatus, ControllerStatus]":
     from runtime.health import read_status
     from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS
 
+    files = (PLANT_STATUS, CONTROLLER_STATUS)
+    there = [path for path in files if (run_dir / path).exists()]
+    if len(there) == 1:
+        (lacks,) = (path.parent for path in files if path not in there)
+        raise Failure(
+            f"{run_dir}: has the status of the {there[0].parent} alone, expected that of the "
+            f"{lacks} beside it; `wyner status {run_dir} --healthy {there[0].parent}` looks at one"
+        )
     try:
         plant = read_status(run_dir / PLANT_STATUS, PlantStatus)
         controller = read_status(run_dir / CONTROLLER_STATUS, ControllerStatus)

@@ -31,12 +31,9 @@ REDRAW_NS: Final = 1_000_000_000
 """A screen without news is drawn again after so long, so that silence shows."""
 
 STOPPING: Final = "The run is over; its services stop. She thinks to the end of what she heard."
-GO_ON: Final = "Space goes on.  Left, Right: other steps.  q leaves."
-LEAVE: Final = "The run is over.  Any key leaves; Left, Right and ? look at it first."
+GO_ON: Final = "Space goes on.  q leaves."
+LEAVE: Final = "The run is over.  Any key leaves; ? helps to read it first."
 """What the last line says while a caption is shown."""
-
-LOOKING: Final = frozenset(Action) - {Action.QUIT, Action.FREEZE}
-"""What can be asked of the last screen without leaving it."""
 
 Size = tuple[int, int]
 
@@ -119,7 +116,7 @@ class Watch:
         self._dirty = True
         self.view = replace(self.view, note="")
         action = action_of(key)
-        if self.view.press == LEAVE and action not in LOOKING:
+        if self.view.press == LEAVE and action is not Action.HELP:
             self.quit = True
             return
         match action:
@@ -130,30 +127,11 @@ class Watch:
             case Action.FREEZE if self.view.frozen:
                 self._release()
             case Action.FREEZE:
-                self._hold(now_ns)
-            case Action.BACK | Action.ON:
-                self._hold(now_ns)
-                self._choose_step(-1 if action is Action.BACK else 1)
+                self._held, self._held_ns = self.state, now_ns
+                self.view = replace(self.view, frozen=True)
             case None:
                 if key == ESCAPE:
                     self.view = replace(self.view, help=False)
-
-    def _hold(self, now_ns: int) -> None:
-        if self._held is None:
-            self._held, self._held_ns = self.state, now_ns
-            self.view = replace(self.view, frozen=True)
-
-    def _choose_step(self, by: int) -> None:
-        """The pictured step before or after the one chosen."""
-        state = self._held or self.state
-        known = sorted(state.pictures)
-        if not known:
-            return
-        now = self.view.step
-        if now is None and state.pictured is not None:
-            now = state.pictured.pictured_k
-        at = known.index(now) if now in known else len(known) - 1
-        self.view = replace(self.view, step=known[min(max(at + by, 0), len(known) - 1)])
 
     def due(self, size: Size, now_ns: int) -> bool:
         """Whether the screen is worth drawing: news, a key, another size, or a second gone."""
@@ -169,9 +147,6 @@ class Watch:
         """The whole screen."""
         self._dirty = self._fresh = False
         self._drawn = (size, now_ns)
-        return self._whole(size, now_ns)
-
-    def _whole(self, size: Size, now_ns: int) -> RenderableType:
         shown, view = self.state, self.view
         if self._held is not None:
             shown, now_ns = self._held, self._held_ns

@@ -119,6 +119,7 @@ def run_headless(
     stream = out or sys.stdout
     state, reporter = State(), Reporter()
     told: set[int] = set()
+    said: list[str] = []
 
     def say(lines: list[str]) -> None:
         encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -128,13 +129,13 @@ def run_headless(
             stream.flush()
 
     ending = Ending.FINISHED
-    lines: list[str] = []
     try:
         while True:
             finished = until()
             state = replace(reduce_all(state, source.drain()), unreadable=source.malformed)
             lines, reporter = reporter.report(state, source.now_ns())
             say(lines)
+            said = lines[-1:] or said
             while story and (found := next_moment(state, told)) is not None:
                 told.add(found[0])
                 title, *captions = found[1].caption
@@ -146,7 +147,7 @@ def run_headless(
         ending = Ending.INTERRUPTED
     if state.plant is not None:
         last = progress(state)
-        say([*([] if lines[-1:] == [last] else [last]), secrecy_line(state)])
+        say([*([] if said == [last] else [last]), secrecy_line(state)])
     for line in source.problems():
         print(line, file=sys.stderr)
     return ending

@@ -11,16 +11,11 @@ class Action(Enum):
     QUIT = "quit"
     HELP = "help"
     FREEZE = "freeze"
-    BACK = "back"
-    ON = "on"
 
 
 @dataclass(frozen=True, slots=True)
 class Binding:
-    """One row of the table: what is typed, how it is written, its short and its whole meaning.
-
-    A key without a short meaning stands in the help only.
-    """
+    """One row of the table: what is typed, how it is written, its short and its whole meaning."""
 
     character: str
     label: str
@@ -33,13 +28,9 @@ KEYS: Final[tuple[Binding, ...]] = (
     Binding("q", "q", Action.QUIT, "quit", "leave the dashboard"),
     Binding("?", "?", Action.HELP, "help", "show or hide this page"),
     Binding(" ", "Space", Action.FREEZE, "freeze", "hold the view; capture goes on and is counted"),
-    Binding("left", "Left", Action.BACK, "", "the pictured step before (freezes the view)"),
-    Binding(
-        "right", "Right", Action.ON, "", "the pictured step after, up to the moment of the freeze"
-    ),
 )
 
 
 def action_of(character: str) -> Action | None:
-    """The action bound to a character, or to a named key such as ``left``, if there is one."""
+    """The action bound to a character, if there is one."""
     return next((key.action for key in KEYS if key.character == character), None)

@@ -6,13 +6,15 @@ leaves the frame ends in arrows at its sides. With more than two states the sets
 the two axes along which the candidates lie furthest apart.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import combinations
+from itertools import product
 from math import isfinite
 from typing import Final, Literal
 
+from protocol.agreement import Gauge
+from protocol.convex import corners
 from protocol.messages import PlantModel, PlantStatus
 from protocol.vectors import Matrix, Vector
 from wyner.dashboard.text import symbol_of
@@ -20,14 +22,8 @@ from wyner.dashboard.text import symbol_of
 Kind = Literal["", "eavesdropper", "defender", "centre", "next"]
 Point = tuple[float, float]
 
-VERTEX_TOLERANCE: Final = 1e-9
-"""A point counts as inside a set's row when it leaves it by no more than this, relative to h."""
-
 MARGIN: Final = 0.06
 """Share of the frame that is left free around what is drawn."""
-
-COMBINATIONS_TRIED: Final = 40_000
-"""Row subsets tried to find a set's corners; beyond it the set is drawn as its bounding box."""
 
 _BRAILLE: Final = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))
 
@@ -138,7 +134,7 @@ def spread(model: PlantModel) -> float:
     if not model.eavesdropper_H:
         return model.alpha
     farthest = 0.0
-    for v in _vertices(model.eavesdropper_H, model.eavesdropper_h, len(model.A)):
+    for v in _vertices(model.eavesdropper_H, model.eavesdropper_h):
         for row, edge in zip(model.defender_H, model.defender_h, strict=True):
             farthest = max(farthest, sum(a * b for a, b in zip(row, v, strict=True)) / edge)
     return farthest or model.alpha
@@ -159,40 +155,24 @@ def _project(x: Sequence[float], axes: Axes) -> Point:
 @lru_cache(maxsize=8)
 def outline(H: Matrix, h: Vector, axes: Axes) -> tuple[Point, ...]:
     """Corners, in order, of the shadow of { v : H v <= h } on two axes."""
-    n = len(H[0])
-    corners = {_project(v, axes) for v in _vertices(H, h, n)}
+    found = {_project(v, axes) for v in _vertices(H, h)}
     if axes.up < 0:
-        ends = [p[0] for p in corners]
+        ends = [p[0] for p in found]
         return ((min(ends), -1.0), (max(ends), -1.0), (max(ends), 1.0), (min(ends), 1.0))
-    return _hull(corners)
+    return _hull(found)
 
 
-def _vertices(H: Matrix, h: Vector, n: int) -> Iterator[Vector]:
-    subsets = combinations(range(len(H)), n)
-    for tried, rows in enumerate(subsets):
-        if tried >= COMBINATIONS_TRIED:
-            break
-        v = _solve([[*H[i], h[i]] for i in rows])
-        if v is not None and all(
-            sum(a * b for a, b in zip(row, v, strict=True)) <= edge * (1 + VERTEX_TOLERANCE)
-            for row, edge in zip(H, h, strict=True)
-        ):
-            yield v
-
-
-def _solve(rows: list[list[float]]) -> Vector | None:
-    """Solve a small square system by elimination with pivoting; None when it is singular."""
-    n = len(rows)
-    for i in range(n):
-        pivot = max(range(i, n), key=lambda r: abs(rows[r][i]))
-        if abs(rows[pivot][i]) < 1e-12:
-            return None
-        rows[i], rows[pivot] = rows[pivot], rows[i]
-        for r in range(n):
-            if r != i:
-                factor = rows[r][i] / rows[i][i]
-                rows[r] = [a - factor * b for a, b in zip(rows[r], rows[i], strict=True)]
-    return tuple(rows[i][n] / rows[i][i] for i in range(n))
+@lru_cache(maxsize=8)
+def _vertices(H: Matrix, h: Vector) -> tuple[Vector, ...]:
+    """Corners of { v : H v <= h }: of a box, or of a set with at most four states; else of a box
+    about as wide.
+    """
+    n = len(H[0])
+    widths = Gauge.from_rows(H, h).half_widths
+    if widths is None and n <= 4:
+        return tuple(map(tuple, corners(H, h).tolist()))
+    widths = widths or tuple(_reach(H, h, i) for i in range(n))
+    return tuple(product(*((-w, w) for w in widths)))
 
 
 def _hull(points: set[Point]) -> tuple[Point, ...]:

@@ -28,30 +28,6 @@ CURVE: Final = 60
 """Most cells of the curves of the bits by the paper's rule and of those that are true."""
 
 
-def verdict(its: SecrecyScore, width: int) -> Text:
-    """What the paper's rule counts against what is true, in one line; loud where it is too much."""
-    claimed = f" paper's rule {its.claimed_bits:.0f} bit  "
-    if its.left_bits is None:
-        style = STYLES["bad"] if its.failed else ""
-        told = longest(width - len(claimed), f"true: unknown, {its.why}", f"true: {its.why}")
-        return Text.assemble(claimed, (told, style))
-    left = f"{its.left_bits:.0f} bit"
-    if its.silent_bits:
-        left = f"{its.left_bits:.0f} of {its.claimed_bits - its.silent_bits:.0f} bit"
-    room = width - len(claimed)
-    strongest = drawn(its.strongest)
-    if not its.exceeds:
-        return Text(claimed + longest(room, f"true: at most {left} ({strongest})", left))
-    loud = longest(
-        room,
-        f"PAPER'S RULE EXCEEDS TRUE: {strongest} leaves at most {left}",
-        f"EXCEEDS TRUE: {strongest} leaves at most {left}",
-        f"EXCEEDS TRUE, {left}",
-        "EXCEEDS TRUE",
-    )
-    return Text.assemble(claimed, (loud, STYLES["bad"]))
-
-
 def explanation(its: SecrecyScore, width: int) -> Text:
     """What the verdict rests on, in words."""
     when = f"when keys were agreed may hide {its.when_bits:.0f} bit more"

@@ -3,6 +3,7 @@
 import contextlib
 import io
 import os
+import re
 import select
 import sys
 import termios
@@ -11,9 +12,6 @@ from collections.abc import Iterator
 from typing import Final
 
 ESCAPE: Final = "\x1b"
-
-ARROWS: Final = {"A": "up", "B": "down", "C": "right", "D": "left"}
-"""Names of the arrow keys, by the last character of what a terminal sends."""
 
 HELD_CHARACTERS: Final = 16_384
 """Newest characters of standard error that are repeated after the screen closed."""
@@ -35,7 +33,6 @@ class Keyboard:
     def read(self, timeout_s: float) -> list[str]:
         """Characters typed within ``timeout_s`` seconds, at once when there are some.
 
-        Arrows come as words (`ARROWS`); other sequences that begin with Escape are swallowed.
         Without a keyboard this only waits. After the end of input there is no keyboard any more.
         """
         if self._descriptor is None:
@@ -50,22 +47,13 @@ class Keyboard:
         return split_keys(data.decode("utf-8", "replace"))
 
 
+_SEQUENCE: Final = re.compile("\x1b[\\[O][^@-~]*[@-~]?")
+"""What a terminal sends for an arrow and the like."""
+
+
 def split_keys(text: str) -> list[str]:
-    """The single keys in what one read gave."""
-    keys: list[str] = []
-    i = 0
-    while i < len(text):
-        if text[i] == ESCAPE and i + 1 < len(text) and text[i + 1] in "[O":
-            begin = i + 2
-            i = begin
-            while i < len(text) and not ("@" <= text[i] <= "~"):
-                i += 1
-            if i == begin and i < len(text) and text[i] in ARROWS:
-                keys.append(ARROWS[text[i]])
-        else:
-            keys.append(text[i])
-        i += 1
-    return keys
+    """The single keys in what one read gave; sequences that begin with Escape are swallowed."""
+    return list(_SEQUENCE.sub("", text))
 
 
 @contextlib.contextmanager

@@ -1,52 +1,75 @@
-"""The screen as a pure function: a state, a size and what the user asked for, to a layout.
+"""The screen as a pure function: a state, a size and what the user asked for, to a group of panels.
 
-The panels are regions of rich's `Layout`, each of a height that is known beforehand. The screen is
-whole from 80x24 on. On a smaller one whole panels go, in the order of `DROPPED_FIRST`.
+Every panel is a renderable of rich's with a known number of lines. The screen is whole from 80x24
+on; on a smaller one whole panels go, in the order of `DROPPED_FIRST`.
 """
 
+import itertools
 import re
+from bisect import bisect_left
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import nan
 from textwrap import wrap
 from typing import Final
 
-from rich.cells import cell_len
+from rich.cells import cell_len, set_cell_size
 from rich.console import Group, RenderableType
 from rich.layout import Layout
 from rich.padding import Padding
 from rich.panel import Panel
+from rich.table import Table
 from rich.text import Text
 
 from wyner.dashboard import keymap
 from wyner.dashboard.model import State
-from wyner.dashboard.panels import Panels, ViewState
-from wyner.dashboard.parts import labelled, line, rule, titled
-from wyner.dashboard.secrecy_panel import curves, distilled, eavesdroppers, explanation, verdict
-from wyner.dashboard.text import count, drawn, in_words, longest, number
-
-__all__ = ["DROPPED_FIRST", "HELP", "SILENT_AFTER_NS", "SMALLEST", "WHOLE", "ViewState", "screen"]
+from wyner.dashboard.parts import VALUE_AT, Row, labelled, line, rule, titled
+from wyner.dashboard.picture import agreement
+from wyner.dashboard.score import ranked, rate_in_words, secrecy, time_left_s, truth_for
+from wyner.dashboard.secrecy_panel import curves, distilled, eavesdroppers, explanation
+from wyner.dashboard.text import (
+    FAINT,
+    LEVELS,
+    STYLES,
+    component,
+    count,
+    drawn,
+    duration,
+    glyph,
+    in_words,
+    letters,
+    longest,
+    number,
+    sparkline,
+    symbol_of,
+)
 
 WHOLE: Final = (80, 24)
 """The size, columns and rows, from which every panel is shown."""
 
-SMALLEST: Final = (40, 8)
-"""Below this only a line that says so is shown, and the secrecy verdict."""
-
-DROPPED_FIRST: Final = ("picture", "key symbols and automata", "taps", "loop", "message")
-"""Panels that a small screen does without, in turn; the secrecy verdict always stays."""
+DROPPED_FIRST: Final = ("picture", "taps", "loop", "message")
+"""Panels that a small screen does without, in turn."""
 
 SILENT_AFTER_NS: Final = 2_000_000_000
 """A service that has not been heard for this long is called silent."""
 
-DETAIL_AT_LEAST: Final = 12
-"""Cells to which a reason in the first line is cut; it gets more where there is room."""
-
-DETAIL_RANK: Final = 6
-"""Where a reason stands among the parts of the first line, of which the highest goes first."""
+REASON_AT_LEAST: Final = 12
+"""Cells of a reason in the first line, which is cut there; it gets more where there is room."""
 
 MORE_LOOP: Final = 4
 """Rows that the panel of the loop takes of those to spare; the last steps have the others."""
 
-FOOTER_NAMED: Final = 72
-"""From this width on the last line says what its keys do; ? always does."""
+TOO_MANY: Final = 20
+"""One missed step in so many is shown as trouble."""
+
+STATE_CELLS: Final = 13
+"""Cells of a component of the state with its name, its history aside."""
+
+BAR: Final = 30
+"""Cells of the bar of a message on its way."""
+
+DOING: Final = ("-", "wait for a key", "use the key")
+"""What an end is at, by the state of its automaton; 0 is not known."""
 
 HELP: Final = (
     "Bars: how far the next state lies from where each input would have led: up to",
@@ -61,44 +84,53 @@ HELP: Final = (
     "keys were agreed may stay hidden: at most f log2(2N + 1) bit for f widths.",
     "missed: steps whose input did not come in time. wrong keys: the ends differ.",
     "x1 said: the state as it is reported; x1 true: as it is, under an attack.",
-    "A small screen drops, in turn: picture; key symbols and automata; taps; loop;",
-    "message. `wyner report` draws any step of a run that is over.",
+    "A small screen drops, in turn: picture; taps; loop and keys; message.",
+    "`wyner report` draws any step of a run that is over.",
 )
 
+Letters = tuple[str, ...]
+Region = tuple[int, RenderableType]
+"""Some lines, and what fills them."""
+
+_NOBODY: Final[list[Row]] = [("no tap heard", line()), ("", line())]
+_BLANK: Final = Text(" ")
+"""A region without anything; rich takes an empty text for none."""
 
 _LABEL: Final = re.compile(r" +|\S+(?: \S+)? {2,}")
 """What stands before the text of a line: spaces, or what it is about."""
 
 
-def _indent(line: str) -> str:
-    """What a line goes on below: its text where it has a label."""
-    label = _LABEL.match(line)
-    return " " * (len(label[0]) if label else 3)
+@dataclass(frozen=True, slots=True)
+class ViewState:
+    """What the user asked of the view.
+
+    ``held_steps`` counts the steps made since the view was frozen, None when another session began
+    meanwhile; ``note`` stands in the last line instead of the keys; ``step`` is the pictured one
+    that a caption is about. ``caption`` is a title and its lines: a pause of the story, or the end
+    of the run, and ``press`` says how to go on.
+    """
+
+    frozen: bool = False
+    held_steps: int | None = 0
+    help: bool = False
+    step: int | None = None
+    title: str = ""
+    caption: tuple[str, ...] = ()
+    press: str = ""
+    note: str = ""
 
 
 def screen(state: State, width: int, height: int, view: ViewState, now_ns: int) -> RenderableType:
     """What fills ``height`` lines of ``width`` cells."""
     page = _Page(state, width, view, now_ns)
-    shown: RenderableType
-    if width < SMALLEST[0] or height < SMALLEST[1]:
-        small = f"{width}x{height} is too small: {SMALLEST[0]}x{SMALLEST[1]} needed"
-        shown = _stacked([(1, line(small)), (1, verdict(page.secrecy, width))], height)
-    elif view.help:
-        shown = page.help(height)
-    else:
-        shown = page.whole(height)
-    return shown
+    body = page.help() if view.help else page.body(height - 1)
+    return _stacked([(height - 1, _stacked(body, height - 1)), (1, page.footer())], height)
 
 
-_BLANK: Final = Text(" ")
-"""A region without anything; rich takes an empty text for none."""
-
-
-def _stacked(regions: list[tuple[int, RenderableType]], height: int) -> Layout:
-    """Regions of so many lines each, one below the other; what is left stays blank."""
-    left = height
-    parts = []
-    for wanted, shown in [*regions, (left, _BLANK)]:
+def _stacked(regions: Sequence[Region], height: int) -> Layout:
+    """Regions one below the other; what is left stays blank."""
+    left, parts = height, []
+    for wanted, shown in [*regions, (height, _BLANK)]:
         rows = min(wanted, left)
         if rows > 0:
             parts.append(Layout(shown, size=rows))
@@ -108,107 +140,88 @@ def _stacked(regions: list[tuple[int, RenderableType]], height: int) -> Layout:
     return layout
 
 
-class _Page(Panels):
-    def whole(self, height: int) -> Layout:
+class _Page:
+    def __init__(self, state: State, width: int, view: ViewState, now_ns: int) -> None:
+        self.state, self.width, self.view, self.now_ns = state, width, view, now_ns
+        self.taps = ranked(state)
+        self.secrecy = secrecy(state, self.taps)
+
+    def body(self, height: int) -> list[Region]:
         """The panels that fit, the picture growing with the screen."""
-        shown = {"message", "loop", "taps", "key symbols and automata", "picture"}
+        caption = self._caption()
+        keys = distilled(self.state, self.width)
+        fixed = 4 + len(keys) + sum(rows for rows, _ in caption)  # header, secrecy, caption
+        sizes = {"picture": 0, "message": 5, "loop": 9, "taps": 2}
+        if self.view.caption:
+            del sizes["taps"]
         if self.width < WHOLE[0]:
-            shown.discard("picture")
-        if self.view.caption:
-            shown.discard("taps")
+            del sizes["picture"]
         for panel in DROPPED_FIRST:
-            if self._needed(shown) <= height:
+            if fixed + sum(sizes.values()) <= height:
                 break
-            shown.discard(panel)
-        spare = height - self._needed(shown)
-        bar = "message" in shown and spare > 0
-        spare -= bar
-        tap_rows = 1
-        if "taps" in shown:
-            tap_rows += max(0, min(spare, len(self.taps) - 1, 7))
-            spare -= tap_rows - 1
-        explained = spare >= 4
+            sizes.pop(panel, None)
+        spare = height - fixed - sum(sizes.values())
+        bar = int("message" in sizes and spare > 0)
+        more_taps = max(0, min(spare - bar, len(self.taps) - 1, 7)) if "taps" in sizes else 0
+        spare -= bar + more_taps
+        explained = int(spare >= 4)
         spare -= explained
-        tap_messages = 1
-        if "message" in shown and spare >= 8:
-            tap_messages += max(0, min((spare - 4) // 2, len(self.taps) - 1))
-            spare -= 2 * (tap_messages - 1)
-        top_extra = max(0, spare) if shown & {"picture", "loop"} else 0
-        regions: list[tuple[int, RenderableType]] = [(1, self.header())]
-        top = self._top_rows(shown) + top_extra
-        if top:
-            regions.append((top, self._top(shown, top, top_extra)))
-        if "message" in shown:
-            regions.append((3 + bar + 2 * tap_messages, self.message(tap_messages, bar=bar)))
-        regions += self._secrecy(tap_rows if "taps" in shown else 0, explained=explained)
-        if self.view.caption:
-            regions.append((self._caption_rows(), self._caption()))
-        rows = sum(size for size, _ in regions)
-        regions.append((max(0, height - 1 - rows), _BLANK))
-        if rows >= height:  # the last line is the footer's, whatever a caption takes
-            regions = [(height - 1, _stacked(regions, height - 1))]
-        return _stacked([*regions, (1, self.footer())], height)
+        texts = 1
+        if "message" in sizes and spare >= 8:
+            texts += max(0, min((spare - 4) // 2, len(self.taps) - 1))
+            spare -= 2 * (texts - 1)
+        regions: list[Region] = [(1, self.header())]
+        if "loop" in sizes:
+            rows = sizes["loop"] + max(0, spare)
+            regions.append((rows, self._top(rows, max(0, spare), picture="picture" in sizes)))
+        if "message" in sizes:
+            regions.append((3 + bar + 2 * texts, self.message(texts, bar=bool(bar))))
+        shown = self.taps[: 1 + more_taps] if "taps" in sizes else []
+        note = ""
+        if 0 < len(shown) < len(self.taps):
+            note = f"the strongest {len(shown)} of {len(self.taps)} eavesdroppers"
+        lines = [*curves(self.state, self.secrecy, self.width), *keys]
+        regions.append((1 + len(lines), titled(rule("Secrecy", self.width, note), labelled(lines))))
+        if "taps" in sizes:
+            found = eavesdroppers(self.state, shown, self.width)
+            regions.append((1 + max(1, len(shown)), Padding(found, (0, 0, 0, 1))))
+        if explained:
+            regions.append((1, explanation(self.secrecy, self.width)))
+        return [*regions, *caption]
 
-    def _needed(self, shown: set[str]) -> int:
-        rows = 1 + 1 + 3  # header, footer, rule and curves of the secrecy panel
-        rows += self._caption_rows() + len(distilled(self.state, self.width))
-        return rows + self._top_rows(shown) + 5 * ("message" in shown) + 2 * ("taps" in shown)
-
-    def _caption_lines(self) -> list[str]:
-        return [
-            row
-            for line in self.view.caption[1:]
-            for row in wrap(drawn(line), self.width - 2, subsequent_indent=_indent(line))
-        ]
-
-    def _caption_rows(self) -> int:
-        return 1 + len(self._caption_lines()) if self.view.caption else 0
-
-    def _caption(self) -> Group:
+    def _caption(self) -> list[Region]:
         """A pause of the story, or the end of the run."""
-        title = rule(drawn(self.view.caption[0]), self.width)
-        return titled(title, *(line(f" {row}") for row in self._caption_lines()))
-
-    def _top_rows(self, shown: set[str]) -> int:
-        return 5 * ("loop" in shown) + 4 * ("key symbols and automata" in shown)
+        if not self.view.caption:
+            return []
+        title, *told = self.view.caption
+        rows = [
+            row
+            for text in told
+            for row in wrap(drawn(text), self.width - 2, subsequent_indent=_indent(text))
+        ]
+        shown = titled(rule(drawn(title), self.width), *(line(f" {row}") for row in rows))
+        return [(1 + len(rows), shown)]
 
     def header(self) -> Text:
         """One line: what is watched and how it is; the less telling parts go where it is narrow."""
-        parts = self._parts()
-
-        def least(part: tuple[int, str]) -> int:
-            rank, text = part
-            return min(cell_len(text), DETAIL_AT_LEAST) if rank == DETAIL_RANK else cell_len(text)
-
-        def spare() -> int:
-            return self.width - sum(2 + least(part) for part in parts)
-
-        while len(parts) > 1 and spare() < 0:
+        parts, reasons = self._parts()
+        least = sum(2 + min(cell_len(text), REASON_AT_LEAST) for text in reasons)
+        while len(parts) > 1 and least + sum(2 + cell_len(t) for _, t in parts) > self.width:
             parts.remove(max(parts, key=lambda part: part[0]))
-        left = spare()
-        shown = line(" ", "reverse")
-        for part in parts:
-            text = Text(part[1])
-            text.truncate(least(part) + max(0, left), overflow="ellipsis")
-            left -= text.cell_len - least(part)
-            shown.append_text(text).append("  ")
-        shown.right_crop(2)
-        shown.truncate(self.width, pad=True)
+        shown = line(" " + "  ".join([*(text for _, text in parts), *reasons]), "reverse")
+        shown.truncate(self.width, overflow="ellipsis", pad=True)
         return shown
 
-    def _parts(self) -> list[tuple[int, str]]:
-        """What the first line says, each with its rank: the highest goes first."""
-        plant, model = self.state.plant, self.state.model
+    def _parts(self) -> tuple[list[tuple[int, str]], list[str]]:
+        """What the first line says, each with its rank: the highest goes first; and the reasons."""
+        plant, model, controller = self.state.plant, self.state.model, self.state.controller
         parts: list[tuple[int, str]] = [(0, self.view.title or "wyner")]
         if plant is None:
             parts.append((0, "waiting for the plant"))
         else:
             if model is not None:
-                parts += [
-                    (5, drawn(model.scenario)),
-                    (4, f"pace {drawn(model.pace)}"),
-                    (7, f"alpha {number(model.alpha)}"),
-                ]
+                parts += [(5, drawn(model.scenario)), (4, f"pace {drawn(model.pace)}")]
+                parts += [(7, f"alpha {number(model.alpha)}")]
             known = plant.phase in ("running", "refused")
             phase = plant.phase if known else in_words("plant", plant.phase)
             parts += [(8, f"session {plant.session[:8]}"), (2, phase)]
@@ -218,113 +231,312 @@ class _Page(Panels):
                 parts.append((2, f"{count(plant.frames_refused)} frames refused"))
             if plant.attack:
                 parts.append((1, f"ATTACK: {drawn(plant.attack)}"))
-            if plant.detail:
-                parts.append((DETAIL_RANK, drawn(plant.detail)))
-        controller = self.state.controller
         if controller is not None and controller.phase != "running":
             parts.append((1, in_words("controller", controller.phase)))
-            if controller.detail:
-                parts.append((DETAIL_RANK, drawn(controller.detail)))
         if self.view.frozen:
             steps = self.view.held_steps
             parts.append((0, f"FROZEN, {'new session' if steps is None else f'{steps} steps on'}"))
-        return parts + [(1, f"{name} silent") for name in self._silent()]
+        parts += [(1, f"{name} silent") for name in self._silent()]
+        ends = (end for end in (plant, controller) if end is not None)
+        return parts, [drawn(end.detail) for end in ends if end.detail]
 
     def _silent(self) -> list[str]:
         """Who is not heard any more, and has not said that it stops."""
-        plant, controller = self.state.plant, self.state.controller
-        seen: dict[str, int | None] = {}
-        if plant is not None and plant.phase != "stopped":
-            seen["plant"] = self.state.plant_seen_ns
-        if controller is not None and controller.phase != "stopped":
-            seen["controller"] = self.state.controller_seen_ns
-        if self.state.taps:
-            seen["tap"] = max(tap.seen_ns for tap in self.state.taps.values())
-        return [
-            name
-            for name, at in seen.items()
-            if at is not None and self.now_ns - at > SILENT_AFTER_NS
-        ]
+        state, seen = self.state, {}
+        if state.plant is not None and state.plant.phase != "stopped":
+            seen["plant"] = state.plant_seen_ns
+        if state.controller is not None and state.controller.phase != "stopped":
+            seen["controller"] = state.controller_seen_ns
+        if state.taps:
+            seen["tap"] = max(tap.seen_ns for tap in state.taps.values())
+        return [name for name, at in seen.items() if self.now_ns - at > SILENT_AFTER_NS]
 
     def footer(self) -> Text:
         """One line: how to go on, a note, or the keys."""
-        if self.view.caption and not self.view.note:
-            shown = line(f" {self.view.press}", "reverse")
-            shown.truncate(self.width, pad=True)
+        view = self.view
+        if view.note or view.caption:
+            shown = line(f" {view.note or view.press}", "bold" if view.note else "reverse")
+            shown.truncate(self.width, pad=not view.note)
             return shown
-        if self.view.note:
-            return line(f" {self.view.note}", "bold")
-        messages = f"{count(self.state.received)} messages"
-        malformed = f"{count(self.state.malformed)} malformed"
-        tails = (f"{messages}, {malformed}", malformed) if self.state.malformed else (messages,)
-        keys = self._keys(named=self.width >= FOOTER_NAMED)
-        if self.state.malformed and keys.cell_len + len(malformed) + 2 > self.width:
-            keys = self._keys(named=False, room=self.width - len(malformed) - 2)
-        tail = longest(self.width - keys.cell_len - 2, *tails)
-        if tail:
-            keys.append(tail.rjust(self.width - keys.cell_len - 1), style="dim")
-        return keys
-
-    def _keys(self, *, named: bool, room: int | None = None) -> Text:
         keys = line()
         for key in keymap.KEYS:
-            if not key.short or (room is not None and keys.cell_len + len(key.label) + 3 > room):
-                continue
+            held = key.action is keymap.Action.FREEZE and view.frozen
             keys.append(f" {key.label} ", style="reverse")
-            held = key.action is keymap.Action.FREEZE and self.view.frozen
-            keys.append(f" {'go on' if held else key.short}  " if named else " ")
+            keys.append(f" {'go on' if held else key.short}  ")
+        malformed = f"{count(self.state.malformed)} malformed" if self.state.malformed else ""
+        heard = f"{count(self.state.received)} messages"
+        whole = f"{heard}, {malformed}" if malformed else heard
+        tail = longest(self.width - keys.cell_len - 2, whole, malformed)
+        keys.append(tail.rjust(self.width - keys.cell_len - 1), style="dim")
         return keys
 
-    def _top(self, shown: set[str], rows: int, extra: int) -> Layout:
-        picture = "picture" in shown
-        left_width = 40 if self.width < 100 else min(54, self.width // 2 - 6)
-        width = left_width if picture else self.width
-        regions: list[tuple[int, RenderableType]] = []
-        left = rows
-        if "loop" in shown:
-            regions.append(self.loop(width, min(extra, MORE_LOOP)))
-            left -= regions[0][0]
-        if "key symbols and automata" in shown:
-            regions.append((4, self.keys(width)))
-            left -= 4
-        if left >= 4 and picture:
-            regions.append((left, self.last_steps(width, left)))
+    def _top(self, rows: int, extra: int, *, picture: bool) -> RenderableType:
+        """The loop, its keys and its last steps; the key test beside them."""
+        left = 40 if self.width < 100 else min(54, self.width // 2 - 6)
+        width = left if picture else self.width
+        used, loop = self.loop(width, min(extra, MORE_LOOP))
+        regions = [(used, loop), (4, self.keys(width))]
+        if (rest := rows - used - 4) >= 4 and picture:
+            regions.append((rest, self.last_steps(width, rest)))
         panels = _stacked(regions, rows)
         if not picture:
             return panels
-        panels.size = left_width + 1
         top = Layout()
-        drawn = self.picture(self.width - left_width - 1, rows)
-        beside = Layout(Padding(panels, (0, 1, 0, 0)), size=left_width + 1)
-        top.split_row(beside, Layout(drawn))
+        beside = Layout(Padding(panels, (0, 1, 0, 0)), size=left + 1)
+        top.split_row(beside, Layout(self.picture(self.width - left - 1, rows)))
         return top
 
-    def _secrecy(self, taps: int, *, explained: bool) -> list[tuple[int, RenderableType]]:
-        """What the paper's rule counts against the truth, and a table of the taps, best first."""
-        note = ""
-        if 0 < taps < len(self.taps):
-            note = f"the strongest {taps} of {len(self.taps)} eavesdroppers"
-        rows = curves(self.state, self.secrecy, self.width)
-        rows += distilled(self.state, self.width)
-        regions: list[tuple[int, RenderableType]] = [
-            (1 + len(rows), titled(rule("Secrecy", self.width, note), labelled(rows)))
-        ]
-        if taps:
-            found = eavesdroppers(self.state, self.taps[:taps], self.width)
-            regions.append((1 + max(1, min(taps, len(self.taps))), Padding(found, (0, 0, 0, 1))))
-        if explained:
-            regions.append((1, explanation(self.secrecy, self.width)))
-        return regions
+    def loop(self, width: int, extra: int) -> Region:
+        """Step, state with history, rate and time left, missed steps."""
+        plant, model = self.state.plant, self.state.model
+        if plant is None:
+            told = line(" no word from the plant yet")
+            return 5, titled(rule("Control loop", width), told)
+        wrong = f"wrong keys {count(plant.symbol_errors)}"
+        notes = [wrong]
+        if plant.sessions > 1:
+            notes.insert(0, f"{wrong}  session {count(plant.sessions)}")
+        style = STYLES["bad"] if plant.symbol_errors else ""
+        step = f" step {plant.k}"
+        pace = f"  {longest(7, f'{plant.rate_hz:.1f}', number(plant.rate_hz))} steps/s"
+        time = ""
+        if model is not None:
+            seconds = f"  {plant.k * model.period_s:.1f} s"
+            room = width - len(step) - len(pace)
+            time = longest(room, f"{seconds} of plant time", seconds)
+        states = self._states(plant.x, width, 2 + max(0, extra))
+        body: list[RenderableType] = [line(step + time + pace), states]
+        if extra > 0 or not self.state.alarms:  # an alarm is told however narrow it is
+            body.append(self._carried(width))
+        if extra > 0 or self.state.alarms:
+            body.append(self._control(width))
+        title = rule("Control loop", width, *notes, style=style)
+        return len(body) + states.row_count, titled(title, *body)
 
-    def help(self, height: int) -> Layout:
+    def _carried(self, width: int) -> Text:
+        """What the link carries, and how many steps found no input in time."""
+        plant = self.state.plant
+        assert plant is not None
+        rate, missed, style = f" message {rate_in_words(self.state)}", "", ""
+        if plant.missed:
+            short = f"  missed {count(plant.missed)}"
+            steps = "step" if plant.missed == 1 else "steps"
+            missed = longest(width - len(rate), f"{short} {steps}", short)
+            if plant.missed * TOO_MANY > plant.transitions + plant.missed:
+                style = STYLES["bad"]
+        left = time_left_s(self.state)
+        wait = "" if left is None else f"  whole in {duration(left)}"
+        told = rate + longest(width - len(rate) - len(missed), wait)
+        return Text.assemble(line(told), (missed, style), no_wrap=True)
+
+    def _control(self, width: int) -> Text:
+        """Where the state is among the controller's sets, or an alarm."""
+        controller, alarms = self.state.controller, self.state.alarms
+        if alarms:
+            short = alarms.partition(": read")[0]
+            told = longest(width, f" {alarms}", f" {short}", f" {short.partition(',')[0]}")
+            return line(told, STYLES["bad"])
+        if controller is None or controller.set_index < 0:
+            return line(" control: outside of every set, or silent")
+        if controller.set_index == 0:
+            return line(" control: inside the target set")
+        steps = f"{count(controller.set_index)} steps"
+        told = f" control: at most {steps} to the target set"
+        return line(longest(width, told, f" control: {steps} off"))
+
+    def _states(self, x: Sequence[float], width: int, rows: int) -> Table:
+        """Each component with its history: one to a row, or where rows are short more.
+
+        Of an attacked plant the true one stands beside the one that is reported, in one scale.
+        """
+        state, attacked = self.state, bool(self.state.true_states)
+        entries = len(x) * (1 + attacked)
+        longer = len(" said") if attacked else 0
+        per_row = max(1, min(-(-entries // rows), (width - 1) // (STATE_CELLS + longer)))
+        each = (width - 1) // per_row
+        bars = max(0, each - 14 - longer)
+        cells: list[Text] = []
+        for i, value in enumerate(x):
+            shown, true = _history(state.states, i, bars), _history(state.true_states, i, bars)
+            told = [(f"x{i + 1} said" if attacked else f"x{i + 1}", value, shown)]
+            if attacked:
+                told.append((f"x{i + 1} true", true[-1] if true else nan, true))
+            for name, now, history in told:
+                bar = sparkline(history, LEVELS, [*shown, *true])
+                cells.append(line(f" {name} {component(now, '+'):>8}  {bar}"))
+        room = per_row * rows
+        if len(cells) > room:
+            cells[room - 1 :] = [line(f" {len(cells) - room + 1} more")]
+        grid = Table.grid()
+        for _ in range(per_row):
+            grid.add_column(width=each, no_wrap=True, overflow="crop")
+        for i in range(0, len(cells), per_row):
+            grid.add_row(*cells[i : i + per_row])
+        for _ in range(min(2, rows) - grid.row_count):
+            grid.add_row()
+        return grid
+
+    def keys(self, width: int) -> RenderableType:
+        """Key symbols agreed, the strongest shown tap's guesses below them, and both automata."""
+        plant, truths = self.state.plant, self.state.truths
+        agreed = [k for k in sorted(truths) if truths[k].symbol >= 0]
+        if self.taps:  # one that lags is compared at the last steps that she has a guess for
+            guesses = self.taps[0][0].guesses
+            agreed = [k for k in agreed if k in guesses] or agreed
+        size = self.state.candidates
+        wide = len(symbol_of(0, size))
+        agreed = agreed[-(max(0, width - VALUE_AT) // wide) :]
+        truth = "".join(symbol_of(truths[k].symbol, size) for k in agreed)
+        total = plant.agreements if plant else 0
+        rows: list[Row] = [(f"{count(total)} {'key' if total == 1 else 'keys'}", line(truth))]
+        if not self.taps:
+            return labelled([*rows, *_NOBODY, self.automata()])
+        tap = self.taps[0][0]
+        guessed, marks, wrong = line(), line(), 0
+        for k in agreed:
+            guess = tap.guesses.get(k)
+            bad = guess is not None and guess.symbol != truths[k].symbol
+            said = " " * wide if guess is None else symbol_of(guess.symbol, size)
+            guessed.append(said, style=STYLES["wrong" if bad else ""])
+            marks.append(("^" if bad else " ").ljust(wide), style=STYLES["bad"])
+            wrong += bad
+        heard = any(k in tap.guesses for k in agreed)
+        told = f"{wrong} wrong" if heard else "no guess yet"
+        return labelled([*rows, (tap.status.name, guessed), (told, marks), self.automata()])
+
+    def automata(self) -> Row:
+        """What both ends are at, and whether they agree on it."""
+        plant, controller, both = self.state.plant, self.state.controller, self.state.automata
+        if both is not None and both.in_step:
+            told = line(DOING[both.sender] + ", ")
+            told.append("in step", style=STYLES["good"])
+            return "both ends", told
+        if both is not None:
+            told = line().append("OUT OF STEP ", style=STYLES["bad"])
+            told.append(f"controller {both.sender}, plant {both.receiver}")
+            return "both ends", told
+        sender = controller.automaton if controller else 0
+        receiver = plant.automaton if plant else 0
+        if not sender and not receiver:
+            return "both ends", line("not heard yet")
+        return "controller", line(f"{DOING[sender]}; plant: {DOING[receiver]}")
+
+    def last_steps(self, width: int, rows: int) -> RenderableType:
+        """What happened in the last transitions, the newest first, and what the tap made of it."""
+        tap = self.taps[0][0] if self.taps else None
+        whose: tuple[str, ...] = ()
+        if tap is not None:
+            says = "says, with her own odds"
+            whose = (f"and what {drawn(tap.status.name)} {says}", f"and what she {says}")
+        grid = Table.grid(padding=(0, 2, 0, 0))
+        for _ in range(4):
+            grid.add_column(no_wrap=True)
+        for k in sorted(self.state.truths, reverse=True)[: rows - 1]:
+            truth, hers = self.state.truths[k], line()
+            what = "message" if truth.role == "message" else "no key"
+            if truth.symbol >= 0:
+                what = f"key {truth.symbol}"
+            guess = tap.guesses.get(k) if tap is not None else None
+            if guess is not None:
+                wrong = truth.symbol >= 0 and guess.symbol != truth.symbol
+                hers.append(f"she says {guess.symbol}, {guess.probability:.2f}")
+                hers.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
+            grid.add_row(line(f"{k:<7}"), line(f"input {truth.coin}"), line(f"{what:<7}"), hers)
+        return titled(rule("Last steps", width, *whose), Padding(grid, (0, 0, 0, 1)))
+
+    def picture(self, width: int, rows: int) -> RenderableType:
+        """The agreement test of the last pictured step, or of the one that a caption is about."""
+        status = self.state.pictured
+        if self.view.step is not None:
+            status = self.state.pictures.get(self.view.step, status)
+        return agreement(self.state.model, status, width, rows)
+
+    def message(self, taps: int, *, bar: bool) -> RenderableType:
+        """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
+        state = self.state
+        sent, recovered = letters(state.sent), letters(state.recovered)
+        shown = [tap for tap, _ in self.taps if tap.status.key_bits_held < 0][:taps]
+        start = self._start(sent, len(recovered))
+        rows: list[Row] = [
+            *([("on its way", self._under_way(len(sent), len(recovered)))] if bar else []),
+            ("sent", line("".join(cell for _, cell in self._cells(sent, sent, start)))),
+            ("plant has", self._marked(recovered, sent, start)[0]),
+        ]
+        for tap in shown:
+            truth = letters(truth_for(state, tap.status.message))
+            same = truth == sent
+            hers = letters(tap.status.message)
+            hers = hers[: len(truth)] if truth else hers  # noise goes on for pages
+            guess, marks = self._marked(hers, truth, start if same else 0)
+            rows.append((tap.status.name, guess))
+            if tap.status.failed:
+                rows.append(("FAILED", line(drawn(tap.status.failed), STYLES["bad"])))
+                continue
+            wrong = f"{marks.plain.count('^')} wrong" if hers else "no text yet"
+            rows.append((wrong if same else f"{wrong}, old", marks))
+        if not shown:
+            rows += _NOBODY
+        title = rule("Message", self.width, "what was sent, what the plant has, what she reads")
+        return titled(title, labelled(rows))
+
+    def _under_way(self, sent: int, recovered: int) -> RenderableType:
+        """How much of the message the plant has, as a bar and in words."""
+        its = self.state.controller
+        told = [f"{recovered} of {sent} characters"]
+        if its is not None:
+            told.append(f"{told[-1]}, {its.frame_symbols} of {its.frame_length} symbols")
+            told.append(f"{told[-1]}; messages delivered: {its.delivered}, waiting: {its.queue}")
+        words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
+        room = min(BAR, max(5, self.width - VALUE_AT - 2 - len(words)))
+        done = room * min(recovered, sent) // max(1, sent)
+        bar = line(LEVELS[-1] * done, STYLES["good"])
+        bar.append(FAINT * (room - done), STYLES["label"])
+        return bar.append(f"  {words}", style="default")
+
+    def _start(self, sent: Letters, grown: int) -> int:
+        """The first character shown of a message that has grown so far."""
+        room = self.width - VALUE_AT
+        at = list(itertools.accumulate((cell_len(glyph(c)) for c in sent), initial=0))
+        if at[-1] <= room:
+            return 0
+        wanted = at[min(grown, len(sent))] - room * 3 // 4
+        return bisect_left(at, min(max(0, wanted), at[-1] - room))
+
+    def _cells(self, text: Letters, truth: Letters, start: int) -> Iterator[tuple[int, str]]:
+        """The characters that there is room for, each as wide as the true one in its place."""
+        room = self.width - VALUE_AT
+        for i in range(start, len(text)):
+            shown = glyph(text[i])
+            width = cell_len(glyph(truth[i]) if i < len(truth) else shown)
+            room -= width
+            if room < 0:
+                break
+            yield i, set_cell_size(shown if cell_len(shown) <= width else "·", width)
+
+    def _marked(self, text: Letters, truth: Letters, start: int) -> tuple[Text, Text]:
+        shown, marks = line(), line()
+        for i, cell in self._cells(text, truth, start):
+            right = i < len(truth) and text[i] == truth[i]
+            shown.append(cell, style=STYLES["good" if right else "wrong"])
+            marks.append(("" if right else "^").ljust(cell_len(cell)), style=STYLES["bad"])
+        return shown, marks
+
+    def help(self) -> list[Region]:
         """The keys from their table, then how to read the screen."""
         keys = labelled((key.label, line(key.meaning)) for key in keymap.KEYS)
-        reading = Group(*map(line, HELP))
-        regions: list[tuple[int, RenderableType]] = [
+        reading = Padding(Group(*map(line, HELP)), (0, 0, 0, 1))
+        return [
             (len(keymap.KEYS) + 2, Panel(keys, title="Keys", title_align="left", padding=0)),
-            (
-                len(HELP) + 1,
-                titled(rule("How to read it", self.width), Padding(reading, (0, 0, 0, 1))),
-            ),
+            (len(HELP) + 1, titled(rule("How to read it", self.width), reading)),
         ]
-        return _stacked([(height - 1, _stacked(regions, height - 1)), (1, self.footer())], height)
+
+
+def _indent(text: str) -> str:
+    """What a line goes on below: its text where it has a label."""
+    label = _LABEL.match(text)
+    return " " * (len(label[0]) if label else 3)
+
+
+def _history(states: Mapping[int, Sequence[float]], i: int, bars: int) -> list[float]:
+    """The last values of component ``i``, for so many bars: one at least."""
+    return [states[k][i] for k in sorted(states) if i < len(states[k])][-max(1, bars) :]

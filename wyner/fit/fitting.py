@@ -29,7 +29,7 @@ from wyner.fit.identification import (
     sensor_deviation,
 )
 from wyner.fit.sessions import OpenPlant, Transitions, excite, residuals_under
-from wyner.simulate.single import Law
+from wyner.simulate.engine import Law
 
 Tables = dict[str, Any]
 MakeLaw = Callable[[Scenario], Law]

@@ -2,18 +2,23 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from operator import add
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from plant_service.adapters import Operated
-from plant_service.disturbance import disturbance
+from protocol.agreement import Gauge
 from protocol.arrays import Array
+from protocol.link.fallback import clip
 from protocol.scenario import Scenario
-from wyner.simulate.single import Law, simulate_plant, step_plant
+from protocol.vectors import Vector
+from wyner.simulate.engine import Law, Runs, simulate_runs
 
 OpenPlant = Callable[[Scenario], Operated]
+
+EXCITED: Final = 1_000_000
+"""Number of the first excited session, so that none shares its draws with a session of the law."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +34,24 @@ class Transitions:
     steps: int
 
 
+class _Excitation:
+    """A law whose only candidate is random, beside K x where ``control.gain`` is stated."""
+
+    def __init__(self, scenario: Scenario, amplitude: float, seed: int) -> None:
+        self._random = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
+        self._widths = _reach(scenario) * amplitude
+        gain = scenario.control.gain
+        self._gain = np.zeros((scenario.m, scenario.n)) if gain is None else np.array(gain)
+        self._inputs = Gauge.from_rows(*scenario.control.inputs.rows())
+        self._size = scenario.secrecy.candidates
+
+    def candidates(self, x: Vector, /) -> tuple[Vector, ...]:
+        """The same input M times, within U."""
+        v = self._random.uniform(-self._widths, self._widths) + self._gain @ np.array(x)
+        u: Vector = tuple(v.tolist())
+        return (u if self._inputs(u) <= 1 else clip(u, self._inputs),) * self._size
+
+
 def excite(
     scenario: Scenario,
     open_plant: OpenPlant,
@@ -40,13 +63,10 @@ def excite(
 ) -> Transitions:
     """Apply random inputs, beside u = K x where ``control.gain`` is stated.
 
-    Nothing is chosen from candidates here, so this is not the closed loop of
-    :mod:`wyner.simulate.single`; a model is fitted to what the plant says it applied.
-
     Parameters
     ----------
     scenario : Scenario
-        Its U, its stated gain and its plant; its model does not matter.
+        Its U, its stated gain and its plant; its model and its network do not matter.
     open_plant : callable
     sessions, steps : int
         An unstable plant wants many short ones.
@@ -54,28 +74,11 @@ def excite(
         Of the random part, as a share of U.
     seed : int
     """
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(0,)))
-    widths = _reach(scenario) * amplitude
-    gain = None if scenario.control.gain is None else np.array(scenario.control.gain)
-    rows: list[tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]] = []
-    spec = scenario.plant.disturbance
-    for session in range(sessions):
-        plant = open_plant(scenario)
-        noise = _noise(scenario, rng, steps)
-        sensors = _sensor_noise(scenario, rng, steps + 1)
-        try:
-            x = _read(plant.start(seed + session), sensors[0])
-            for k in range(steps):
-                v = rng.uniform(-widths, widths)
-                wanted = v if gain is None else v + gain @ np.array(x)
-                u, came = step_plant(plant, spec, tuple(wanted.tolist()), noise[k] or None)
-                x_next = _read(came, sensors[k + 1])
-                rows.append((x, u, x_next))
-                x = x_next
-        finally:
-            plant.close()
-    x_all, u_all, next_all = (np.array(column) for column in zip(*rows, strict=True))
-    return Transitions(x_all, u_all, next_all, steps)
+    alone = scenario.model_copy(update={"network": None})
+    runs = range(EXCITED, EXCITED + sessions)
+    x, u = _recorded(alone, _Excitation(alone, amplitude, seed), open_plant, seed, runs, steps)
+    before, inputs, after = (a.reshape(-1, a.shape[2]) for a in (x[:, :-1], u, x[:, 1:]))
+    return Transitions(before, inputs, after, steps)
 
 
 def _reach(scenario: Scenario) -> Array:
@@ -87,24 +90,29 @@ def _reach(scenario: Scenario) -> Array:
     return np.full(scenario.m, float((h / np.abs(H).sum(axis=1)).min()))
 
 
-def _noise(scenario: Scenario, rng: np.random.Generator, steps: int) -> list[tuple[float, ...]]:
-    spec = scenario.plant.disturbance
-    uniforms = rng.random((steps, len(spec.half_widths))).tolist()
-    return [disturbance(spec, k, row) for k, row in enumerate(uniforms)]
-
-
-def _sensor_noise(
-    scenario: Scenario, rng: np.random.Generator, count: int
-) -> list[tuple[float, ...]]:
-    """What simulated sensors add to so many readings; nothing where they add nothing."""
-    spec = scenario.plant.noise
-    if spec is None:
-        return [()] * count
-    return [spec.drawn(row) for row in rng.random((count, spec.dimension)).tolist()]
-
-
-def _read(x: tuple[float, ...], n: tuple[float, ...]) -> tuple[float, ...]:
-    return tuple(map(add, x, n)) if n else x
+def _recorded(
+    scenario: Scenario,
+    law: Law,
+    open_plant: OpenPlant,
+    seed: int,
+    runs: range,
+    steps: int,
+    folder: Path = Path(),
+) -> tuple[Array, Array]:
+    """Readings and inputs of sessions, shapes (sessions, steps + 1, n) and (sessions, steps, m)."""
+    made: Runs = simulate_runs(
+        scenario,
+        law,
+        seed=seed,
+        runs=runs,
+        steps=steps,
+        record=True,
+        folder=folder,
+        plant=lambda: open_plant(scenario),
+    )
+    assert made.x is not None
+    assert made.u is not None
+    return np.moveaxis(made.x, 2, 0), np.moveaxis(made.u, 2, 0)
 
 
 def residuals_under(
@@ -122,17 +130,6 @@ def residuals_under(
     Of readings: where sensors are noisy each is d + n(k+1) - A n(k). A step that the network missed
     counts with the fallback's input.
     """
-    record = simulate_plant(
-        scenario,
-        law,
-        lambda: open_plant(scenario),
-        seed=seed,
-        runs=runs,
-        steps=steps,
-        folder=folder,
-    )
-    assert record.x is not None
-    assert record.u is not None
-    x, u = np.moveaxis(record.x, 2, 0), np.moveaxis(record.u, 2, 0)
+    x, u = _recorded(scenario, law, open_plant, seed, runs, steps, folder)
     out: Array = x[:, 1:] - x[:, :-1] @ np.array(scenario.A).T - u @ np.array(scenario.B).T
     return out

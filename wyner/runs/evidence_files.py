@@ -20,7 +20,7 @@ class FileKind(NamedTuple):
     evidence : bool
         Whether a run is judged by them, so that a change of one fails the check.
     held_by : str
-        The checks that notice a change; of what is no evidence, why it is none.
+        The rules that notice a change; of what is no evidence, why it is none.
     """
 
     pattern: str
@@ -32,13 +32,13 @@ SEAL: Final = "the seal"
 _BOTH: Final = "replayed; its end marks, its journal, the seal"
 
 KINDS: Final = (
-    FileKind("manifest.json", True, "scenario; its seal holds a digest of itself"),
-    FileKind("scenario.toml", True, "scenario, and every check that computes; the seal"),
+    FileKind("manifest.json", True, "whole: a digest of itself"),
+    FileKind("scenario.toml", True, "whole, and every rule that computes; the seal"),
     FileKind("plant/trace*.jsonl", True, _BOTH),
     FileKind("controller/trace*.jsonl", True, _BOTH),
-    FileKind("plant/journal.sqlite3*", True, "whole, frames; the seal"),
+    FileKind("plant/journal.sqlite3*", True, "whole, messages; the seal"),
     FileKind("controller/journal.sqlite3*", True, "whole, messages; the seal"),
-    FileKind("tap/capture*.jsonl", True, "the checks of the bus, its end marks, the seal"),
+    FileKind("tap/capture*.jsonl", True, "bus, wire, once, same-keys, end marks, the seal"),
     FileKind("tap/guesses*.jsonl", True, "whole: its end marks; the seal"),
     FileKind("tap/analysis*.jsonl", True, "whole: its end marks; the seal"),
     FileKind("tap/status.json", True, "whole: its count of the capture; the seal"),

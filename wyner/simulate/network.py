@@ -10,6 +10,7 @@ import random
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from math import inf
 from pathlib import Path
 from typing import Final, Literal
@@ -19,10 +20,11 @@ from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from protocol.agreement import NO_SYMBOL
+from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Event, Missed
 from protocol.link.networked import behind
 from protocol.link.pacing import Pacing
-from protocol.link.peer import NOTHING_TO_DO, Actions, Notice, Peer
+from protocol.link.peer import Peer
 from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.messages import (
@@ -41,8 +43,8 @@ from runtime.journal import ControllerJournal, PlantJournal
 from runtime.model import load_model
 from runtime.network import Direction, channel_of
 from runtime.perform import Crashed, CrashingPorts, perform
+from wyner.simulate.engine import Law
 from wyner.simulate.faults import Faults
-from wyner.simulate.single import Law
 
 
 @dataclass
@@ -88,9 +90,9 @@ class _Ports:
         self._partner: Side = partner
         self._journal = journal
 
-    def save(self, actions: Actions) -> None:
-        self._journal.save(actions)
-        self._world.kept(actions)
+    def save(self, save: Save) -> None:
+        self._journal.save(save)
+        self._world.kept(save)
 
     def publish(self, message: Message) -> None:
         self._world.send(self._partner, message)
@@ -274,14 +276,14 @@ class Simulation:
 
         self.after(self.random.random() * self._faults.delay_s, tell)
 
-    def kept(self, actions: Actions) -> None:
+    def kept(self, save: Save) -> None:
         """Note what a record says of messages that came through."""
-        record = actions.record
+        record = save.record
         if isinstance(record, SenderRecord):
             self.history.delivered.extend(range(self._delivered, record.message))
             self._delivered = record.message
-        elif actions.received is not None:
-            self.history.inbox.append(actions.received)
+        elif save.received is not None:
+            self.history.inbox.append(save.received)
 
     def traced(self, event: Event) -> None:
         """Note what a side counted."""
@@ -323,7 +325,6 @@ class Simulation:
         return behind(channel, end, kind)
 
     def _new_controller(self) -> ControllerCore:
-        loaded = self._queue.load()
         self._controller = ControllerCore(
             rules_of(self.scenario),
             self._law.candidates,
@@ -331,11 +332,7 @@ class Simulation:
             SeededSymbols(self._seed, CIPHER, run=self._run),
             instance=self._identifier(),
             period_s=self.scenario.plant.period_s,
-            record=loaded.record,
-            measurement=loaded.measurement,
-            offer=loaded.offer,
-            contributions=loaded.rows,
-            parts=loaded.parts,
+            loaded=self._queue.load(),
             predict=self._predict,
             nonces=self._nonces,
         )
@@ -374,15 +371,17 @@ class Simulation:
             return
         end.wakes_at = inf
         due = end.endpoint.wake_at() <= self.now_s
-        self._perform(end, end.endpoint.wake(self.now_s) if due else NOTHING_TO_DO)
+        self._perform(end, end.endpoint.wake(self.now_s) if due else ())
 
-    def _perform(self, end: SimulatedEnd, actions: Actions) -> None:
+    def _perform(self, end: SimulatedEnd, effects: Effects) -> None:
         """Carry out what an end wants; it may die over it, or right after it."""
         assert end.endpoint is not None
-        crashing = actions != NOTHING_TO_DO and self.chance(self._faults.crash)
+        asked = iter(effects)
+        first = tuple(islice(asked, 1))
+        crashing = first != () and self.chance(self._faults.crash)
         end.ports.crash_at(after=self.random.randrange(LONGEST) if crashing else -1)
         with suppress(Crashed):
-            perform(actions, end.endpoint, end.ports)
+            perform(chain(first, asked), end.ports)
         self._note_offers()
         if crashing:
             self._die(end)

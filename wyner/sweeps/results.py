@@ -1,7 +1,6 @@
 """A sweep's results: additive rows in a CSV file, and what they add up to."""
 
 import csv
-import fcntl
 import io
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -105,6 +104,8 @@ class Results:
 
     def _take_up(self) -> None:
         """Read what is there; a torn last line is cut off once the file is known to be ours."""
+        import fcntl
+
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:

@@ -10,8 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from runtime.run_folder import MANIFEST, SUMMARY
+from runtime.run_folder import CAPTURE, MANIFEST, SUMMARY
 from tests.support.checked_runs import failed
+from wyner.runs.check import check
+from wyner.runs.check.evidence import read_evidence
 from wyner.runs.evidence_files import KINDS, OTHER, evidence_below, kind_of
 from wyner.runs.seal import broken
 
@@ -149,3 +151,16 @@ def test_what_is_no_evidence_is_free(
         if path.is_file() and not kind_of(str(path.relative_to(folder))).evidence:
             how(path)
     assert failed(folder) == set()
+
+
+@pytest.mark.parametrize("field", ["loop", "knowledge", "view", "eavesdroppers", "appearances"])
+def test_a_change_of_the_captures_header_is_named(unsealed: Path, field: str) -> None:
+    """Also where the tap was killed, so that no end mark holds it."""
+    head, *lines = (unsealed / CAPTURE).read_bytes().splitlines(keepends=True)
+    header = json.loads(head) | {field: None}
+    kept = [line for line in lines if b'"event":"end"' not in line]
+    (unsealed / CAPTURE).write_bytes(head + b"".join(kept))
+    assert not failed(unsealed)
+    (unsealed / CAPTURE).write_bytes(json.dumps(header).encode() + b"\n" + b"".join(kept))
+    told = [f.text for f in check(read_evidence(unsealed)) if f.rule == "whole"]
+    assert any(text.endswith(f"their headers differ in {field}") for text in told)

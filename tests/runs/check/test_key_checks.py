@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE
+from tap_service.inference.miss_rate import ALL
 from tests.support.checked_runs import failed
 from wyner.cli.main import main
 from wyner.runs.check.evidence import read_evidence
@@ -109,10 +110,10 @@ def claim_more_keys(lines: list[Line]) -> None:
 
 
 WRONG: dict[str, tuple[Path, Callable[[list[Line]], object], set[str]]] = {
-    "a nonce twice": (CAPTURE, repeat_a_nonce, {"nonce-once"}),
-    "copy 0 twice": (CAPTURE, send_copy_0_again, {"copy-0-once"}),
-    "another tag": (CAPTURE, change_a_tag, {"tags"}),
-    "counted otherwise": (CONTROLLER_TRACE, count_otherwise, {"counted"}),
+    "a nonce twice": (CAPTURE, repeat_a_nonce, {"once"}),
+    "copy 0 twice": (CAPTURE, send_copy_0_again, {"once"}),
+    "another tag": (CAPTURE, change_a_tag, {"same-keys"}),
+    "counted otherwise": (CONTROLLER_TRACE, count_otherwise, {"in-step"}),
     "more keys": (CONTROLLER_TRACE, claim_more_keys, {"blocks"}),
 }
 
@@ -154,6 +155,6 @@ def test_a_tap_that_heard_more_than_claimed_holds_bits_and_refutes_the_claim(cop
     assert {name: rate.refuted for name, rate in audit.rates.items()} == {
         "measurements": True,
         "offers": True,
-        "all messages": True,
+        ALL: True,
     }
     assert len(audit.warnings) == 4

@@ -105,11 +105,11 @@ def no_box(line: Line) -> None:
 @pytest.mark.parametrize(
     ("traces", "edit", "check"),
     [
-        ((PLANT_TRACE,), low, "traces"),
-        ((PLANT_TRACE, CONTROLLER_TRACE), low, "traces"),
+        ((PLANT_TRACE,), low, "replay"),
+        ((PLANT_TRACE, CONTROLLER_TRACE), low, "replay"),
         ((PLANT_TRACE,), no_box, "traces"),
-        ((PLANT_TRACE,), truth, "reachable"),
-        ((PLANT_TRACE, CONTROLLER_TRACE), gauge, "agreement"),
+        ((PLANT_TRACE,), truth, "plant"),
+        ((PLANT_TRACE, CONTROLLER_TRACE), gauge, "replay"),
     ],
 )
 def test_what_is_wrong_fails_its_check(

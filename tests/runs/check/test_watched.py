@@ -21,8 +21,6 @@ from tests.support.size import size
 from tests.support.small_run import Lines, read_lines, write_lines
 from tests.support.two_ends import SIDES
 from wyner.cli.main import main
-from wyner.runs.check import check
-from wyner.runs.check.evidence import read_evidence
 
 STEPS = 1400
 """Of M = 4: eleven keys."""
@@ -110,8 +108,7 @@ def test_a_spoofed_reading_is_an_alarm_and_the_check_finds_it_right(attacked: Pa
     tested = [t for t in lines if t["event"] == "transition" and t["j"] >= onset]
     assert [a["j"] for a in alarms] == [t["j"] for t in tested if t["expected"] != 0]
     assert 0.5 < len(alarms) / len(tested) < 0.95
-    results = {r.check.name: r.result for r in check(read_evidence(attacked))}
-    assert results["alarms"] == results["key-stream"] == "PASS"
+    assert not failed(attacked) & {"alarms", "once"}
     status = json.loads((attacked / CONTROLLER_STATUS).read_text())
     assert status["alarms"] == len(alarms)
     assert status["alarm_k"] == alarms[-1]["k"]

@@ -109,10 +109,10 @@ def test_it_says_what_the_check_says(
 ) -> None:
     main(["check", "--json", str(run_dir)])
     found = json.loads(capsys.readouterr().out)
-    passed = sum(c["result"] == "PASS" for c in found["checks"])
+    passed = sum(c["result"] == "PASS" for c in found["rules"])
     assert f"{passed} PASS, 0 FAIL" in text
-    for check in found["checks"]:
-        assert f"<td>{check['name']}</td>" in text
+    for rule in found["rules"]:
+        assert f"<td>{rule['name']}</td>" in text
 
 
 def test_states_are_drawn_where_they_were(run_dir: Path, text: str) -> None:
@@ -145,8 +145,7 @@ def test_a_failed_check_is_shown_as_failed(tmp_path: Path, run_dir: Path) -> Non
     lines[30] = json.dumps(event)
     trace.write_text("\n".join(lines) + "\n")
     page = write_report(broken, tmp_path / "page.html").read_text()
-    assert "<tr><td>FAIL</td><td>reachable</td>" in page
-    assert "is outside Reach^c of the applied input" in page
+    assert "<tr><td>FAIL</td><td>plant</td>" in page
 
 
 def test_the_command_prints_the_path_and_refuses_what_is_no_run(

@@ -1,106 +1,213 @@
-"""Does a run obey the paper? A list of checks, each of which looks at the evidence.
+"""Does a run obey the paper? A few rules, each with a name, and the places where one is broken.
 
-A check counts what it looked at and keeps the first place where it did not hold. There are three
-kinds. A replay evaluates the pure functions of both ends (:mod:`protocol.agreement`, the scheme,
-:mod:`protocol.schemes.framing`) on the raw numbers of the traces: it finds a trace that its program
-did not write. Others compare files with each other. The check ``paper`` asks code that shares
-nothing with the ends (:mod:`wyner.runs.check.paper`): it finds a program that is wrong.
+A rule is of one of five kinds. A replay evaluates the pure functions of both ends
+(:mod:`protocol.agreement`, the scheme, :mod:`protocol.schemes.framing`) on the raw numbers of the
+traces: it finds a trace that its program did not write. The rule ``paper`` asks code that shares
+nothing with the ends (:mod:`wyner.runs.check.paper`): it finds a program that is wrong. The bus's
+compare the capture with a table of what may stand there. Agreements join files with each other.
+Integrity holds every file to what its writer counted, and to the manifest.
 """
 
 import gc
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Final
+from dataclasses import asdict, dataclass
+from typing import Any, Final, Literal
 
-from wyner.runs.check.base import Check, Counter, Result
-from wyner.runs.check.bus import PublicFields, SameAnswer, SameShape, Wire
-from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.files import ScenarioIdentity, Traces, Whole
-from wyner.runs.check.key_blocks import (
-    Blocks,
-    Copy0Once,
-    Counted,
-    NonceOnce,
-    RefusedAtZero,
-    Tags,
+import numpy as np
+
+from wyner.runs.check import (
+    agreements,
+    alarms,
+    bus,
+    evidence,
+    files,
+    messages,
+    opinion,
+    plant,
+    replay,
 )
-from wyner.runs.check.keys import Agreement, Coin, InStep, Paper, Receiver, Sender
-from wyner.runs.check.loop import Admissible, Reachable, Switching
-from wyner.runs.check.message import Frames, Messages, OneCipher, OneTimePad, Prefix
-from wyner.runs.check.watched import Alarms, KeyStream
+from wyner.runs.check.evidence import Evidence, Finding, Findings
 
-CHECKS: Final[tuple[type[Check], ...]] = (
-    Traces,
-    ScenarioIdentity,
-    Whole,
-    Switching,
-    Reachable,
-    Admissible,
-    Agreement,
-    Coin,
-    Sender,
-    Receiver,
-    Paper,
-    InStep,
-    Prefix,
-    Frames,
-    Messages,
-    OneTimePad,
-    OneCipher,
-    SameAnswer,
-    Wire,
-    PublicFields,
-    SameShape,
-    NonceOnce,
-    Copy0Once,
-    Counted,
-    Blocks,
-    Tags,
-    RefusedAtZero,
-    KeyStream,
-    Alarms,
+MOST: Final = 100
+"""Findings of one rule that are kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One thing that the paper or the protocol demands of a run.
+
+    Parameters
+    ----------
+    name : str
+    source : str
+        The paper's equation or figure, or the rule of docs/protocol.md.
+    says : str
+        What must hold, in one line.
+    needs : tuple of str
+        What of a run's files there must be, else there is nothing to look at.
+    """
+
+    name: str
+    source: str
+    says: str
+    needs: tuple[Literal["plant", "controller", "capture"], ...] = ()
+
+    def skipped(self, e: Evidence) -> str:
+        """Why there is nothing to look at; empty where there is."""
+        if self.name == "paper" and (own := opinion.skipped(e)):
+            return own
+        if self.name == "same-keys" and e.rules.schedule is None:
+            return "no keys are made of what Eve misses"
+        nothing = not any(len(trace.rows) for trace in e.ends())
+        if nothing and e.cut and self.name != "whole":
+            return e.cut
+        return e.lacks(*self.needs)
+
+
+RULES: Final = (
+    Rule("traces", "rule 5", "lines are as they should be, transitions numbered without a gap"),
+    Rule("whole", "rule 6", "every file is as its writer left it, of one scenario, and as far on"),
+    Rule(
+        "replay",
+        "(20), (21), rule 4",
+        "verdicts, keys, symbols and fallback follow from the raw numbers",
+    ),
+    Rule(
+        "paper",
+        "Figs. 5, 6, (14), (22)",
+        "the paper's test and automata, written a second time, agree",
+    ),
+    Rule(
+        "plant",
+        "(6), (14), (15)",
+        "each step applies candidate b_r, and leads into its Reach^c",
+        ("plant",),
+    ),
+    Rule("admissible", "(27)", "every candidate is in U and leads into T_(i-1) ~ D_c"),
+    Rule("messages", "rule 7", "frames pass their check, are reported, and follow the queue"),
+    Rule(
+        "alarms",
+        "rule 12",
+        "an alarm is told where its test failed, and nowhere else",
+        ("controller",),
+    ),
+    Rule(
+        "bus",
+        "assumption 2",
+        "public fields alone, and they look the same in both states",
+        ("capture",),
+    ),
+    Rule(
+        "wire",
+        "rules 1 to 3",
+        "what the tap read is the plant's, a repeated message the same",
+        ("capture",),
+    ),
+    Rule(
+        "in-step",
+        "proposition 3",
+        "both ends agree on every transition",
+        ("plant", "controller"),
+    ),
+    Rule(
+        "once",
+        "section 4.2, rules 8, 11",
+        "no key, digit, nonce or copy 0 serves or leaves twice",
+    ),
+    Rule("same-keys", "rules 9, 11", "tags, counted copies and keyed coins are alike at both ends"),
+    Rule("blocks", "rule 10", "a block makes as many keys as its transitions allow"),
 )
 
-OF_KEYS: Final = frozenset(
-    kind.name
-    for kind in (
-        NonceOnce,
-        Copy0Once,
-        Counted,
-        Blocks,
-        Tags,
-        KeyStream,
-    )
+TELLERS: Final[tuple[Callable[[Evidence], Findings], ...]] = (
+    files.traces,
+    replay.replay,
+    opinion.paper,
+    plant.plant,
+    plant.admissible,
+    messages.messages,
+    alarms.alarms,
+    agreements.in_step,
+    agreements.once,
+    agreements.blocks,
+    evidence.let_go,
+    bus.bus,
+    files.whole,
 )
-"""Checks of which a scenario that makes no keys knows nothing."""
+"""In this order: what a capture's marks say is known once it has been read."""
 
 
-def check(evidence: Evidence, watch: Callable[[Part], None] | None = None) -> list[Result]:
-    """Make every check, in one passage over the run; ``watch`` is shown each part as well."""
-    keys = evidence.rules.schedule is not None
-    results: list[Result] = []
-    checks: list[Check] = []
-    for kind in CHECKS:
-        if not keys and kind.name in OF_KEYS:
-            continue
-        counter = Counter(skipped=kind.skipped(evidence))
-        results.append(Result(kind, counter))
-        if not counter.skipped:
-            checks.append(kind(evidence, counter))
-    with _collecting_seldom():
-        for part in evidence.parts():
-            for one in checks:
-                one.feed(part)
-            if watch is not None:
-                watch(part)
-    for one in checks:
-        one.finish()
-    return results
+def check(e: Evidence) -> list[Finding]:
+    """Every place where a run does not obey a rule, of each rule the first :data:`MOST`."""
+    found: list[Finding] = []
+    counts: Counter[str] = Counter()
+    with _collecting_seldom(), np.errstate(all="ignore"):  # a damaged trace holds any number
+        for teller in TELLERS:
+            for finding in teller(e):
+                counts[finding.rule] += 1
+                if counts[finding.rule] <= MOST:
+                    found.append(finding)
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """A rule, where it is broken, and why there was nothing to look at.
+
+    Parameters
+    ----------
+    rule : Rule
+    findings : list of Finding
+    skipped : str
+        Empty where there was something.
+    cut : str
+        Which parts of the traces are gone.
+    """
+
+    rule: Rule
+    findings: list[Finding]
+    skipped: str
+    cut: str
+
+    @property
+    def result(self) -> Literal["PASS", "FAIL", "SKIP"]:
+        """SKIP where the run left nothing to look at."""
+        if self.findings:
+            return "FAIL"
+        return "SKIP" if self.skipped else "PASS"
+
+    @property
+    def note(self) -> str:
+        """What must be known of the result."""
+        return self.skipped or (self.cut if self.rule.name == "traces" else "")
+
+    def as_json(self) -> dict[str, Any]:
+        """The result for machines; ``failures`` counts to :data:`MOST`."""
+        return {
+            "name": self.rule.name,
+            "source": self.rule.source,
+            "says": self.rule.says,
+            "result": self.result,
+            "failures": len(self.findings),
+            "first": asdict(self.findings[0]) if self.findings else None,
+            "note": self.note,
+        }
+
+
+def judge(e: Evidence) -> list[Result]:
+    """Every rule, and how it came out."""
+    skipped = {rule: rule.skipped(e) for rule in RULES}
+    found = check(e)
+    return [
+        Result(rule, [f for f in found if f.rule == rule.name], why, e.cut)
+        for rule, why in skipped.items()
+    ]
 
 
 @contextmanager
 def _collecting_seldom() -> Iterator[None]:
-    """Let Python look for cycles once in several parts: a part is thousands of tuples without any.
+    """Let Python look for cycles seldom: there are thousands of tuples without any.
 
     Looking at them after every 700 takes a sixth of a check.
     """

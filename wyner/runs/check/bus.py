@@ -1,21 +1,22 @@
-"""The field bus's checks: nothing secret, and nothing that tells the two states apart."""
+"""The field bus, as the tap captured it: what may stand on it, and what it must have in common.
+
+One passage over the capture: some thousand messages are looked at together, as columns, and of each
+there is kept what shows a second one: some 40 bytes.
+"""
 
 import re
-import struct
 from array import array
-from dataclasses import dataclass, field
+from collections.abc import Iterator
 from typing import Any, Final
 
+import numpy as np
 from pydantic import ValidationError
 
-from protocol.agreement import NO_SYMBOL
-from protocol.messages import FIELD, Measurement
-from wyner.runs.check.attacked import rewrites
-from wyner.runs.check.base import Check, Counter
-from wyner.runs.check.capture import CapturedMessage
-from wyner.runs.check.evidence import Evidence, Part
-from wyner.runs.check.records import wrong
-from wyner.runs.check.steps import AppliedStep
+from protocol.messages import FIELD, Measurement, Offer
+from wyner.runs.check.evidence import Evidence, Finding, Findings, Indices
+from wyner.runs.heard import CapturedMessage
+from wyner.runs.lines import wrong
+from wyner.runs.trace import AT_ONCE, TRANSITION, Rows
 
 PUBLIC: Final = {
     topic: frozenset(fields.split())
@@ -34,13 +35,8 @@ OF_STREAM: Final = {
 """What besides travels where the key stream is used."""
 
 WITHOUT_KEYS: Final = {
-    "copy_number": 0,
-    "nonce": "",
-    "applied_copy": 0,
-    "heard": 0,
-    "block": -1,
-    "tag": "",
-}
+    "copy_number": 0, "nonce": "", "applied_copy": 0, "heard": 0, "block": -1, "tag": "",
+}  # fmt: skip
 """What fields of keys hold where the scenario makes none."""
 
 _MODELS: Final = {kind.topic: kind for kind in FIELD}
@@ -52,224 +48,215 @@ _OF_KEYS: Final = re.compile(rb'"(?:nonce|tag)":"[^"]+"')
 _STREAM: Final = re.compile(rb',"(?:keyed|stream_block|stream_at)":(?:true|false|-?[0-9]+)')
 _BLOCK: Final = re.compile(rb'"block":-?[0-9]+')
 _AS_LETTERS: Final = str.maketrans("0123456789", "abcdefghij")
+_DIGITS: Final = b"0123456789abcdef.+-"
 
-BLURRED: Final = "the tap saw numbers blurred, by its own settings"
+Heard = tuple[CapturedMessage, Measurement | Offer]
 
 
-class _First:
-    """The first message of each number, as a 64-bit hash of its bytes."""
+def bus(e: Evidence) -> Findings:
+    """All that a capture shows."""
+    if e.capture is None:
+        return
+    steps = None if e.plant is None else Steps(e, e.plant.rows)
+    shapes, seen, stream, tags = Shapes(), Seen(e), Stream(e), Tags(e)
+    part: list[Heard] = []
+    for message in e.capture:
+        found = _model(e, message)
+        if isinstance(found, str):
+            yield Finding("bus", message.session, message.k, f"{message.where}: {found}")
+            continue
+        yield from seen.look(message, found)
+        yield from stream.look(message, found)
+        yield from tags.look(message, found)
+        part.append((message, found))
+        if len(part) == AT_ONCE:
+            if steps is not None:
+                yield from steps.compare(part, shapes)
+            part = []
+    if steps is not None:
+        yield from steps.compare(part, shapes)
+    yield from shapes.differ()
+    yield from seen.twice()
+    yield from tags.differ()
+    for where, text in e.capture.strange:
+        yield Finding("bus", "", -1, f"{where}: neither Measurement nor Offer ({text})")
+
+
+def _model(e: Evidence, seen: CapturedMessage) -> Measurement | Offer | str:
+    """The message, with exactly its public fields and of the plant's shape; or what it is not."""
+    rules, topic = e.rules, seen.topic
+    allowed = PUBLIC.get(topic)
+    if allowed is None:
+        return f"on {topic!r}"
+    if rules.digits:
+        allowed |= OF_STREAM[topic]
+    if seen.message.keys() != allowed:
+        extra, lacking = (
+            sorted(seen.message.keys() - allowed),
+            sorted(allowed - seen.message.keys()),
+        )
+        words = [f"the extra field {name}" for name in extra] + [f"no {name}" for name in lacking]
+        return f"{topic} with {', '.join(words)}"
+    try:
+        message: Measurement | Offer = _MODELS[topic].model_validate_json(seen.raw, strict=True)
+    except ValidationError as error:
+        return f"{topic}.{wrong(error)}"
+    if isinstance(message, Measurement):
+        n = rules.states
+        fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
+    else:
+        fits = len(message.candidates) == rules.size and message.cipher < rules.size
+        fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
+        fits = fits and not rules.malformed_predictions(message.predictions)
+    if not fits or message.k >= 1 << 31:
+        return f"{topic} is not of this plant's shape"
+    if e.scenario.keys is None:
+        idle = [f for f, value in WITHOUT_KEYS.items() if seen.message.get(f, value) != value]
+        if idle:
+            return f"{', '.join(idle)}: not as where no keys are made"
+    return message
+
+
+class Steps:
+    """The plant's steps, found by session and k."""
+
+    def __init__(self, e: Evidence, rows: Rows) -> None:
+        assert e.plant is not None
+        self._e, self._rows = e, rows
+        self._sessions = {name: i for i, name in enumerate(e.plant.sessions)}
+        self._keys = rows["session"].astype(np.int64)
+        self._keys <<= 32
+        self._keys |= rows["k"]
+        self._sorted = bool((self._keys[1:] > self._keys[:-1]).all())
+        if not self._sorted:  # another rule says so
+            self._order = np.argsort(self._keys, kind="stable")
+            self._rows, self._keys = rows[self._order], self._keys[self._order]
+        applied = self._rows["kind"] == TRANSITION
+        at = np.arange(len(rows), dtype=np.int32)
+        self._newest = np.maximum.accumulate(np.where(applied, at, np.int32(-1)))
+        ahead = np.where(applied, at, np.int32(len(rows)))
+        self._next = np.minimum.accumulate(ahead[::-1])[::-1]
+        self._open: dict[str, int] = {}  # the symbol decided after a session's last transition
+        first = self._rows["session"] == (self._rows["session"][0] if len(rows) else 0)
+        begun = np.flatnonzero(first & applied)
+        self._first = self._keys[begun[0]] if len(begun) else -1
+        self._gone = e.plant.gone > 0
+        self._blurred = e.capture is not None and e.capture.blurred
+
+    def _find(self, session: Indices, k: Indices) -> tuple[Indices, Any]:
+        """The row of each step, or the first after it; and whether it is there."""
+        keys = session << 32 | np.maximum(k, 0)
+        at = np.searchsorted(self._keys, keys)
+        there = (at < len(self._keys)) & (k >= 0) & (session >= 0)
+        inside = np.minimum(at, max(0, len(self._keys) - 1))
+        return at, there & (self._keys[inside] == keys) if len(self._keys) else there & False
+
+    def compare(self, part: list[Heard], shapes: "Shapes") -> Findings:
+        """Compare messages with the plant's steps."""
+        if not part:
+            return
+        session = np.array([self._sessions.get(m.session, -1) for _, m in part])
+        k = np.array([m.k for _, m in part])
+        at, there = self._find(session, k)
+        for i, (seen, message) in enumerate(part):
+            row = self._rows[at[i]] if there[i] else None
+            if row is not None and row["kind"] == TRANSITION:
+                shapes.take(seen, message, bool(row["message"]))
+            if self._before(session[i], k[i]):
+                continue
+            for rule, text in self._unlike(message, int(session[i]), int(at[i]), row):
+                yield Finding(rule, seen.session, seen.k, f"{seen.where}: {text}")
+
+    def _before(self, session: int, k: int) -> bool:
+        """Whether a message is older than what is left of the plant's trace, and its answer."""
+        if not self._gone:
+            return False
+        first = self._first >> 32 if self._first >= 0 else -1
+        return session < 0 or (session == first and k <= (self._first & 0xFFFFFFFF))
+
+    def _unlike(
+        self, message: Measurement | Offer, session: int, at: int, row: Any
+    ) -> Iterator[tuple[str, str]]:
+        assert self._e.plant is not None
+        if session < 0:
+            if message.session not in self._e.plant.announced:
+                yield "wire", "of a session that the plant's trace does not have"
+            return
+        before = self._rows[at - 1] if at > 0 and self._keys[at - 1] >> 32 == session else None
+        if row is None and (before is None or before["k"] != message.k - 1):
+            yield "wire", f"step {message.k}, which the plant did not make"
+        elif isinstance(message, Offer):
+            yield from self._unlike_offer(message, session, at, row)
+        else:
+            yield from self._unlike_measurement(message, session, at, row, before)
+
+    def _unlike_measurement(
+        self, m: Measurement, session: int, at: int, row: Any, before: Any
+    ) -> Iterator[tuple[str, str]]:
+        newest = -1 if before is None else int(self._newest[at - 1])
+        applied = self._rows[newest] if newest >= 0 else None
+        if applied is not None and applied["session"] != session:
+            applied = None
+        here = before["x_next"] if row is None else row["x"]
+        other = " unlike the plant's trace"
+        if not self._blurred and m.x != tuple(here.tolist()):
+            yield "wire", f"x{other}"
+        if m.applied_k != (-1 if applied is None else int(applied["k"])):
+            yield "wire", f"applied_k{other}"
+        elif applied is not None:
+            if not self._blurred and m.x_after != tuple(applied["x_next"].tolist()):
+                yield "wire", f"x_after{other}"
+            if m.applied_copy and applied["counts"] & 1:
+                yield "same-keys", "copy 1 of the offer was applied, and the plant counts copy 0"
+
+    def _unlike_offer(
+        self, offer: Offer, session: int, at: int, row: Any
+    ) -> Iterator[tuple[str, str]]:
+        """Of what was applied also the candidates; every offer carries its transition's symbol."""
+        rules, k = self._e.rules, offer.k
+        if row is not None and row["kind"] == TRANSITION:
+            same = [list(u) for u in offer.candidates] == row["candidates"].tolist()
+            if same and rules.predicted:
+                same = [list(c) for c in offer.predictions] == row["predictions"].tolist()
+            if not same and not self._blurred and not self._e.rewrites(k):
+                yield "wire", "candidates unlike the plant's trace"
+            if rules.scheme.from_stream and offer.cipher != row["cipher"]:
+                yield "wire", "cipher unlike the plant's trace"
+            if offer.heard and row["counts"] & 2:
+                yield "same-keys", "copy 1 of the measurement was heard, the plant counts copy 0"
+        if rules.scheme.from_stream:
+            return
+        following = int(self._next[at]) if at < len(self._next) else len(self._rows)
+        decided = self._rows[following] if following < len(self._rows) else None
+        if decided is None or decided["session"] != session:
+            expected = self._open.setdefault(offer.session, offer.cipher)
+        else:
+            expected = int(decided["cipher"])
+        if offer.cipher != expected:
+            yield "wire", f"cipher {offer.cipher}, decided was {expected}"
+
+
+class Shapes:
+    """What messages of one kind look like in each automaton state."""
 
     def __init__(self) -> None:
-        self._dense: dict[tuple[str, str], array[int]] = {}
-        self._sparse: dict[tuple[str, str, int], int] = {}
+        self._looks: dict[tuple[str, bool], dict[Any, CapturedMessage]] = {}
 
-    def same(self, seen: CapturedMessage) -> bool | None:
-        """Whether it is the same as the first of its number; None where it is the first."""
-        mine = hash(_ANEW.sub(b"", seen.raw, 1)) or 1
-        at = (seen.topic, seen.session)
-        found = self._dense.setdefault(at, array("q"))
-        k = seen.k
-        if 0 <= k < len(found) + 4096:
-            if k >= len(found):
-                found.extend([0] * (k + 1 - len(found)))
-            first, found[k] = found[k], found[k] or mine
-        else:  # far ahead of the others
-            first = self._sparse.setdefault((*at, k), 0)
-            self._sparse[(*at, k)] = first or mine
-        return None if not first else first == mine
+    def take(self, seen: CapturedMessage, message: Measurement | Offer, carries: bool) -> None:
+        """Take a message of a transition that carried, or tested."""
+        if isinstance(message, Measurement) and message.applied_k == -1:
+            return  # a session's first has no x_after yet, in state 1 always
+        look = self._looks.setdefault((seen.topic, carries), {})
+        look.setdefault(_shape(seen.raw), seen)
 
-
-class SameAnswer(Check):
-    """A measurement and an offer of one number never change (rules 1 and 2)."""
-
-    name = "same-answer"
-    source = "rule 2"
-    says = "a repeated message is the same, but for its copy and nonce"
-    of = "messages"
-    needs = ("wire",)
-
-    def __init__(self, evidence: Evidence, counter: Counter) -> None:
-        super().__init__(evidence, counter)
-        self._first = _First()
-        self._repeated = {"measurement": 0, "offer": 0}
-
-    @classmethod
-    def skipped(cls, evidence: Evidence) -> str:
-        return super().skipped(evidence) or _blurred(evidence)
-
-    def feed(self, part: Part) -> None:
-        for seen in part.seen:
-            same = self._first.same(seen)
-            if same is not None and seen.topic in self._repeated:
-                self._repeated[seen.topic] += 1
-            text = ""
-            if same is False:
-                text = f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
-            self.counter.count(not text, seen.session, -1, seen.k, text)
-
-    def finish(self) -> None:
-        measurements, offers = self._repeated.values()
-        self.counter.note = f"{measurements} measurements and {offers} offers repeated"
-
-
-class Wire(Check):
-    """The captured numbers are the plant's own."""
-
-    name = "wire"
-    source = "assumption 2"
-    says = "what the tap read is what the plant worked with"
-    of = "messages"
-    needs = ("wire", "plant")
-
-    def __init__(self, evidence: Evidence, counter: Counter) -> None:
-        super().__init__(evidence, counter)
-        self._older = 0
-
-    @classmethod
-    def skipped(cls, evidence: Evidence) -> str:
-        return super().skipped(evidence) or _blurred(evidence)
-
-    def feed(self, part: Part) -> None:
-        for seen in part.seen:
-            if self.evidence.before(seen):
-                self._older += 1
-            else:
-                _compare(self.evidence, seen, self.counter)
-
-    def finish(self) -> None:
-        if self._older:
-            self.counter.note = f"{self._older} older than what is left of the plant's trace"
-
-
-def _blurred(e: Evidence) -> str:
-    """Why numbers are not compared; empty where they can be."""
-    return BLURRED if e.wire is not None and e.wire.blurred else ""
-
-
-def _compare(e: Evidence, seen: CapturedMessage, counter: Counter) -> None:
-    assert e.plant is not None
-    steps, session, k, m = e.steps, seen.session, seen.k, seen.message
-    if not steps.knows(session):
-        text = f"{seen.where}: of a session that the plant's trace does not have"
-        counter.count(session in e.plant.announced, session, -1, k, text)
-        return
-    first, end = steps.ends(session)
-    if not first <= k <= end:
-        text = f"{seen.where}: step {k}, the plant made steps {first} to {end - 1}"
-        counter.count(False, session, -1, k, text)
-        return
-    step = steps.find(session, k)
-    j = -1 if step is None else step.j
-    try:
-        unlike = _unlike_offer(e, m, step, k) if seen.topic == "offer" else _unlike(e, seen, step)
-    except (LookupError, TypeError, ValueError, struct.error):
-        unlike = ["its shape"]
-    text = f"{seen.where}: {', '.join(unlike)} unlike the plant's trace" if unlike else ""
-    counter.count(not unlike, session, j, k, text)
-
-
-def _unlike_offer(e: Evidence, m: dict[str, Any], step: AppliedStep | None, k: int) -> list[str]:
-    if step is None or step.j == NO_SYMBOL:
-        return []  # it was not applied
-    unlike = []
-    same = e.steps.of_candidates(m["candidates"], m["predictions"]) == step.candidates
-    if not same and not (e.plant is not None and rewrites(e.plant.attack, k)):
-        unlike.append("candidates")
-    if m["cipher"] != step.cipher:
-        unlike.append("cipher")
-    return unlike
-
-
-def _unlike(e: Evidence, seen: CapturedMessage, step: AppliedStep | None) -> list[str]:
-    """Fields of a measurement that the plant's trace has otherwise."""
-    steps, session, m = e.steps, seen.session, seen.message
-    unlike = []
-    here = step.x if step is not None else None
-    before = steps.find(session, seen.k - 1)
-    if here is None and before is not None:
-        here = before.x_next
-    if here is not None and steps.of_state(m["x"]) != here:
-        unlike.append("x")
-    last = step.last_applied if step is not None else steps.newest(session)
-    if m["applied_k"] != last:
-        unlike.append("applied_k")
-        return unlike
-    applied = steps.find(session, last)
-    after = m["x_after"]
-    if (applied is None) != (after == []) or (
-        applied is not None and steps.of_state(after) != applied.x_next
-    ):
-        unlike.append("x_after")
-    return unlike
-
-
-class PublicFields(Check):
-    """Only the two public messages, with exactly their public fields."""
-
-    name = "public-fields"
-    source = "assumption 2"
-    says = "the field bus carries nothing but public fields"
-    of = "messages"
-    needs = ("wire",)
-
-    def feed(self, part: Part) -> None:
-        for seen in part.seen:
-            unlike = self._unlike(seen)
-            text = f"{seen.where}: {unlike}" if unlike else ""
-            self.counter.count(not unlike, seen.session, -1, seen.k, text)
-
-    def _unlike(self, seen: CapturedMessage) -> str:
-        """What a message has that it must not, or has not."""
-        rules, topic, keys = self.evidence.rules, seen.topic, self.evidence.scenario.keys
-        allowed = PUBLIC.get(topic)
-        if allowed is None:
-            return f"on {topic!r}"
-        if rules.digits:
-            allowed |= OF_STREAM.get(topic, frozenset())
-        if seen.message.keys() != allowed:
-            return f"{topic} with {_extra(frozenset(seen.message), allowed)}"
-        try:
-            message = _MODELS[topic].model_validate_json(seen.raw, strict=True)
-        except ValidationError as error:
-            return f"{topic}.{wrong(error)}"
-        if isinstance(message, Measurement):
-            n = rules.states
-            fits = len(message.x) == n and len(message.x_after) == (message.applied_k >= 0) * n
-        else:
-            fits = len(message.candidates) == rules.size and message.cipher < rules.size
-            fits = fits and {len(u) for u in message.candidates} == {rules.inputs}
-            fits = fits and not rules.malformed_predictions(message.predictions)
-        if not fits:
-            return f"{topic} is not of this plant's shape"
-        if keys is not None:
-            return ""
-        idle = [f for f, value in WITHOUT_KEYS.items() if seen.message.get(f, value) != value]
-        return f"{', '.join(idle)}: not as where no keys are made" if idle else ""
-
-    def finish(self) -> None:
-        assert self.evidence.wire is not None
-        for problem in self.evidence.wire.strange:
-            text = f"{problem.where}: neither Measurement nor Offer ({problem.text})"
-            self.counter.count(False, "", -1, -1, text)
-        self.counter.note = f"{self.evidence.wire.torn} torn lines"
-
-
-def _extra(fields: frozenset[str], allowed: frozenset[str]) -> str:
-    extra, lacking = sorted(fields - allowed), sorted(allowed - fields)
-    words = [f"the extra field {name}" for name in extra] + [f"no {name}" for name in lacking]
-    return ", ".join(words)
-
-
-@dataclass(slots=True)
-class _Looks:
-    """What messages of one kind looked like in one automaton state."""
-
-    shapes: dict[tuple[bytes, int], tuple[CapturedMessage, int]] = field(default_factory=dict)
-    bytes: int = 0
-    count: int = 0
-
-
-_DIGITS: Final = b"0123456789abcdef.+-"
+    def differ(self) -> Findings:
+        """Looks that one state alone has."""
+        for (topic, carries), look in self._looks.items():
+            other = self._looks.get((topic, not carries))
+            for shape, seen in look.items() if other is not None else ():
+                if other is not None and shape not in other:
+                    text = f"{topic} looks like this in state {1 + carries} only"
+                    yield Finding("bus", seen.session, seen.k, f"{seen.where}: {text}")
 
 
 def _shape(raw: bytes) -> tuple[bytes, int]:
@@ -279,47 +266,113 @@ def _shape(raw: bytes) -> tuple[bytes, int]:
     offer has follow from what was counted, and that is public.
     """
     keyless = _OF_KEYS.sub(lambda found: str(len(found[0])).translate(_AS_LETTERS).encode(), raw)
-    keyless = _BLOCK.sub(b"", keyless, 1)
-    keyless = _STREAM.sub(b"", keyless)
+    keyless = _STREAM.sub(b"", _BLOCK.sub(b"", keyless, 1))
     return keyless.translate(None, _DIGITS), raw.count(b"[]")
 
 
-class SameShape(Check):
-    """Fields, lengths and kinds of number do not depend on the automaton state."""
+class Seen:
+    """What shows a second message of one number that differs, and what left twice."""
 
-    name = "same-shape"
-    source = "proposition 3"
-    says = "messages look the same in both automaton states"
-    of = "messages"
-    needs = ("wire", "plant")
+    def __init__(self, e: Evidence) -> None:
+        self._keys, self._blurred = e.rules.schedule is not None, e.capture and e.capture.blurred
+        self._first: dict[tuple[str, str], array[int]] = {}
+        self._far: dict[tuple[str, str, int], int] = {}
+        self._sessions: dict[str, int] = {}
+        self._nonces, self._numbers = array("q"), array("q")
 
-    def __init__(self, evidence: Evidence, counter: Counter) -> None:
-        super().__init__(evidence, counter)
-        self._looks: dict[tuple[str, bool], _Looks] = {}
+    def look(self, seen: CapturedMessage, message: Measurement | Offer) -> Findings:
+        """Note a message."""
+        if not self._blurred and not self._same(seen):
+            text = f"{seen.where}: {seen.topic} {seen.k} differs from the first of that number"
+            yield Finding("wire", seen.session, seen.k, text)
+        if self._keys:
+            session = self._sessions.setdefault(seen.session, len(self._sessions))
+            offer, first = isinstance(message, Offer), message.copy_number == 0
+            self._numbers.append(session << 34 | seen.k << 2 | offer << 1 | first)
+            self._nonces.append(hash(message.nonce))
 
-    def feed(self, part: Part) -> None:
-        for seen in part.seen:
-            step = self.evidence.steps.find(seen.session, seen.k)
-            if step is None or step.j == NO_SYMBOL or seen.message.get("applied_k") == -1:
-                continue  # a session's first measurement has no x_after yet, in state 1 always
-            look = self._looks.setdefault((seen.topic, step.pad != NO_SYMBOL), _Looks())
-            look.shapes.setdefault(_shape(seen.raw), (seen, step.j))
-            look.bytes += len(seen.raw)
-            look.count += 1
-            self.counter.counted += 1
+    def _same(self, seen: CapturedMessage) -> bool:
+        """Whether a message is as the first of its number."""
+        mine, k = hash(_ANEW.sub(b"", seen.raw, 1)) or 1, seen.k
+        row = self._first.setdefault((seen.topic, seen.session), array("q"))
+        if k >= len(row) + AT_ONCE:  # far ahead of the others
+            return self._far.setdefault((seen.topic, seen.session, k), mine) == mine
+        row.extend([0] * (k + 1 - len(row)))
+        row[k] = row[k] or mine
+        return row[k] == mine
 
-    def finish(self) -> None:
-        notes = []
-        for topic in PUBLIC:
-            tests, carries = self._looks.get((topic, False)), self._looks.get((topic, True))
-            if tests is None or carries is None:
-                continue
-            for mine, other, state in ((carries, tests, 2), (tests, carries, 1)):
-                for shape, (seen, j) in mine.shapes.items():
-                    if shape not in other.shapes:
-                        text = f"{seen.where}: {topic} looks like this in state {state} only"
-                        self.counter.fail(seen.session, j, seen.k, text)
-            means = [look.bytes / look.count for look in (tests, carries)]
-            notes.append(f"{topic} {means[0]:.1f} and {means[1]:.1f} bytes")
-        if notes:
-            self.counter.note = f"mean in states 1 and 2: {'; '.join(notes)}"
+    def twice(self) -> Findings:
+        """Nonces that travelled twice, and second copies 0."""
+        numbers: Indices = np.frombuffer(self._numbers, np.int64)
+        nonces: Indices = np.frombuffer(self._nonces, np.int64)
+        for values, among, text in (
+            (nonces, slice(None), "carries a nonce that was there before"),
+            (numbers, (numbers & 1).astype(bool), "is a second copy 0"),
+        ):
+            for number in numbers[among][_again(values[among])].tolist():
+                session = list(self._sessions)[number >> 34]
+                topic, k = "offer" if number & 2 else "measurement", number >> 2 & 0xFFFFFFFF
+                yield Finding("once", session, k, f"{topic} {k} {text}")
+
+
+def _again(values: Indices) -> Indices:
+    """Places of values that stood at an earlier place."""
+    ordered = np.sort(values)
+    twice = ordered[1:][ordered[1:] == ordered[:-1]]
+    places = np.flatnonzero(np.isin(values, twice)) if len(twice) else np.zeros(0, np.int64)
+    first = np.unique(values[places], return_index=True)[1]
+    return np.delete(places, first)
+
+
+class Stream:
+    """Positions in the key stream: each new offer names a later one."""
+
+    def __init__(self, e: Evidence) -> None:
+        self._digits = e.rules.digits
+        self._named: dict[str, tuple[int, tuple[int, int]]] = {}
+
+    def look(self, seen: CapturedMessage, message: Measurement | Offer) -> Findings:
+        """Note a message."""
+        if not self._digits or not isinstance(message, Offer):
+            return
+        if message.stream_block is None or message.stream_at is None:
+            yield Finding(
+                "once", seen.session, seen.k, f"{seen.where}: an offer without a position"
+            )
+            return
+        at = message.stream_block, message.stream_at
+        if at[0] < 0:
+            return
+        before, self._named[seen.session] = self._named.get(seen.session), (message.k, at)
+        if before is None or before == (message.k, at):
+            return
+        k, (block, place) = before
+        if k == message.k or (message.k > k and at < (block, place + self._digits)):
+            text = f"{seen.where}: position {at}, and step {k} had {before[1]}"
+            yield Finding("once", seen.session, seen.k, text)
+
+
+class Tags:
+    """Each end shows one tag for a block, and the same as its partner; and what counts is named."""
+
+    def __init__(self, e: Evidence) -> None:
+        self._known: dict[tuple[str, str, int], str] = {}
+        self._e, self._claimed = e, e.rules.schedule is not None
+
+    def look(self, seen: CapturedMessage, message: Measurement | Offer) -> Findings:
+        """Note a message."""
+        if not self._claimed:
+            if message.nonce or message.tag:
+                text = f"{seen.where}: a nonce or a tag, and no key is claimed"
+                yield Finding("blocks", seen.session, seen.k, text)
+        elif message.block >= 0:
+            at = seen.topic, seen.session, message.block
+            if self._known.setdefault(at, message.tag) != message.tag:
+                text = f"{seen.where}: block {message.block} has another tag than before"
+                yield Finding("same-keys", seen.session, seen.k, text)
+
+    def differ(self) -> Findings:
+        """Blocks of which the ends have shown different tags."""
+        for (topic, session, block), tag in self._known.items():
+            if topic == "measurement" and self._known.get(("offer", session, block), tag) != tag:
+                yield Finding("same-keys", session, -1, f"block {block}: the ends' tags differ")

@@ -1,220 +1,141 @@
-"""What a run left behind, opened for checking, and given out part by part.
-
-Nothing here judges. The traces come first, both ends side by side; the capture follows, to be
-compared with the plant's steps. A run of millions of steps is never in memory as a whole.
-"""
+"""What a run left behind, opened for checking; nothing here judges."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass
+from math import inf
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal
 
+import numpy as np
+
+from protocol.brief import Brief
+from protocol.link.records import Side
 from protocol.link.session import Rules, rules_of
 from protocol.scenario import Scenario
-from runtime.options import refuse_running
+from runtime.locks import refuse_running
 from runtime.recording import parts_of
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
-from wyner.runs.check.capture import CapturedMessage, CaptureLines
-from wyner.runs.check.journals import JournalState, read_controller, read_plant
-from wyner.runs.check.records import Item, MissedLine, Shape, Walked
-from wyner.runs.check.sides import SideReader
-from wyner.runs.check.steps import Steps
+from wyner.runs.heard import CaptureLines
+from wyner.runs.journals import JournalState, read_controller, read_plant
 from wyner.runs.run import TRACES, Run
+from wyner.runs.trace import Trace
 
-AT_ONCE: Final = 2000
-"""Items that a part holds, about."""
+EDGE: Final = 1e-9
+"""A gauge or a constraint beyond its bound by less than this is on the bound: rounding."""
 
-
-class Pair(NamedTuple):
-    """A transition as each side has it; None on the side that has not."""
-
-    plant: Walked | None
-    controller: Walked | None
+Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
-class Part(NamedTuple):
-    """A piece of a run: items of both traces and their transitions side by side, or messages."""
-
-    plant: list[Item]
-    controller: list[Item]
-    pairs: list[Pair]
-    seen: list[CapturedMessage]
-
-    def sides(self) -> "tuple[tuple[str, list[Item]], tuple[str, list[Item]]]":
-        """Both traces' items, with the side's name."""
-        return ("plant", self.plant), ("controller", self.controller)
-
-
-@dataclass(slots=True)
-class Evidence:
-    """Everything that a check looks at; what a run did not leave is None.
+@dataclass(frozen=True, slots=True, repr=False)
+class Finding(Brief):
+    """A place at which a run does not obey a rule.
 
     Parameters
     ----------
-    run : Run
-    rules : Rules
-    plant, controller : SideReader, optional
-    plant_journal, controller_journal : JournalState or str, optional
-        A string says why a journal cannot be read.
-    wire : CaptureLines, optional
-    steps : Steps
-        The plant's steps, complete once the traces have been read.
+    rule : str
+    session : str
+        Empty where it is of none.
+    k : int
+        The step; -1 where it is of none.
+    text : str
     """
 
-    run: Run
-    rules: Rules
-    plant: SideReader | None
-    controller: SideReader | None
-    plant_journal: JournalState | str | None
-    controller_journal: JournalState | str | None
-    wire: CaptureLines | None
-    steps: Steps = field(init=False)
+    rule: str
+    session: str
+    k: int
+    text: str
 
-    def __post_init__(self) -> None:
-        self.steps = Steps(Shape.of(self.rules))
+    def brief(self) -> dict[str, object]:
+        """Its fields."""
+        return asdict(self)
 
-    @property
-    def run_dir(self) -> Path:
-        """The run's folder."""
-        return self.run.folder
+    def __str__(self) -> str:
+        where = f"session {self.session}, " if self.session else ""
+        where += f"step {self.k}, " if self.k >= 0 else ""
+        return f"{self.rule}: {where}{self.text}"
 
-    @property
-    def scenario(self) -> Scenario:
-        """The scenario that it was made under."""
-        return self.run.scenario
 
-    @property
-    def manifest(self) -> dict[str, Any] | None:
-        """None where there is none; empty where it is no JSON object."""
-        return self.run.manifest
+Findings = Iterator[Finding]
 
-    def readers(self) -> Iterator[tuple[str, SideReader]]:
+
+class Evidence:
+    """Everything that a rule looks at; what a run did not leave is None.
+
+    A journal is a string where it cannot be read: why.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self.run = run
+        self.folder: Path = run.folder
+        self.scenario: Scenario = run.scenario
+        self.rules: Rules = rules_of(run.scenario)
+        self.journals: dict[Side, JournalState | str | None] = {
+            "plant": read_plant(run.folder, self.rules),
+            "controller": read_controller(run.folder, self.rules),
+        }
+        self.plant, self.controller = self._trace("plant"), self._trace("controller")
+        wire = CaptureLines(run.folder / CAPTURE)
+        self.capture = wire if wire else None
+
+    def _trace(self, side: Side) -> Trace | None:
+        if not parts_of(self.run.trace(side)):
+            return None
+        journal = self.journals[side]
+        pending = journal.pending if isinstance(journal, JournalState) else None
+        return self.run.read(side, pending)
+
+    def ends(self) -> Iterator[Trace]:
         """Both ends' traces, as far as they are there."""
-        for reader in (self.plant, self.controller):
-            if reader is not None:
-                yield reader.side, reader
+        yield from (trace for trace in (self.plant, self.controller) if trace is not None)
+
+    def lacks(self, *needs: Literal["plant", "controller", "capture"]) -> str:
+        """Which of these a run did not leave; empty where all are there."""
+        missing = [_CALLED[name] for name in needs if getattr(self, name) is None]
+        return f"no {' and no '.join(missing)} in this run's folder" if missing else ""
 
     @property
     def cut(self) -> str:
-        """Which parts of the traces are gone, and what is judged of the rest; empty where none is.
-
-        It is told once the traces have been read.
-        """
+        """Which parts of the traces are gone, and what is judged of the rest; empty: none are."""
         return "; ".join(
-            f"parts 0 to {r.gone - 1} of the {name}'s trace are gone, "
-            + (f"judged after transition {r.cut.j}" if r.cut else "nothing left can be judged")
-            for name, r in self.readers()
-            if r.gone
+            f"parts 0 to {t.gone - 1} of the {t.side}'s trace are gone, "
+            + (f"judged after transition {t.cut.j}" if t.cut else "nothing left can be judged")
+            for t in self.ends()
+            if t.gone
         )
 
-    def before(self, seen: CapturedMessage) -> bool:
-        """Whether a message is older than what is left of the plant's trace, and its answer."""
-        return (
-            self.plant is not None
-            and self.plant.gone > 0
-            and self.steps.before(seen.session, seen.k)
-        )
+    @property
+    def may_leave(self) -> bool:
+        """Whether the scenario says that d(k) may leave D_c."""
+        d = self.scenario.plant.disturbance
+        return d.may_leave_defender_set or d.kind == "gaussian"
 
-    def parts(self) -> Iterator[Part]:
-        """The run from its beginning to its end; can be asked for once."""
-        yield from _Sides(self).parts()
-        if self.wire is None:
-            return
-        seen: list[CapturedMessage] = []
-        for one in self.wire:
-            seen.append(one)
-            if len(seen) == AT_ONCE:
-                yield Part([], [], [], seen)
-                seen = []
-        yield Part([], [], [], seen)
+    def lies(self, k: Any) -> Any:
+        """Whether what is said of step k, or of its end, need not be the truth of the plant."""
+        return k + 1 >= self._onset(bus=False)
+
+    def rewrites(self, k: Any) -> Any:
+        """Whether the two ends need not have the same numbers of step k."""
+        return k + 1 >= self._onset(bus=True)
+
+    def _onset(self, *, bus: bool) -> float:
+        """The step from which on an attack on the bus, or on the plant, is under way."""
+        attack = None if self.plant is None else self.plant.attack
+        return inf if attack is None or (attack.at == "bus") != bus else attack.onset
 
 
-class _Sides:
-    """Both traces read side by side, so that neither has to be held."""
+def let_go(e: Evidence) -> Findings:
+    """Let go of the controller's rows, so that there is room for what a capture takes."""
+    if e.plant is not None and e.controller is not None:
+        e.controller.let_go()
+        e.run.forget("controller")
+    yield from ()
 
-    def __init__(self, evidence: Evidence) -> None:
-        self._e = evidence
-        self._items = {side: iter(reader) for side, reader in evidence.readers()}
-        self._over: set[str] = set()  # sessions that the plant has left
-        cut = {side for side, reader in evidence.readers() if reader.gone}
-        self._cut = cut if len(self._items) > 1 else set()
-        self._part = Part([], [], [], [])
-        self._plant: Walked | None = None
-        self._controller: Walked | None = None
 
-    def parts(self) -> Iterator[Part]:
-        self._plant, self._controller = self._next("plant"), self._next("controller")
-        while self._plant is not None or self._controller is not None:
-            if self._meet():
-                self._part.pairs.append(self._pair())
-            if max(len(self._part.plant), len(self._part.controller)) >= AT_ONCE:
-                yield self._part
-                self._part = Part([], [], [], [])
-        yield self._part
-
-    def _meet(self) -> bool:
-        """Whether both have come to where they can be compared; of cut traces, one step towards it.
-
-        The plant's trace is the longer one, so of two that are cut it begins later.
-        """
-        plant, controller = self._plant, self._controller
-        if not self._cut:
-            return True
-        if plant is not None and controller is not None:
-            a, b = plant.t, controller.t
-            if (a.session, a.j) == (b.session, b.j):
-                self._cut.clear()
-                return True
-            behind = a.j < b.j if a.session == b.session else "plant" not in self._cut
-        else:
-            behind = plant is not None
-        if behind:
-            self._plant = self._next("plant")
-        else:
-            self._controller = self._next("controller")
-        return False
-
-    def _pair(self) -> Pair:
-        plant, controller = self._plant, self._controller
-        if plant is None:
-            self._controller = self._next("controller")
-        elif controller is None:
-            self._plant = self._next("plant")
-        elif plant.t.session == controller.t.session:
-            if plant.t.j >= controller.t.j:
-                self._controller = self._next("controller")
-            if plant.t.j <= controller.t.j:
-                self._plant = self._next("plant")
-            if plant.t.j > controller.t.j:
-                plant = None
-            elif plant.t.j < controller.t.j:
-                controller = None
-        elif controller.t.session in self._over:
-            self._controller = self._next("controller")
-            plant = None
-        else:
-            self._plant = self._next("plant")
-            controller = None
-        return Pair(plant, controller)
-
-    def _next(self, side: str) -> Walked | None:
-        """The next transition of a side; the items up to it go into the part."""
-        into = self._part.plant if side == "plant" else self._part.controller
-        for item in self._items.get(side, ()):
-            into.append(item)
-            if side == "plant":
-                self._file(item)
-            if isinstance(item, Walked):
-                return item
-        return None
-
-    def _file(self, item: Item) -> None:
-        if isinstance(item, Walked):
-            if self._plant is not None and self._plant.t.session != item.t.session:
-                self._over.add(self._plant.t.session)
-            self._e.steps.counted(item.t, item.carry.pad)
-        elif isinstance(item, MissedLine):
-            self._e.steps.missed(item)
+_CALLED: Final = {
+    "plant": "plant trace",
+    "controller": "controller trace",
+    "capture": "capture",
+}
 
 
 def read_evidence(run_dir: Path) -> Evidence:
@@ -233,25 +154,8 @@ def read_evidence(run_dir: Path) -> Evidence:
     if not (run_dir / SCENARIO).is_file():
         raise FileNotFoundError(f"{run_dir}: no run here, expected {SCENARIO}")
     run = Run.load(run_dir)
-    rules = rules_of(run.scenario)
-    journals = {"plant": read_plant(run_dir, rules), "controller": read_controller(run_dir, rules)}
-    readers: dict[str, SideReader] = {}
-    for side in TRACES:
-        if parts_of(run.trace(side)):
-            kept = journals[side]
-            journal = kept if isinstance(kept, JournalState) else None
-            readers[side] = SideReader(side, run.trace(side), rules, journal)
-    if not readers:
+    if not any(parts_of(run.trace(side)) for side in TRACES):
         raise FileNotFoundError(
             f"{run_dir}: no run here, expected {PLANT_TRACE} or {CONTROLLER_TRACE}"
         )
-    wire = CaptureLines(run_dir / CAPTURE)
-    return Evidence(
-        run=run,
-        rules=rules,
-        plant=readers.get("plant"),
-        controller=readers.get("controller"),
-        plant_journal=journals["plant"],
-        controller_journal=journals["controller"],
-        wire=wire if wire else None,
-    )
+    return Evidence(run)

@@ -1,7 +1,6 @@
 """The page of a run: read from its folder, judged by the same code as ``check`` and ``secrecy``."""
 
 import json
-from array import array
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
@@ -10,18 +9,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from protocol.scenario import Scenario
 from protocol.text import readable
 from runtime.files import read_regular, write_atomically
 from runtime.run_folder import MANIFEST
-from wyner.runs.check import check
-from wyner.runs.check.base import Result
-from wyner.runs.check.evidence import Evidence, Part, read_evidence
-from wyner.runs.check.records import MissedLine, OtherLine, TracedTransition, Walked
+from wyner.runs.check import Result, judge
+from wyner.runs.check.evidence import Evidence, read_evidence
 from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
-from wyner.runs.score.counts import step_cost
+from wyner.runs.score.counts import costs, total, truth_of
 from wyner.runs.score.report import HEADINGS, NOTE, remarks, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
@@ -35,6 +31,7 @@ from wyner.runs.score.score import (
 )
 from wyner.runs.score.summary import in_short
 from wyner.runs.seal import FILES, ITSELF
+from wyner.runs.trace import AT_ONCE, TRANSITION, Rows
 
 PAGE: Final = Path("report.html")
 
@@ -95,8 +92,8 @@ def _outputs(run: Run) -> list[TapOutput] | str:
 
 def page(e: Evidence, said: list[TapOutput] | str) -> str:
     """The whole page."""
-    recorded = _Recorded(e.scenario)
-    results = check(e, recorded.take)
+    results = judge(e)  # first: it takes most room, and gives it back
+    recorded = _Recorded(e)
     s, attack = e.scenario, attacked(e.run).as_json()
     period_s = s.plant.period_s
     if e.plant is None or isinstance(said, str):
@@ -107,13 +104,13 @@ def page(e: Evidence, said: list[TapOutput] | str) -> str:
         keys, secrecy = list(_keys(e, truth, said)), list(_secrecy(e, truth, said))
     parts = [
         f"<h1>{escape(s.name)}</h1><p>{escape(s.description)}</p>",
-        f"<p>Checks, below: {_counts(results)}.</p>",
+        f"<p>Rules, below: {_counts(results)}.</p>",
         *_section("What counts as secret by the paper's rule, and what is", secrecy),
         *_attack(attack),
         *_section("What was sent and what arrived", _message(e, recorded)),
         *_section("States and inputs", _loop(e, recorded, _flags(attack, period_s))),
         *_section("Keys against taps", keys),
-        *_section("Checks", _checks(results)),
+        *_section("Rules", _rules(results)),
         *_section("The run", _about(e)),
     ]
     return (
@@ -158,60 +155,49 @@ def _section(title: str, parts: Iterable[str]) -> Iterator[str]:
 
 
 class _Recorded:
-    """What the page shows of the traces: the steps of the plant's last process, and the messages.
+    """What the page shows of the traces: the steps since the plant last began, and the messages.
 
     Of each line it keeps what is drawn, so that a page of a million steps is made like any other.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+    def __init__(self, e: Evidence) -> None:
         self.payloads = {name: deque[bytes](maxlen=SHOWN) for name in ("sent", "recovered")}
         self.messages = dict.fromkeys(self.payloads, 0)
-        self.born_in = ""
-        self._begin()
-
-    def _begin(self) -> None:
-        s = self._scenario
+        for trace in e.ends():
+            for told in trace.told(*self.payloads):
+                self.payloads[told.line.event].append(told.payload)
+                self.messages[told.line.event] += 1
+        s = self._scenario = e.scenario
         self.steps = self.missed = self.symbols = 0
         self.cost = 0.0
         self.states = [Series() for _ in range(s.readings)]
         self.inputs = [Series() for _ in range(s.m)]
         self.true_states = [Series() for _ in range(s.n)]
-        self.agreed = array("q")
+        self.agreed: list[int] = []
+        if e.plant is not None:
+            rows = e.plant.rows
+            begun = np.flatnonzero((rows["k"] == 0) & (np.diff(rows["session"], prepend=-1) != 0))
+            for first in range(begun[-1] if len(begun) else 0, len(rows), AT_ONCE):
+                self._take(rows[first : first + AT_ONCE])
 
-    def take(self, part: Part) -> None:
-        """Take a part of the run."""
-        for item in (*part.plant, *part.controller):
-            if isinstance(item, OtherLine) and not item.again and item.line.event in self.payloads:
-                self.payloads[item.line.event].append(item.payload)
-                self.messages[item.line.event] += 1
-        for item in part.plant:
-            if isinstance(item, Walked):
-                self._step(item.t)
-            elif isinstance(item, MissedLine):
-                self._step(item)
-
-    def _step(self, step: TracedTransition | MissedLine) -> None:
-        if step.k == 0 and step.session != self.born_in:
-            self._begin()
-            self.born_in = step.session
-        self.steps += 1
-        s = self._scenario
-        self.cost += step_cost(
-            s.cost_weights, step.true_x_next or step.x_next, step.true_u or step.u or ()
-        )
-        at = step.k * self._scenario.plant.period_s
-        for lines, values in ((self.states, step.x), (self.inputs, step.u or ())):
-            for line, value in zip(lines, values, strict=False):
-                line.add(at, value)
-        for line, value in zip(self.true_states, step.true_x_next or (), strict=False):
-            line.add(at + self._scenario.plant.period_s, value)
-        if isinstance(step, MissedLine):
-            self.missed += 1
-            return
-        self.symbols += step.message_symbol >= 0
-        if step.symbol >= 0:
-            self.agreed.append(step.k)
+    def _take(self, rows: Rows) -> None:
+        counted = rows["kind"] == TRANSITION
+        self.steps += len(rows)
+        self.missed += int((~counted).sum())
+        self.symbols += int((rows["message_symbol"] >= 0).sum())
+        self.agreed += rows["k"][rows["symbol"] >= 0].tolist()
+        self.cost = total(self.cost, costs(self._scenario.cost_weights, rows))
+        at = rows["k"] * self._scenario.plant.period_s
+        later = at + self._scenario.plant.period_s
+        for series, times, values in (
+            (self.states, at, rows["x"]),
+            (self.inputs, at, rows["u"]),
+            (self.true_states, later, truth_of(rows)),
+        ):
+            for line, column in zip(series, values.T if values is not None else (), strict=False):
+                for point in zip(times.tolist(), column.tolist(), strict=True):
+                    if point[1] == point[1]:
+                        line.add(*point)
 
 
 def _message(e: Evidence, recorded: _Recorded) -> Iterator[str]:
@@ -291,7 +277,7 @@ def _keys(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]
 
 def _secrecy(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[str]:
     scores = tuple(score(truth, one) for one in said)
-    run_score = RunScore(e.run_dir.name, truth, scores)
+    run_score = RunScore(e.folder.name, truth, scores)
     found = report_of([run_score])
     yield f"<p>{escape(found.verdict())}</p>"
     yield _table(HEADINGS, rows(found))
@@ -304,20 +290,18 @@ def _secrecy(e: Evidence, truth: Truth, said: Sequence[TapOutput]) -> Iterator[s
         yield f"<p>{escape(one.name)} guessed:</p><pre>{escape(text)}</pre>"
 
 
-def _checks(results: Sequence[Result]) -> Iterator[str]:
+def _rules(results: Sequence[Result]) -> Iterator[str]:
     yield f"<p>{_counts(results)}</p>"
     body = []
     for r in results:
-        first = "" if r.counter.first is None else f"; first: {r.counter.first.text}"
-        note = r.counter.skipped or f"{r.counter.counted} {r.check.of}"
-        note += f"; {r.counter.note}" if r.counter.note else ""
-        body.append((r.result, r.check.name, r.check.source, r.check.says, note + first))
-    yield _table(("result", "check", "source", "says", "looked at"), body)
+        first = str(r.findings[0]) if r.findings else r.note
+        body.append((r.result, r.rule.name, r.rule.source, r.rule.says, first))
+    yield _table(("result", "rule", "source", "says", "first finding"), body)
 
 
 def _about(e: Evidence) -> Iterator[str]:
     try:
-        manifest = json.loads(read_regular(e.run_dir / MANIFEST))
+        manifest = json.loads(read_regular(e.folder / MANIFEST))
     except (OSError, ValueError):
         manifest = {}
     told = {name: value for name, value in manifest.items() if name not in (FILES, ITSELF)}

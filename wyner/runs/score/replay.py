@@ -6,22 +6,19 @@ from pathlib import Path
 from typing import Any
 
 from protocol.knowledge import Knowledge
-from protocol.messages import TapStatus
 from protocol.scenario import Scenario
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
 from tap_service.sandboxed import sandboxed
-from tap_service.status import Listener, status_of, unused_of
+from tap_service.status import Listener, unused_of
 from wyner.runs.score.by_step import BySteps
 from wyner.runs.score.score import TapOutput
 
-COUNTS = ("seq", "t_ns", "mirrored", "dropped", "behind", "malformed")
-
 
 class Replay:
-    """Feeds a capture to eavesdroppers, some transitions at a time.
+    """Feeds a capture to eavesdroppers.
 
     Parameters
     ----------
@@ -29,8 +26,6 @@ class Replay:
         A capture, or the directory of a run.
     names : sequence of str
         Eavesdroppers, by name or as ``FILE.py:NAME``.
-    first, last : int, optional
-        Steps from and to which it is decoded, both included.
     scenario : Scenario, optional
         Whose model they are told; by default what the capture's header says was told live. What the
         oracle is told no capture holds.
@@ -48,8 +43,6 @@ class Replay:
         path: Path,
         names: Sequence[str],
         *,
-        first: int | None = None,
-        last: int | None = None,
         scenario: Scenario | None = None,
     ) -> None:
         self.reader = CaptureReader(path)
@@ -76,41 +69,23 @@ class Replay:
         self.session = ""
         self.transitions = 0
         self.k = -1
-        self.finished = False
-        self._first, self._last = first, last
-        self._records = self.reader.records()
         self._guesses: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
         self._holes = BySteps()
         self._reviews: dict[str, BySteps] = {x.name: BySteps() for x in self.listeners}
 
-    def advance(self, transitions: int) -> bool:
-        """Decode about ``transitions`` more; False when the capture is at its end."""
-        goal = self.transitions + transitions
-        for _t_ns, message in self._records:
+    def run(self) -> None:
+        """Decode all of it."""
+        for _t_ns, message in self.reader.records():
             for listener in self.listeners:
                 listener.hear(message)
             self._feed(self.transcript.hear(message))
-            if self.transitions >= goal:
-                return True
-        if not self.finished:
-            self.reader.finish()
-            self._feed(self.transcript.flush())
-            for listener in self.listeners:
-                self._note(listener, listener.review())
-            self.finished = True
-        return False
-
-    def run(self) -> None:
-        """Decode all of it."""
-        while self.advance(10_000):
-            pass
+        self.reader.finish()
+        self._feed(self.transcript.flush())
+        for listener in self.listeners:
+            self._note(listener, listener.review())
 
     def _feed(self, final_guesses: Iterable[Any]) -> None:
         for t in final_guesses:
-            if (self._first is not None and t.k < self._first) or (
-                self._last is not None and t.k > self._last
-            ):
-                continue
             self.session, self.k = t.session, t.k
             if self.view.hears_all and not t.whole:
                 self._holes[t.session, t.k] = 1
@@ -125,12 +100,6 @@ class Replay:
         reviews = self._reviews[listener.name]
         for guess in thoughts:
             reviews[guess.session or self.session, guess.k] = guess.best
-
-    def statuses(self) -> list[TapStatus]:
-        """The status of each eavesdropper now."""
-        counts = dict.fromkeys(COUNTS, 0) | {"malformed": self.reader.malformed}
-        counts |= self.transcript.unused._asdict()
-        return [status_of(x, x.belief(), counts) for x in self.listeners]
 
     def outputs(self) -> list[TapOutput]:
         """What each said, for scoring."""

@@ -74,11 +74,14 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     """
     scenario = run.scenario
     size = scenario.secrecy.candidates
-    counts, behind, errors = PlantCounts(scenario.cost_weights), 0, list[str]()
+    counts, behind, errors = PlantCounts(), 0, list[str]()
     try:
-        behind = run.feed("plant", counts.take)
+        trace = run.columns("plant")
     except TraceError as error:
         errors.append(str(error))
+    else:
+        counts, behind = PlantCounts.of(trace, scenario.cost_weights), trace.behind
+        errors += [f"{trace.side}/{trace.unread}"] if trace.unread else []
     sent: list[bytes] = []
     try:
         sent = run.sent()
@@ -289,6 +292,8 @@ def verdict_lines(summary: dict[str, Any]) -> list[str]:
 
 def _under_keys(keys: dict[str, Any]) -> str:
     """How secret a message is that travelled under distilled keys."""
+    if not keys["made"]:
+        return "No key was made, and so nothing of the message was sent."
     held, missed = keys["held_by_tap_bits"], keys["missed_by_tap"]
     if held is None or missed is None:
         return "The message travels under distilled keys: it is as secret as they are."

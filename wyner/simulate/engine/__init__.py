@@ -1,20 +1,29 @@
-"""The closed loop over many runs at once: the same system as the services, elementwise in NumPy.
+"""The closed loop over many runs: the same system as the services, together where it can be.
 
 The layers: :mod:`~wyner.simulate.engine.draws` gives each run the random numbers that a single run
 of the services would take; :mod:`~wyner.simulate.engine.loop` simulates plant and laws and keeps
 what the agreement test needs; :mod:`~wyner.simulate.engine.link` follows the scheme over it;
 :mod:`~wyner.simulate.engine.taps` lets eavesdroppers hear it.
 Neither law nor coin depends on alpha, so that one simulation serves every alpha.
-:mod:`~wyner.simulate.engine.attacks` is a loop of its own, with an attacker and defences in it.
+:mod:`~wyner.simulate.engine.attacks` stands between the ends, with an attacker and defences.
 """
 
-from wyner.simulate.engine.draws import Draws, cipher_symbols
+from wyner.simulate.engine.draws import cipher_symbols
 from wyner.simulate.engine.link import LinkCounts, Transfer, follow, transfer
-from wyner.simulate.engine.loop import CHUNK_RUNS, Runs, SimulationError, chunks, simulate_runs
+from wyner.simulate.engine.loop import (
+    CHUNK_RUNS,
+    Between,
+    Law,
+    Runs,
+    SimulationError,
+    chunks,
+    simulate_runs,
+)
 
 __all__ = [
     "CHUNK_RUNS",
-    "Draws",
+    "Between",
+    "Law",
     "LinkCounts",
     "Runs",
     "SimulationError",

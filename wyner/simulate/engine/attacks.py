@@ -1,8 +1,9 @@
 """Attacked runs, many at once: the attacker's own classes against the defences' own.
 
-A step is the services': the controller offers for what it was shown, the plant applies one
-candidate, its reading passes the attacker, the wire and the defences, and is tested. Steps are
-counted from the onset: step 1 is the first reading that she may change.
+They stand between the ends of :func:`~wyner.simulate.engine.loop.simulate_runs`. A step is the
+services': the controller offers for what it was shown, the plant applies one candidate, its reading
+passes the attacker, the wire and the defences, and is tested. Steps are counted from the onset:
+step 1 is the first reading that she may change.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,13 +21,12 @@ from attacker_service.base import (
     SensorAttack,
 )
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError, ProgramError
 from protocol.arrays import Array, Counts, Flags, Integers
 from protocol.brief import Brief
 from protocol.scenario import Scenario
 from wyner.simulate.engine.defences import Defence, Residual, Wire, Words
 from wyner.simulate.engine.draws import disturbances
-from wyner.simulate.engine.loop import SimulationError
+from wyner.simulate.engine.loop import Between, simulate_runs
 
 ONSET: Final = 30
 """Honest steps before an attack, where none are stated: the loop has settled."""
@@ -106,62 +106,6 @@ class Keys:
     learn: Learner | None = None
 
 
-class AttackedLoop:
-    """The loop of one chunk, without an attack."""
-
-    def __init__(
-        self, scenario: Scenario, law: CandidateLaw, runs: int, start: Array | None
-    ) -> None:
-        plant = scenario.plant
-        if plant.kind != "linear" or plant.disturbance.enters not in (None, "state"):
-            raise SimulationError(
-                f"plant.kind: got {plant.kind!r}, expected 'linear' with a disturbance of the "
-                "state: the engine steps nothing else"
-            )
-        self.law, self.runs, self.n, self.m = law, runs, scenario.n, scenario.m
-        self.A, self.B = np.array(scenario.A), np.array(scenario.B)
-        self.true_A, self.true_B = (np.array(a) for a in scenario.plant_model)
-        H, h = (np.array(a) for a in scenario.defender.disturbance.rows())
-        self.rows = H / h[:, None]
-        self.disturbance = plant.disturbance
-        first = np.array(scenario.initial_state) if start is None else start
-        self.x = np.broadcast_to(first, (runs, self.n)).copy()
-
-    def offer(self, shown: Array, k: int) -> Array:
-        """Candidates for what was shown, shape (R, M, m)."""
-        try:
-            return self.law.candidates_many(shown, self.law.indices(shown))
-        except (OutsideError, ProgramError) as error:
-            raise SimulationError(f"step {k}: {error}") from None
-
-    def move(self, k: int, u: Array, draw: np.random.Generator) -> Array:
-        """The true plant's x(k+1), shape (R, n), of the input u, shape (R, m)."""
-        uniforms = draw.random((1, self.n, self.runs))
-        d = disturbances(self.disturbance, k, uniforms)[0].T
-        self.x = self.x @ self.true_A.T + u @ self.true_B.T + d
-        return self.x
-
-    def nearest(
-        self, candidates: Array, u: Array, noise: float, draw: np.random.Generator
-    ) -> Integers:
-        """The candidate whose push is nearest to what one sees who knows all but the coin."""
-        seen = u @ self.true_B.T + noise * draw.standard_normal((self.runs, self.n))
-        off = candidates @ self.true_B.T - seen[:, None, :]
-        return np.asarray((off**2).sum(-1).argmin(-1))
-
-    def gauges(self, shown: Array, candidates: Array, reported: Array) -> Array:
-        """g(x'(k+1) - c_i), shape (R, M).
-
-        H (x' - A x) / h - H B u_i / h: two small products in place of one with all predictions.
-        """
-        off = (reported - shown @ self.A.T) @ self.rows.T
-        pushed = (candidates.reshape(-1, self.m) @ (self.rows @ self.B).T).reshape(
-            *candidates.shape[:2], -1
-        )
-        out: Array = np.maximum((off[:, None, :] - pushed).max(-1), 0.0)
-        return out
-
-
 class _Ends:
     """Both ends' defences with their keys, and what she makes of these.
 
@@ -177,14 +121,15 @@ class _Ends:
         hers: np.random.Generator,
     ) -> None:
         self._chain, self._keys, self._secret, self._hers = defences, keys, secret, hers
-        self._runs = (len(keys.held),)
+        self.runs = len(keys.held)
+        self._runs = (self.runs,)
         self._session = [d.session_key(secret, self._runs) for d in defences]
         self._her_session = [
             np.where(keys.held[:, None], true, d.session_key(hers, self._runs))
             for d, true in zip(defences, self._session, strict=True)
         ]
-        self._step: list[Integers] = []
         self._following = self._drawn(0)
+        self._step = self._following
         self._sent: Array | None = None
         self._heard: list[SentAndOffered] = []
 
@@ -289,6 +234,119 @@ class _Ends:
         return alarm
 
 
+class _Draws:
+    """d and private coins of one generator; the coin is drawn only where no key chooses it."""
+
+    at_once = 1
+
+    def __init__(
+        self, scenario: Scenario, runs: int, draw: np.random.Generator, *, private: bool
+    ) -> None:
+        self._spec, self._n = scenario.plant.disturbance, scenario.n
+        self._size, self._runs = scenario.secrecy.candidates, runs
+        self._draw, self._private = draw, private
+
+    def block(self, k: int, steps: int) -> tuple[Array, Integers]:
+        """See :meth:`wyner.simulate.engine.draws.Draws.block`; one step at a time."""
+        coins = np.zeros((steps, self._runs), np.int64)
+        if self._private:
+            coins = self._draw.integers(self._size, size=(steps, self._runs))
+        return disturbances(self._spec, k, self._draw.random((steps, self._n, self._runs))), coins
+
+
+class _Attacked(Between):
+    """An attacker and the ends' defences between the ends; what became of each run is counted."""
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        attack: Attack | None,
+        ends: _Ends,
+        onset: int,
+        watermark: tuple[float, np.random.Generator],
+        eye: tuple[float | None, np.random.Generator],
+    ) -> None:
+        self._attack, self._ends, self._onset = attack, ends, onset
+        self._watermark, self._secret = watermark
+        self._eye, self._hers = eye
+        self._true_B = np.array(scenario.plant_model[1])
+        runs = ends.runs
+        self._shown = self._offers = self._candidates = np.empty(0)
+        self._alarm = np.zeros(runs, bool)
+        self.alarmed, self.false_alarms = np.zeros(runs, np.int64), 0
+        self.away, self.largest = np.zeros(runs), np.zeros(runs)
+
+    def offered(
+        self, k: int, shown: Array, candidates: Array, coin: Integers
+    ) -> tuple[Array, Integers]:
+        """Step ``k`` begins; a key chooses the candidate, or a watermark stands in their place."""
+        self._ends.begin(k)
+        self._shown, self._offers = shown, candidates
+        if self._watermark:
+            self._offers = candidates.mean(axis=1, keepdims=True)
+            noise = self._secret.standard_normal((len(shown), 1, candidates.shape[2]))
+            candidates = np.repeat(self._offers + self._watermark * noise, candidates.shape[1], 1)
+        else:
+            keyed = self._ends.coin()
+            coin = coin if keyed is None else keyed
+        self._candidates = candidates
+        return candidates, coin
+
+    def received(self, k: int, candidates: Array) -> Array:
+        """The candidates after an attack on the bus."""
+        if isinstance(self._attack, BusAttack) and k >= self._onset:
+            return self._attack.toward_plant(k, candidates)
+        return candidates
+
+    def applied(self, k: int, u: Array) -> Array:
+        """The input after an attack on the actuator."""
+        if isinstance(self._attack, ActuatorAttack):
+            if k >= self._onset:
+                return self._attack.actuator(u)
+            self._attack.watch_input(u)
+        return u
+
+    def read(self, k: int, reading: Array, u: Array) -> Array:
+        """x(k) after an attack on the sensor, the wire and one on it."""
+        attack, attacked = self._attack, k >= self._onset
+        if k <= self._onset:
+            self._ends.listen(self._candidates)
+        if k == self._onset:
+            self._ends.onset()
+        if isinstance(attack, SensorAttack):
+            if attacked:
+                believed = self._ends.believed(k - 1)
+                if self._eye is not None:
+                    believed = self._nearest(u, self._eye)
+                noise, seen = attack.options.sees, None
+                if noise is not None:
+                    seen = reading + noise * self._hers.standard_normal(reading.shape)
+                reading = attack.sensor(Observation(k, self._shown, self._offers, believed, seen))
+            else:
+                attack.watch(reading)
+        bus = attack if isinstance(attack, BusAttack) and attacked else None
+        reported, self._alarm = self._ends.carry(k, reading, bus)
+        return reported
+
+    def _nearest(self, u: Array, eye: float) -> Integers:
+        """The candidate whose push is nearest to what one sees who knows all but the coin."""
+        seen = u @ self._true_B.T + eye * self._hers.standard_normal(self._shown.shape)
+        off = self._candidates @ self._true_B.T - seen[:, None, :]
+        return np.asarray((off**2).sum(-1).argmin(-1))
+
+    def judged(self, k: int, x: Array, shown: Array, gauges: Array) -> None:
+        """Count alarms, and until a run's first one how far it is away."""
+        alarm = self._alarm | self._ends.test(gauges)
+        if self._attack is None or k + 1 < self._onset:
+            self.false_alarms += int(alarm.sum())
+            return
+        going = self.alarmed == 0
+        largest = np.maximum(self.largest, np.linalg.norm(shown, axis=1))
+        np.copyto(self.largest, largest, where=going)
+        np.copyto(self.away, np.linalg.norm(x - shown, axis=1), where=going)
+        self.alarmed[alarm & going] = k + 2 - self._onset
+
+
 def attack_runs(
     scenario: Scenario,
     law: CandidateLaw,
@@ -333,60 +391,20 @@ def attack_runs(
     SimulationError
         When what is shown leaves every set, or the plant is not linear.
     """
-    runs = len(keys.held)
-    loop = AttackedLoop(scenario, law, runs, start)
+    runs, size = len(keys.held), scenario.secrecy.candidates
     public, secret, hers = (np.random.default_rng([*seed, part]) for part in range(3))
     attack = None if kind is None else kind(np.random.default_rng([*seed, 3]))
-    ends = _Ends((Residual(scenario.n, scenario.secrecy.candidates), *defences), keys, secret, hers)
-    places = np.arange(runs)
-    shown = loop.x.copy()
-    alarmed, false_alarms = np.zeros(runs, np.int64), 0
-    away, largest = np.zeros(runs), np.zeros(runs)
-    for k in range(onset + steps - 1):
-        attacked = attack is not None and k + 1 >= onset  # the measurement of k + 1
-        ends.begin(k)
-        candidates = offered = loop.offer(shown, k)
-        coin = ends.coin()
-        if watermark:
-            offered = candidates.mean(axis=1, keepdims=True)
-            candidates = offered + watermark * secret.standard_normal((runs, 1, loop.m))
-            coin = np.zeros(runs, np.intp)
-        elif coin is None:
-            coin = public.integers(candidates.shape[1], size=runs)
-        got = candidates
-        if isinstance(attack, BusAttack) and k >= onset:
-            got = attack.toward_plant(k, candidates)
-        u = got[places, coin]
-        if isinstance(attack, ActuatorAttack):
-            if k >= onset:
-                u = attack.actuator(u)
-            else:
-                attack.watch_input(u)
-        reading = loop.move(k, u, public)
-        if k < onset:
-            ends.listen(candidates)
-        if k + 1 == onset:
-            ends.onset()
-        if isinstance(attack, SensorAttack):
-            if attacked:
-                believed = ends.believed(k)
-                if eye is not None:
-                    believed = loop.nearest(candidates, u, eye, hers)
-                noise, seen = attack.options.sees, None
-                if noise is not None:
-                    seen = reading + noise * hers.standard_normal(reading.shape)
-                reading = attack.sensor(Observation(k + 1, shown, offered, believed, seen))
-            else:
-                attack.watch(reading)
-        bus = attack if isinstance(attack, BusAttack) and attacked else None
-        reported, alarm = ends.carry(k + 1, reading, bus)
-        alarm |= ends.test(loop.gauges(shown, candidates, reported))
-        shown = reported
-        if not attacked:
-            false_alarms += int(alarm.sum())
-            continue
-        going = alarmed == 0
-        np.copyto(largest, np.maximum(largest, np.linalg.norm(shown, axis=1)), where=going)
-        np.copyto(away, np.linalg.norm(loop.x - shown, axis=1), where=going)
-        alarmed[alarm & going] = k + 2 - onset
-    return Attacked(steps, alarmed, false_alarms, away, largest)
+    ends = _Ends((Residual(scenario.n, size), *defences), keys, secret, hers)
+    between = _Attacked(scenario, attack, ends, onset, (watermark, secret), (eye, hers))
+    private = not watermark and ends.coin() is None
+    simulate_runs(
+        scenario,
+        law,
+        seed=0,
+        runs=range(runs),
+        steps=onset + steps - 1,
+        draws=_Draws(scenario, runs, public, private=private),
+        start=start,
+        between=between,
+    )
+    return Attacked(steps, between.alarmed, between.false_alarms, between.away, between.largest)

@@ -2,41 +2,57 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from protocol.arrays import Array, Symbols
-from protocol.scenario import Disturbance
+from protocol.scenario import Disturbance, Scenario
 from protocol.streams import CIPHER, COIN, DISTURBANCE
 from wyner.simulate.engine.seeding import generator_states
 
 
-class Draws:
-    """Disturbance and coin of consecutive steps for a set of runs, block by block.
+class Draws(Protocol):
+    """What chance does to runs together.
+
+    Attributes
+    ----------
+    at_once : int
+        Steps that are drawn at a time.
+    """
+
+    at_once: int
+
+    def block(self, k: int, steps: int) -> tuple[Array, Symbols]:
+        """d and the coins of ``steps`` steps from ``k`` on: shapes (steps, n, R), (steps, R)."""
+
+
+class SeededDraws:
+    """Those of each run's own streams; the services with a seed are run 0.
 
     Parameters
     ----------
+    scenario : Scenario
     seed : int
         The experiment's seed.
     runs : sequence of int
-        Numbers of the runs; the services with a seed are run 0.
-    n : int
-        Number of states: uniform numbers a step that the disturbance takes.
+        Numbers of the runs.
     """
 
-    def __init__(self, seed: int, runs: Sequence[int], n: int) -> None:
-        self.n = n
+    at_once = 256
+
+    def __init__(self, scenario: Scenario, seed: int, runs: Sequence[int]) -> None:
+        self._spec, self._size = scenario.plant.disturbance, scenario.secrecy.candidates
+        self._n, self._runs = scenario.n, len(runs)
         self._noise = Streams(seed, runs, DISTURBANCE)
         self._coins = Streams(seed, runs, COIN)
 
-    def block(self, steps: int) -> tuple[Array, Array]:
-        """The next ``steps`` draws: shapes (steps, n, R) and (steps, R), uniform in [0, 1)."""
-        noise = self._noise.take(steps * self.n).reshape(-1, steps, self.n)
-        return (
-            np.ascontiguousarray(noise.transpose(1, 2, 0)),
-            np.ascontiguousarray(self._coins.take(steps).T),
-        )
+    def block(self, k: int, steps: int) -> tuple[Array, Symbols]:
+        """See :meth:`Draws.block`."""
+        noise = self._noise.take(steps * self._n).reshape(self._runs, steps, self._n)
+        d = disturbances(self._spec, k, np.ascontiguousarray(noise.transpose(1, 2, 0)))
+        coins = self._coins.take(steps).T * self._size
+        return d, coins.astype(symbol_type(self._size))
 
 
 class Streams:

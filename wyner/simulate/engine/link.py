@@ -141,6 +141,7 @@ def transfer(
     alpha: float | None = None,
     payloads: Sequence[bytes] = (),
     symbols: Sequence[int] = (),
+    covers: Symbols | None = None,
 ) -> Transfer:
     """Send a message over every run's link and recover it (Fig. 5).
 
@@ -153,6 +154,8 @@ def transfer(
         Framed, one after the other, then idle symbols.
     symbols : sequence of int
         Raw message symbols instead, for a link without frames.
+    covers : integer array, shape (steps, R), optional
+        What travels where nothing is carried, in place of the seed's own streams.
     """
     size = runs.scenario.secrecy.candidates
     limit = runs.scenario.secrecy.alpha if alpha is None else alpha
@@ -165,7 +168,9 @@ def transfer(
     carried = pad != NO_SYMBOL
     p = carried.cumsum(axis=0, dtype=np.int64)
     sent = text[np.maximum(p - 1, 0)]
-    cipher = cipher_symbols(runs.seed, runs.runs, runs.steps, size)
+    if covers is None:
+        covers = cipher_symbols(runs.seed, runs.runs, runs.steps, size)
+    cipher = covers.astype(kind)
     if runs.missed is not None:
         cipher = _at_steps(cipher, transitions_first(runs.missed))
     np.copyto(cipher, ((sent + pad) % size).astype(kind), where=carried)

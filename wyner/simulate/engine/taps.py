@@ -11,9 +11,10 @@ from protocol.agreement import NO_SYMBOL
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.relabelling import known
 from protocol.secret.nonces import NONCE_BYTES
+from protocol.vectors import Vector
 from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, named
+from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, sound
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
@@ -69,6 +70,29 @@ def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
         candidates = tuple(tuple(u) for u in offers[k])
         yield Transition("simulated", k, x[k], candidates, cipher, x[k + 1], start=first)
         first = False
+
+
+def public_messages(
+    runs: Runs, link: Transfer, place: int, session: str
+) -> Iterator[Measurement | Offer]:
+    """A measurement and an offer a transition, and the measurement that reports the last one."""
+    applied = -1
+    after: Vector = ()
+    for t in transcript(runs, link, place):
+        assert t.x is not None
+        assert t.candidates is not None
+        assert t.cipher is not None
+        assert t.x_next is not None
+        yield Measurement.model_construct(
+            session=session, k=t.k, x=t.x, applied_k=applied, x_after=after
+        )
+        yield Offer.model_construct(
+            session=session, k=t.k, candidates=t.candidates, cipher=t.cipher
+        )
+        applied, after = t.k, t.x_next
+    yield Measurement.model_construct(
+        session=session, k=applied + 1, x=after, applied_k=applied, x_after=after
+    )
 
 
 def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
@@ -141,7 +165,7 @@ def listen(
         When one raises, or gives an answer that is none.
     """
     scenario = runs.scenario
-    classes = [named(name) if isinstance(name, str) else name for name in names]
+    classes = [sound(name) for name in names]
     shown = [name if isinstance(name, str) else name.name for name in names]
     taps = []
     for name, kind in zip(shown, classes, strict=True):

@@ -1,0 +1,92 @@
+"""When a transition makes an alarm at the controller."""
+
+from typing import Final, NamedTuple
+
+from protocol.agreement import NO_SYMBOL
+from protocol.link.events import Alarm, Reason
+from protocol.link.records import SenderRecord
+from protocol.link.session import Counted, CountedTransition, Rules
+from protocol.messages import Measurement, Offer
+from protocol.secret.stream import NOWHERE
+
+
+class Tested(NamedTuple):
+    """What the defence says of a transition, and what the record keeps of it.
+
+    ``expected`` is the candidate that a digit of the key stream chose, -1 where the transition is
+    unwatched. ``reason`` is why it makes an alarm; empty: it makes none. ``failed``, ``unwatched``
+    and ``halted`` are the record's.
+    """
+
+    expected: int
+    reason: Reason
+    failed: int
+    unwatched: float
+    halted: bool
+
+
+NO_TEST: Final = Tested(NO_SYMBOL, "", 0, 0.0, halted=False)
+"""Where a measurement reports nothing new."""
+
+
+def tested(rules: Rules, record: SenderRecord, offer: Offer, counted: Counted) -> Tested:
+    """Test the transition that ``offer`` made of ``record``."""
+    expected = counted.digits[0] if counted.digits and rules.keyed else NO_SYMBOL
+    failure = _failure(rules, offer, counted, expected)
+    alarm, failed = rules.alarm_rule.test(record.failed, failed=failure != "")
+    unwatched, too_many = record.unwatched, False
+    if rules.keyed:
+        unwatched, too_many = rules.watch.after(unwatched, watched=expected != NO_SYMBOL)
+    reason: Reason = failure if alarm else "unwatched" if too_many else ""
+    halted = record.halted or (reason != "" and rules.halts)
+    return Tested(expected, reason, failed, unwatched, halted)
+
+
+def first(rules: Rules, record: SenderRecord) -> Tested:
+    """A session's first measurement: no transition, and an alarm if too many had no digit.
+
+    Whoever ends each session at its first step would otherwise have all of them unwatched, and none
+    counted.
+    """
+    if not (rules.keyed and record.unwatched > rules.watch.burst):
+        return Tested(NO_SYMBOL, "", record.failed, record.unwatched, record.halted)
+    return Tested(NO_SYMBOL, "unwatched", record.failed, 0.0, record.halted or rules.halts)
+
+
+def _failure(rules: Rules, offer: Offer, counted: Counted, expected: int) -> Reason:
+    """What speaks against a transition; nothing where it passes its test.
+
+    A plant that has the offer's digits uses them. It has them: once it has announced their block it
+    takes no step before it has confirmed it.
+    """
+    if rules.fails(counted.verdict, expected):
+        return "unexplained" if expected == NO_SYMBOL else "another candidate"
+    if rules.keyed and expected == NO_SYMBOL and offer.position != NOWHERE:
+        return "digits refused"
+    return ""
+
+
+def alarm_of(
+    rules: Rules,
+    measurement: Measurement,
+    transition: CountedTransition | None,
+    applied: Offer | None,
+    reason: Reason,
+) -> Alarm:
+    """What was read and what was expected where a measurement makes an alarm."""
+    if transition is None or applied is None:
+        k = measurement.k - 1
+        return Alarm(measurement.session, -1, k, measurement.x, reason, -1, (), 0.0)
+    gauges, candidate = transition.verdict.gauges, transition.expected
+    if candidate == NO_SYMBOL:
+        candidate = gauges.index(min(gauges))
+    return Alarm(
+        transition.session,
+        transition.j,
+        transition.k,
+        transition.x_next,
+        reason,
+        candidate,
+        rules.prediction(transition.x, applied, candidate, transition.verdict.box),
+        gauges[candidate],
+    )

@@ -1,0 +1,112 @@
+"""An end's folder is put back, again and again: ``python -m tests.campaigns.restored --count 200``.
+
+Both ends of `sealed`, their coin keyed too, with their files on disk, in virtual time. Either end's
+folder is copied at some instant, the loop goes on, the end is killed, and the copy takes its
+folder's place. Looked at is every offer on the wire: no position of the key stream belongs to two
+steps, and none lies before one that was named.
+"""
+
+import argparse
+import random
+import shutil
+import sys
+import tempfile
+from collections import Counter
+from pathlib import Path
+from typing import Final
+
+from protocol.link.session import rules_of
+from protocol.messages import Offer
+from protocol.secret.stream import NOWHERE, Position
+from tests.support.mail import Mail
+from tests.support.recorded_loop import RecordedLoop
+from tests.support.two_ends import SIDES, Name
+
+COINED: Final = '\n[defence]\ncoin = "keys"\n'
+MESSAGE: Final = bytes(range(256)) * 4
+"""Longer than any run, so that there is always something to send."""
+
+BEFORE: Final = (20, 120)
+"""Steps from one copy to the next, at least and at most: a first key takes 48."""
+
+SINCE: Final = (0, 1, 2, 5, 30, 100)
+"""Steps that the end makes after the copy, and that are then lost."""
+
+
+class Wire(RecordedLoop):
+    """A loop of which every offer is looked at."""
+
+    def __init__(self, folder: Path) -> None:
+        self.counts: Counter[str] = Counter()
+        self.doubled: list[str] = []
+        self._step: dict[tuple[str, Position], int] = {}
+        self._newest: dict[str, tuple[int, Position]] = {}
+        super().__init__(folder, MESSAGE, "sealed", COINED)
+        self._digits = rules_of(self.scenario).digits
+
+    def said(self, side: Name, message: Mail) -> None:
+        """Look at an offer, and let it go on its way."""
+        if message.kind is Offer:
+            self._named(Offer.model_validate_json(message.payload))
+        super().said(side, message)
+
+    def _one_cipher(self, offer: Offer) -> None:
+        """Under the key stream each offer has a cipher symbol of its own."""
+
+    def _named(self, offer: Offer) -> None:
+        position = offer.position
+        self.counts["offers"] += 1
+        if position == NOWHERE:
+            return
+        self.counts["with digits"] += 1
+        for at in range(position.at, position.at + self._digits):
+            one = offer.session, Position(position.block, at)
+            if self._step.setdefault(one, offer.k) != offer.k:
+                self.doubled.append(f"{one} is for steps {self._step[one]} and {offer.k}")
+        k, newest = self._newest.get(offer.session, (-1, NOWHERE))
+        if offer.k > k and position <= newest:
+            self.doubled.append(f"{position} at step {offer.k}, {newest} at step {k}")
+        if offer.k > k:
+            self._newest[offer.session] = offer.k, position
+
+    def put_back(self, side: Name, since: int, folder: Path) -> None:
+        """Copy an end's folder, go on, kill the end, and begin again with the copy."""
+        copy = folder / "copy"
+        shutil.copytree(self.folder / side, copy)
+        before = self.plant.record.session
+        self.run(lambda target=self.plant.record.k + since: self.plant.record.k >= target)  # type: ignore[misc]
+        self.kill(side)
+        shutil.rmtree(self.folder / side)
+        copy.rename(self.folder / side)
+        self.start(side)
+        self.run(lambda target=self.plant.record.k + 3: self.plant.record.k >= target)  # type: ignore[misc]
+        self.counts[f"{side} put back"] += 1
+        self.counts["sessions ended"] += self.plant.record.session != before
+
+
+def restored(count: int, seed: int) -> Wire:
+    """So many restorations of one loop."""
+    draw = random.Random(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        loop = Wire(Path(folder) / "run")
+        for _ in range(count):
+            target = loop.plant.record.k + draw.randint(*BEFORE)
+            loop.run(lambda target=target: loop.plant.record.k >= target)  # type: ignore[misc]
+            loop.put_back(draw.choice(SIDES), draw.choice(SINCE), Path(folder))
+        loop.stop()
+    return loop
+
+
+def main(argv: list[str] | None = None) -> int:
+    """1 where a digit was named for two steps."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=1)
+    args = parser.parse_args(argv)
+    loop = restored(args.count, args.seed)
+    print(dict(loop.counts), *loop.doubled, sep="\n")
+    return int(bool(loop.doubled))
+
+
+if __name__ == "__main__":
+    sys.exit(main())

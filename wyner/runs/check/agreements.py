@@ -1,0 +1,137 @@
+"""Agreements: what two records of one thing must have alike, joined by session and number."""
+
+from typing import Any, Final
+
+import numpy as np
+
+from protocol.agreement import NO_SYMBOL
+from wyner.runs.blocks import Blocks, ended
+from wyner.runs.check.evidence import Evidence, Finding, Findings
+from wyner.runs.trace import TRANSITION, Rows, Trace
+
+OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
+"""What one end alone knows, or numbers by itself."""
+
+WRITTEN: Final = ("x", "candidates", "x_next", "gauges", "predictions")
+"""What an attack on the bus has a say in."""
+
+DIGITS_OF_A_KEY: Final = 8 * 32
+"""At most: a key is 256 bits."""
+
+
+def in_step(e: Evidence) -> Findings:
+    """Both ends agree on every transition; the controller's may lack the last of a session."""
+    if e.plant is None or e.controller is None:
+        return
+    plant, controller = e.plant, e.controller
+    here = np.flatnonzero(plant.rows["kind"] == TRANSITION).astype(np.int32)
+    rows = plant.rows
+    numbers = (rows["session"][here].astype(np.int64) << 32) + rows["j"][here]
+    order = np.argsort(numbers, kind="stable").astype(np.int32)
+    numbers, here = numbers[order], here[order]
+    names = {name: i for i, name in enumerate(plant.sessions)}
+    known = np.array([names.get(name, len(names)) for name in controller.sessions], int)
+    met = np.zeros(len(here), bool)
+    begun = not (plant.gone or controller.gone)  # else they are compared from where they meet
+    for theirs in controller.chunks(TRANSITION):
+        wanted = (known[theirs["session"]] << 32) + theirs["j"]
+        at = np.searchsorted(numbers, wanted)
+        there = at < len(numbers)
+        there[there] = numbers[at[there]] == wanted[there]
+        for i in np.flatnonzero(~there) if begun else ():
+            text = "the plant's trace does not have this transition"
+            yield Finding("in-step", *controller.where(theirs[i]), text)
+        if not begun and there.any():
+            met[: at[there][0]] = begun = True
+        met[at[there]] = True
+        yield from _compared(e, plant, rows[here[at[there]]], theirs[there])
+    sessions = numbers >> 32
+    last = np.append(sessions[1:] != sessions[:-1], True)[: len(met)]
+    for i in here[~met & ~last] if begun else ():
+        text = "the controller has not counted this one, but the plant goes on"
+        yield Finding("in-step", *plant.where(rows[i]), text)
+
+
+def _compared(e: Evidence, plant: Trace, p: Rows, c: Rows) -> Findings:
+    written = ~np.asarray(e.rewrites(p["k"]))
+    for name in p.dtype.names or ():
+        if name in OWN:
+            continue
+        unlike: Any = p[name] != c[name]
+        if unlike.ndim > 1:
+            unlike = unlike.any(axis=tuple(range(1, unlike.ndim)))
+        if name in WRITTEN:
+            unlike &= written
+        for i in np.flatnonzero(unlike):
+            text = f"{name}: the plant has {p[name][i].tolist()}, "
+            text += f"the controller {c[name][i].tolist()}"
+            yield Finding("in-step", *plant.where(p[i]), text)
+    keyed = e.rules.keyed and p["keyed"] & (c["expected"] != NO_SYMBOL)
+    for i in np.flatnonzero(keyed & (c["expected"] != p["coin"])):
+        text = f"the plant's coin was {p['coin'][i]}, the controller expected {c['expected'][i]}"
+        yield Finding("same-keys", *plant.where(p[i]), text)
+
+
+def once(e: Evidence) -> Findings:
+    """Digits of confirmed blocks serve in order, and none twice."""
+    trace, digits = e.plant, e.rules.digits
+    if trace is None or not digits:
+        return
+    known = not trace.gone and not trace.behind
+    made = {(b.session, b.number): b.keys for b in ended(trace) if b.what == "confirmed"}
+    after, session = (-1, 0), -1
+    for rows in trace.chunks(TRANSITION):
+        names = ("session", "k", "message", "keyed", "block", "at")
+        for number, k, message, keyed, block, at in zip(
+            *(rows[name].tolist() for name in names), strict=True
+        ):
+            name, text = trace.sessions[number], ""
+            if number != session:
+                session, after = number, (-1, 0)
+            keys = made.get((name, block))
+            if e.rules.scheme.from_stream and message != keyed:
+                text = "a message symbol without digits, or digits without one"
+            elif block < 0:
+                text = "keyed, and the offer named no digits" if keyed else ""
+            elif (block, at) < after:
+                text = f"position {(block, at)} is not beyond {after}"
+            elif keys is None and known:
+                text = f"position {(block, at)}: block {block} was not confirmed"
+            elif keys is not None and at + digits > keys * DIGITS_OF_A_KEY:
+                text = f"position {(block, at)}: block {block} has no such digit"
+            if block >= 0 and (block, at) >= after:
+                after = block, at + digits
+            if text:
+                yield Finding("once", name, k, text)
+
+
+# --- blocks ---------------------------------------------------------------------------------------
+
+
+def blocks(e: Evidence) -> Findings:
+    """A block makes as many keys as its transitions allow, at both ends; without a claim, none."""
+    schedule = e.rules.schedule
+    made: dict[str, dict[tuple[str, int], int]] = {}
+    for trace in e.ends():
+        if schedule is None:
+            for i in np.flatnonzero(trace.rows["counts"]):
+                text = f"the {trace.side} counts copies, and no key is claimed"
+                yield Finding("blocks", *trace.where(trace.rows[i]), text)
+            continue
+        mine = {(line.session, line.number): line.keys for line in ended(trace)}
+        made[trace.side] = mine
+        whole = Blocks(schedule, trace)
+        for (session, number), keys in mine.items():
+            cut = trace.cut
+            if cut and session == cut.session and number <= schedule.block_of(cut.j + 1):
+                continue  # it began before what is left
+            block = whole.of(session, number)
+            expected = None if block is None else max(0, block.secret_rows(schedule) - 1)
+            if keys != expected:
+                text = f"the {trace.side} made {keys} keys of block {number}, expected {expected}"
+                yield Finding("blocks", session, -1, text)
+    for at, keys in made.get("plant", {}).items():
+        other = made.get("controller", {}).get(at, keys)
+        if keys != other:
+            text = f"block {at[1]}: {keys} keys at the plant, {other} at the controller"
+            yield Finding("blocks", at[0], -1, text)

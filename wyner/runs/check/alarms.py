@@ -1,0 +1,163 @@
+"""Every alarm is right, and none is missing."""
+
+from collections import deque
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from protocol.agreement import NO_SYMBOL
+from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
+from wyner.runs.lines import AlarmLine, OtherLine, SessionLine
+
+PREDICTED: Final = 1e-9
+"""Relative: an expected state is a sum of products in an order of its own."""
+
+Numbers = list[float]
+
+
+class Tested(NamedTuple):
+    """A transition at the controller, in the columns that a test sees."""
+
+    session: int
+    j: int
+    k: int
+    gauges: Numbers
+    expected: int
+    keyed: bool
+    x: Numbers
+    candidates: list[Numbers]
+    x_next: Numbers
+    block: int = -1
+    box: list[Numbers] | None = None
+    predictions: list[Numbers] | None = None
+
+
+def alarms(e: Evidence) -> Findings:
+    """An alarm is told where its test failed, and nowhere else."""
+    trace = e.controller
+    if trace is None:
+        return
+    names = [name for name in Tested._fields if name in (trace.rows.dtype.names or ())]
+    test = _Test(e)
+    t: Tested | None = None
+    known = trace.gone == 0  # of a cut trace, once another session has begun
+    due: dict[tuple[str, int], tuple[Tested, str, bool]] = {}
+    for row, item in trace.walk(*names):
+        if item is None:
+            before, t = t, Tested(**dict(zip(names, row, strict=True)))
+            if t.j < 0:
+                continue
+            known = known or (before is not None and before.session != t.session)
+            if t.expected != NO_SYMBOL and not t.keyed:
+                text = f"expected: got {t.expected}, and no digits served"
+                yield Finding("alarms", trace.sessions[t.session], t.k, text)
+            if test.over and known:
+                text = "too many steps had no digit before, and no alarm is told"
+                yield Finding("alarms", trace.sessions[t.session], t.k, text)
+            if reason := test.failed(t):
+                due[trace.sessions[t.session], t.j] = t, reason, known
+        elif isinstance(item, OtherLine) and isinstance(item.line, SessionLine):
+            test.began(item.line.session)
+        elif isinstance(item, OtherLine) and isinstance(item.line, AlarmLine):
+            line = item.line
+            if line.j < 0:
+                told = line.reason == "unwatched" and (test.over or item.again)
+                if not told and known and not trace.behind:
+                    yield Finding("alarms", line.session, line.k, "an alarm before its time")
+                test.total = 0.0
+                continue
+            tested, reason, _ = due.pop((line.session, line.j), (None, "", False))
+            if tested is not None:
+                text = _unlike(e, line, tested, reason)
+            else:
+                unsure = trace.behind or not known
+                text = "" if unsure else "an alarm, and the test did not fail"
+            if text:
+                yield Finding("alarms", line.session, line.k, text)
+    for (session, _), (tested, _, sure) in due.items():
+        cut_off = tested is t and not trace.ended
+        if sure and not cut_off and not trace.behind:
+            yield Finding("alarms", session, tested.k, "its test failed, and no alarm is told")
+
+
+@dataclass
+class _Test:
+    """The rule that makes an alarm, written a second time."""
+
+    e: Evidence
+    session: int = -1
+    tests: "deque[bool]" = field(init=False)
+    total: float | None = None
+    newest: str | None = None
+
+    def __post_init__(self) -> None:
+        self.tests = deque(maxlen=self.e.rules.alarm_rule.window)
+
+    def failed(self, t: Tested) -> str:
+        """Why a transition makes an alarm; empty where it makes none."""
+        rules = self.e.rules
+        if t.session != self.session:
+            self.session = t.session
+            self.tests.clear()
+        explained = [g <= 1 + EDGE for g in t.gauges]
+        watched = t.expected != NO_SYMBOL
+        holds = explained[t.expected] if watched else any(explained)
+        refused = rules.keyed and t.block >= 0 and not t.keyed
+        self.tests.append(not holds or refused)
+        reason = ""
+        if self.tests[-1] and sum(self.tests) >= rules.alarm_rule.failures:
+            reason = "digits refused" if holds else "unexplained"
+            reason = "another candidate" if not holds and watched else reason
+        if rules.keyed and self._unwatched(watched=watched):
+            reason = reason or "unwatched"
+        return reason
+
+    def began(self, session: str | None) -> None:
+        """A session began: of the last step of the one before nobody has heard."""
+        if session is None or session == self.newest:
+            return
+        self.newest = session
+        if self.e.rules.keyed and self.total is not None:
+            self.total += 1.0 - self.e.rules.watch.share
+
+    @property
+    def over(self) -> bool:
+        """Whether the first reading of a session makes an alarm."""
+        return self.total is not None and self.total > self.e.rules.watch.burst
+
+    def _unwatched(self, *, watched: bool) -> bool:
+        """Whether too many steps had no digit: their cumulative sum, once there were keys."""
+        share, burst = self.e.rules.watch
+        if self.total is None:
+            self.total = 0.0 if watched else None
+            return False
+        self.total = max(0.0, self.total - share + (0.0 if watched else 1.0))
+        over = self.total > burst
+        self.total = 0.0 if over else self.total
+        return over
+
+
+def _unlike(e: Evidence, line: AlarmLine, t: Tested, reason: str) -> str:
+    """In what an alarm is not the one that is due."""
+    nearest = min(range(len(t.gauges)), key=t.gauges.__getitem__)
+    candidate = nearest if t.expected == NO_SYMBOL else t.expected
+    told = (line.k, list(line.reading), line.reason, line.candidate)
+    if told != (t.k, t.x_next, reason, candidate):
+        return f"the alarm says {told}, the test {(t.k, t.x_next, reason, candidate)}"
+    if line.gauge != t.gauges[candidate]:
+        return f"the alarm's gauge is {line.gauge}, recomputed {t.gauges[candidate]}"
+    A, B = np.array(e.scenario.A), np.array(e.scenario.B)
+    x = np.array(t.x) if t.box is None else np.mean(t.box, axis=0)
+    centre = A @ x + B @ np.array(t.candidates[candidate])
+    if t.predictions is not None:
+        centre = np.array(t.predictions[candidate])
+    elif e.scenario.observer is not None:
+        centre = np.array(e.scenario.observer.C) @ centre
+    expected = np.array(line.expected)
+    near = (
+        expected.shape == centre.shape
+        and (np.abs(expected - centre) <= PREDICTED * np.maximum(1.0, np.abs(centre))).all()
+    )
+    text = f"the alarm expects {line.expected}, f_c of its candidate is {centre.tolist()}"
+    return "" if near else text

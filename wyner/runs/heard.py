@@ -1,0 +1,175 @@
+"""The field bus as the tap's capture holds it, read once from its first part to its last."""
+
+import base64
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from pydantic import ValidationError
+from pydantic_core import from_json, to_json
+
+from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
+from tap_service.capture.channel import View
+from tap_service.capture.recording import CAPTURE_VERSION
+from wyner.runs.marks import HEADS, Problem, Segments
+
+SHOWN: Final = 60
+"""Bytes of a malformed message that are shown."""
+
+CAPTURE_HEADS: Final = {**HEADS, "vantage": "tap", "capture_version": CAPTURE_VERSION}
+
+TOLD: Final = frozenset(
+    ("event", "part", "oldest", "started_ns", "loop", "knowledge", "view", "eavesdroppers")
+) | {"appearances", "wyner_version"}
+"""What else a capture's header may hold."""
+
+_LINE: Final = re.compile(
+    rb'\{"event":"field","t_ns":(?P<t>\d+),"topic":"(?P<topic>[a-z]+)","message":(?P<message>.*)\}'
+)
+
+
+class CapturedMessage(NamedTuple):
+    """A line of the capture that holds a message; ``raw`` is the message as it travelled."""
+
+    part: str
+    number: int
+    raw: bytes
+    topic: str
+    session: str
+    k: int
+    message: dict[str, Any]
+
+    @property
+    def where(self) -> str:
+        """The line's place."""
+        return f"{self.part} line {self.number}"
+
+
+class CaptureLines:
+    """A capture as a stream of messages.
+
+    Attributes
+    ----------
+    blurred : bool
+        The tap was told to see numbers badly, so that they cannot be compared.
+    strange : list of Problem
+        Lines that hold no message of the field bus.
+    parts : list of Segments
+        Each part's marks.
+    lines : dict of int
+        Well-formed and malformed messages together, by the number of the part.
+    dropped_parts : int
+        Parts that were dropped for want of room, from the beginning.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.blurred = False
+        self.strange: list[Problem] = []
+        self.parts: list[Segments] = []
+        self.lines: dict[int, int] = {}
+        self._paths = parts_of(path)
+        self.dropped_parts = number_of(self._paths[0]) if self._paths else 0
+        for part in self._paths:
+            self._look_at_header(part)
+
+    def __bool__(self) -> bool:
+        return bool(self._paths)
+
+    @property
+    def torn(self) -> int:
+        """Lines cut short by a kill."""
+        return sum(marks.torn for marks in self.parts)
+
+    def _look_at_header(self, part: Path) -> None:
+        first = next(raw_lines(part), None)
+        header = None if first is None else decode(first[1])
+        view = {} if header is None else header.get("view", {})
+        if isinstance(view, dict) and (view.get("noise") or view.get("quantise")):
+            self.blurred = True
+
+    def __iter__(self) -> Iterator[CapturedMessage]:
+        expected = self.dropped_parts
+        for part in self._paths:
+            marks = Segments(part.name)
+            self.parts.append(marks)
+            self.lines[number_of(part)] = 0
+            if number_of(part) != expected:
+                marks.problem(1, f"part {expected} is missing before it")
+            expected = number_of(part) + 1
+            for number, raw, finished in raw_lines(part):
+                marks.newline = finished
+                seen = self._line(part, marks, number, raw)
+                if seen is not None:
+                    yield seen
+            marks.finish()
+
+    def _line(self, part: Path, marks: Segments, number: int, raw: bytes) -> CapturedMessage | None:
+        match = _LINE.fullmatch(raw)
+        if match is not None:
+            text = match["message"]
+            try:
+                message = from_json(text)
+            except ValueError:
+                marks.malformed(number)
+                return None
+            topic = match["topic"].decode()
+        else:
+            value = decode(raw)
+            if value is None:
+                marks.malformed(number)
+                return None
+            kind = value.get("event")
+            if kind in (HEADER, CONTINUED, END):
+                if kind == HEADER:
+                    expected = {**CAPTURE_HEADS, "part": number_of(part)}
+                    for name in [n for n, v in expected.items() if value.get(n) != v]:
+                        marks.problem(number, f"{name}: got {value.get(name)!r}")
+                    if unlike := _unlike_header(value):
+                        marks.problem(number, unlike)
+                marks.mark(number, raw, value)
+                return None
+            message, topic = value.get("message"), str(value.get("topic"))
+            if kind != "field" or set(value) != {"event", "t_ns", "topic", "message"}:
+                marks.line(number, raw)
+                self.lines[number_of(part)] += kind == "malformed"
+                text = _malformed(value) if kind == "malformed" else f"event {kind!r}"
+                self.strange.append(Problem(f"{part.name} line {number}", text))
+                return None
+            text = to_json(message)
+        marks.line(number, raw)
+        self.lines[number_of(part)] += 1
+        if not isinstance(message, dict):
+            self.strange.append(Problem(f"{part.name} line {number}", "no message"))
+            return None
+        k, session = message.get("k"), message.get("session")
+        return CapturedMessage(
+            part.name,
+            number,
+            text,
+            topic,
+            session if isinstance(session, str) else "",
+            k if isinstance(k, int) else -1,
+            message,
+        )
+
+
+def _unlike_header(header: dict[str, Any]) -> str:
+    """What no tap says of itself; empty where all may be."""
+    strange = sorted(header.keys() - CAPTURE_HEADS.keys() - TOLD)
+    if strange or header.get("oldest", 0) != 0:
+        return f"{(*strange, 'oldest')[0]}: not in a capture's header"
+    try:
+        View.model_validate(header.get("view"), strict=True)
+    except ValidationError as error:
+        return f"view: {error.error_count()} fields are not as expected"
+    return ""
+
+
+def _malformed(line: dict[str, Any]) -> str:
+    """What a capture's line of a malformed message holds: its key, and how its bytes begin."""
+    try:
+        content = base64.b64decode(str(line.get("base64")))
+    except ValueError:
+        content = b""
+    return f"{line.get('key')}: {content[:SHOWN]!r}"

@@ -1,0 +1,351 @@
+"""The lines of a trace, each kind with the fields it has: no more, no fewer, of the right type."""
+
+import base64
+import binascii
+from typing import Any, Final, Literal, NamedTuple
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass as checked_dataclass
+
+from protocol.link.session import Rules
+from protocol.vectors import Vector
+from protocol.wrong_fields import expected_of
+
+STRICT: Final = ConfigDict(extra="forbid", strict=True)
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class TracedTransition:
+    """A transition as one side's trace holds it; from ``coin`` on the fields are the plant's alone.
+
+    ``box`` is where the state lay before it, low and high, where some outputs alone are read.
+
+    ``digits`` is the position in the key stream that the offer named, if any, and ``keyed`` whether
+    its digits served; ``expected`` is the controller's alone. The last three are there where the
+    plant is attacked.
+
+    A model would take three times the room, and a run has millions.
+    """
+
+    event: Literal["transition"]
+    session: str
+    j: int
+    k: int
+    x: Vector
+    candidates: tuple[Vector, ...]
+    cipher: int
+    x_next: Vector
+    role: Literal["test", "message"]
+    gauges: Vector
+    symbol: int
+    key: int
+    message_symbol: int
+    p: int
+    s: int
+    counts: int
+    predictions: tuple[Vector, ...] = ()
+    box: tuple[Vector, Vector] | None = None
+    digits: tuple[int, int] | None = None
+    keyed: bool = False
+    expected: int = -1
+    coin: int | None = None
+    u: Vector | None = None
+    true_x_next: Vector | None = None
+    true_u: Vector | None = None
+    attack_failed: str = ""
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class MissedLine:
+    """A step without a counted offer, as the plant's trace holds it.
+
+    An ``interrupted`` one was under way when the plant's process died or its session ended;
+    ``candidates`` and ``coin`` are of an offer that it had begun to apply.
+    """
+
+    event: Literal["missed", "interrupted"]
+    session: str
+    k: int
+    x: Vector
+    u: Vector
+    x_next: Vector
+    candidates: tuple[Vector, ...] = ()
+    coin: int = -1
+    true_x_next: Vector | None = None
+    true_u: Vector | None = None
+    attack_failed: str = ""
+
+    @property
+    def interrupted(self) -> bool:
+        """Whether the plant's process died over it, or its session ended."""
+        return self.event == "interrupted"
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class SessionLine:
+    """A session was begun, resumed or given up."""
+
+    event: Literal["session"]
+    session: str | None
+    reason: str
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class QueuedLine:
+    """A message was handed to the controller, or every symbol of it was counted there."""
+
+    event: Literal["sent", "delivered"]
+    id: str
+    payload: str
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class RecoveredLine:
+    """A whole frame passed its check at the plant."""
+
+    event: Literal["recovered"]
+    payload: str
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class Refused:
+    """A frame failed its check at the plant."""
+
+    event: Literal["refused"]
+    session: str
+    p: int
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class BlockLine:
+    """What became of a key block; ``keys`` were made of it."""
+
+    event: Literal["block"]
+    session: str
+    number: int
+    what: Literal["confirmed", "unequal", "poor"]
+    keys: int
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AppearancesLine:
+    """How often a message of the side leaves from here on."""
+
+    event: Literal["appearances"]
+    session: str | None
+    k: int
+    times: int
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AlarmLine:
+    """A transition made an alarm at the controller."""
+
+    event: Literal["alarm"]
+    session: str
+    j: int
+    k: int
+    reading: Vector
+    reason: Literal["unexplained", "another candidate", "digits refused", "unwatched"]
+    candidate: int
+    expected: Vector
+    gauge: float
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class TimingLine:
+    """How punctual the plant was."""
+
+    event: Literal["timing"]
+    k: int
+    steps: int
+    sampled_late_s: Vector
+    actuated_after_s: Vector
+    overruns: int
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
+class AttackLine:
+    """The plant is attacked: every parameter."""
+
+    event: Literal["attack"]
+    kind: str
+    at: Literal["sensor", "bus", "actuator"]
+    onset: int
+    knows: tuple[str, ...]
+    options: dict[str, Any]
+
+
+EventLine = (
+    SessionLine
+    | QueuedLine
+    | RecoveredLine
+    | Refused
+    | BlockLine
+    | AppearancesLine
+    | AlarmLine
+    | TimingLine
+    | AttackLine
+)
+
+KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
+    "plant": {
+        "transition": TypeAdapter(TracedTransition),
+        "missed": TypeAdapter(MissedLine),
+        "interrupted": TypeAdapter(MissedLine),
+        "timing": TypeAdapter(TimingLine),
+        "attack": TypeAdapter(AttackLine),
+        "session": TypeAdapter(SessionLine),
+        "recovered": TypeAdapter(RecoveredLine),
+        "refused": TypeAdapter(Refused),
+        "block": TypeAdapter(BlockLine),
+        "appearances": TypeAdapter(AppearancesLine),
+    },
+    "controller": {
+        "transition": TypeAdapter(TracedTransition),
+        "session": TypeAdapter(SessionLine),
+        "alarm": TypeAdapter(AlarmLine),
+        "sent": TypeAdapter(QueuedLine),
+        "delivered": TypeAdapter(QueuedLine),
+        "block": TypeAdapter(BlockLine),
+        "appearances": TypeAdapter(AppearancesLine),
+    },
+}
+"""What each side may trace: the event, and the type of its line."""
+
+
+class OtherLine(NamedTuple):
+    """Another line of a trace.
+
+    ``payload`` is its message, where it has one; ``again`` says that the report had been written
+    before, and so had its transition.
+    """
+
+    line: EventLine
+    payload: bytes
+    again: bool = False
+
+
+class Again(NamedTuple):
+    """A transition that was written a second time, after a restart; or ``kept`` in a journal."""
+
+    before: TracedTransition
+    after: TracedTransition
+    kept: bool
+
+
+class Break(NamedTuple):
+    """The writer's process is over; ``ended`` says that it ended by itself, and was not killed."""
+
+    ended: bool
+
+
+Item = OtherLine | Again | Break
+
+LARGEST: Final = 2**31 - 1
+"""Of a step's number, and every other: what is kept of each has room for no larger one."""
+
+_COUNTS: Final = ("j", "k", "p", "s")
+_SYMBOLS: Final = ("symbol", "key", "message_symbol", "expected", "coin")
+
+
+class Shape(NamedTuple):
+    """The sizes of the plant: numbers of a reading, inputs, candidates; and states, where those
+    are read through some outputs alone.
+    """
+
+    n: int
+    m: int
+    size: int
+    hidden: int = 0
+
+    @classmethod
+    def of(cls, rules: Rules) -> "Shape":
+        """That of a scenario's rules."""
+        hidden = 0 if rules.outputs is None else len(rules.outputs.observer.A)
+        return cls(rules.states, rules.inputs, rules.size, hidden)
+
+    def unlike(self, t: TracedTransition, *, plant: bool) -> str:
+        """The first field of ``t`` that is not of this shape; empty where all are."""
+        n, m, size, hidden = self
+        if any(abs(getattr(t, name)) > LARGEST for name in _COUNTS):
+            return "j, k, p, s: expected numbers of 32 bits"
+        for name in _SYMBOLS:
+            value = getattr(t, name)
+            if value is not None and not -1 <= value < size:
+                return f"{name}: got {value}, expected -1 to {size - 1}"
+        if t.digits is not None and not all(0 <= v <= LARGEST for v in t.digits):
+            return f"digits: got {t.digits}, expected a block and a number in it"
+        if len(t.x) != n:
+            return f"x: got {len(t.x)} numbers, expected {n}"
+        if len(t.x_next) != n:
+            return f"x_next: got {len(t.x_next)} numbers, expected {n}"
+        if list(map(len, t.candidates)) != [m] * size:
+            return f"candidates: expected {size} of {m} inputs"
+        if len(t.gauges) != size:
+            return f"gauges: got {len(t.gauges)}, expected {size}"
+        if (t.box is not None) != bool(hidden):
+            return f"box: expected {'one' if hidden else 'none'}"
+        if t.box is not None and not all(len(side) == hidden for side in t.box):
+            return f"box: expected two sides of {hidden} numbers"
+        if not 0 <= t.cipher < size:
+            return f"cipher: got {t.cipher}, expected 0 to {size - 1}"
+        if not 0 <= t.counts <= 3:
+            return f"counts: got {t.counts}, expected 0 to 3"
+        if plant and t.expected != -1:
+            return "expected: only in the controller's trace"
+        if not plant and (t.coin is not None or t.u is not None):
+            return "coin, u: expected in the plant's trace only"
+        if not plant and (t.true_x_next is not None or t.true_u is not None):
+            return "true_x_next, true_u: expected in the plant's trace only"
+        if plant and (t.u is None or len(t.u) != m):
+            return f"u: expected {m} inputs"
+        if plant and t.coin in (None, -1):
+            return f"coin: got {t.coin}, expected 0 to {size - 1}"
+        return self._unlike_truth(t)
+
+    def _unlike_truth(self, step: "TracedTransition | MissedLine") -> str:
+        x, u = step.true_x_next, step.true_u
+        if x is None and u is None:
+            return ""
+        if x is None or u is None or (len(x), len(u)) != (self.hidden or self.n, self.m):
+            return f"true_x_next, true_u: expected {self.hidden or self.n} states, {self.m} inputs"
+        return ""
+
+    def unlike_missed(self, step: MissedLine) -> str:
+        """The same of a missed step."""
+        if not abs(step.k) <= LARGEST:
+            return "k: expected a number of 32 bits"
+        if (len(step.x), len(step.x_next), len(step.u)) != (self.n, self.n, self.m):
+            return f"expected {self.n} states and {self.m} inputs"
+        if step.event == "missed" and (step.candidates or step.coin != -1):
+            return "candidates, coin: expected of an interrupted step only"
+        if step.candidates and list(map(len, step.candidates)) != [self.m] * self.size:
+            return f"candidates: expected {self.size} of {self.m} inputs"
+        if step.candidates and not 0 <= step.coin < self.size:
+            return f"coin: got {step.coin}, expected 0 to {self.size - 1}"
+        return self._unlike_truth(step)
+
+
+def wrong(error: ValidationError) -> str:
+    """A validation error in a line."""
+    first = error.errors(include_url=False, include_context=False, include_input=False)[0]
+    path = ".".join(str(part) for part in first["loc"])
+    said = expected_of(first)
+    return f"{path}: {said}" if path else said
+
+
+def payload_of(line: EventLine) -> bytes:
+    """The message that a line holds.
+
+    Raises
+    ------
+    ValueError
+        When it is no base64.
+    """
+    if not isinstance(line, QueuedLine | RecoveredLine):
+        return b""
+    try:
+        return base64.b64decode(line.payload, validate=True)
+    except binascii.Error:
+        raise ValueError("payload: expected base64") from None
