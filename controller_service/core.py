@@ -351,7 +351,8 @@ class ControllerCore:
             return str(error)
         block, tag = self.keys.announcement()
         position = self._next_position(block)
-        digits = self.keys.stream.at(position, self.rules.digits)
+        count = self.rules.digits
+        digits = self.keys.stream.at(position, count) if count else None
         return Offer(
             session=measurement.session,
             k=measurement.k,
@@ -363,8 +364,8 @@ class ControllerCore:
             heard=measurement.copy_number,
             block=block,
             tag=tag,
-            stream_block=position.block if self.rules.digits else None,
-            stream_at=position.at if self.rules.digits else None,
+            stream_block=position.block if count else None,
+            stream_at=position.at if count else None,
         )
 
     def _old(self, measurement: Measurement) -> Effects:
@@ -479,23 +480,26 @@ class ControllerCore:
             block=said.block,
             tag=said.tag,
         )
-        if before.offer is not None:
+        if before.offer is not None and self.rules.digits:
             self.keys.used(before.offer.position, self.rules.digits)
         ended = self.keys.ended()
-        yield from map(Tell, ended)
+        for block in ended:
+            yield Tell(block)
         if transition is not None:
             yield Tell(transition)
         if alarm is not None:
             yield Tell(alarm)
         if delivered is not None or offer is None:  # else the next step saves the record
             yield self._save(durable=delivered is not None)
-        yield from map(Extract, self.keys.tasks())
+        if self.keys.on:
+            yield from map(Extract, self.keys.tasks())
         if delivered is not None:
             self._status_soon()
             yield Notice(f"message {delivered.id} delivered")
         if alarm is not None:
             yield Notice(alarm.sentence(), "error", "alarms")
-        yield from block_notices(self.keys, ended)
+        if ended:
+            yield from block_notices(self.keys, ended)
         if any(block.what == "unequal" for block in ended):
             yield from self._end_session("blocks differ", BLOCKS_DIFFER)
 

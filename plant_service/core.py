@@ -348,7 +348,7 @@ class PlantCore:
             self._telemetry.answered(now - self.measured_at)
         self.keys.heard(offer)  # first: it may confirm the block of the offer's digits
         digits = self._digits(offer)
-        if not digits and self.keys.awaits(offer.position.block):
+        if self.keys.on and not digits and self.keys.awaits(offer.position.block):
             return  # the offer comes again, when its digits are there
         keyed = self.rules.keyed and digits
         coin = digits[0] if keyed else self.coin.toss(record.transitions)
@@ -394,7 +394,8 @@ class PlantCore:
 
     def _digits(self, offer: Offer) -> tuple[int, ...]:
         """The digits of the key stream that an offer names, where this end holds them."""
-        return self.keys.stream.at(offer.position, self.rules.digits) or ()
+        count = self.rules.digits
+        return (count and self.keys.stream.at(offer.position, count)) or ()
 
     # --- read, save, report -----------------------------------------------------------------------
 
@@ -544,7 +545,8 @@ class PlantCore:
         self.plant.prepare(self.record.k)
         contradicted = None if self._telemetry is None else self._telemetry.counted(transition)
         ended = self.keys.ended()
-        yield from map(Tell, ended)
+        for block in ended:
+            yield Tell(block)
         yield Tell(transition)
         if taken.symbols or taken.ended:  # else the next step saves the record
             yield self._save(taken.symbols, taken.payload)
@@ -554,7 +556,8 @@ class PlantCore:
             yield self._frame_ended(transition)
         if contradicted is not None:
             yield Notice(contradicted, "warning")
-        yield from block_notices(self.keys, ended)
+        if ended:
+            yield from block_notices(self.keys, ended)
         if any(block.what == "unequal" for block in ended):
             self.session.on("blocks differ")
             self._begin_session()

@@ -66,6 +66,7 @@ class TapFleet:
         assert self._adversary is not None
         try:
             tap = TapService(self._config_of(loop))
+            tap.begin()
         except (UsageError, Failure, KnowledgeError, OSError) as error:
             self.log.error("loop %s: not listened to: %s", loop.id, error)
             return

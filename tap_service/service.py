@@ -140,12 +140,9 @@ class TapService:
         heavy = tuple(name for name in config.names if sandboxed(name).heavy)
         listeners_of(heavy, knowledge)  # an error is told here, before anything starts
         light = [name for name in config.names if name not in heavy]
-        listeners = listeners_of(light, knowledge, self.log)
-        header = config.header()
-        guesses = eighth(config.limits)
-        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
-        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
-        self.listeners = Listeners(listeners, self._guesses)
+        self._made = listeners_of(light, knowledge, self.log)
+        self._heavy = heavy, knowledge
+        self._begun = False
         self._clear = config.view.clear
         self._channel = WiretapChannel(config.view)
         self._transcript = Transcript()
@@ -163,14 +160,25 @@ class TapService:
         self._restarts = _starts_before(config.run_dir)
         self.heavy: HeavyProcess | None = None
         self._heavy_names = tuple(sandboxed(name).name for name in heavy)
+
+    def begin(self) -> None:
+        """Begin the recordings, and the analysis process; until then nothing is written."""
+        config, header = self._config, self._config.header()
+        guesses = eighth(config.limits)
+        self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
+        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
+        self.listeners = Listeners(self._made, self._guesses)
+        heavy, knowledge = self._heavy
         if heavy:
             assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
             self.heavy = HeavyProcess(assignment, self.log)
+        self._begun = True
 
     # --- the wire ---------------------------------------------------------------------------------
 
     def attach(self, field_bus: "Bus", adversary_bus: "Bus") -> None:
-        """Subscribe to the field messages, and publish on the adversary bus."""
+        """Begin, subscribe to the field messages, and publish on the adversary bus."""
+        self.begin()
         for key in self.keys:
             field_bus.subscribe(key, self.deliver, patient=True)
         self.publish_on(adversary_bus)
@@ -401,6 +409,8 @@ class TapService:
 
     def close(self) -> None:
         """End the files and the analysis process."""
+        if not self._begun:
+            return
         self.capture.close()
         self._guesses.close()
         if self.heavy is not None:

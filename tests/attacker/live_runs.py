@@ -41,7 +41,7 @@ from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from wyner.runs.resolve import Resolved
+from tests.support.traces import Resolved
 
 SIZES = (2, 3, 4)
 AFTER = 12

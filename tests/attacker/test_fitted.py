@@ -11,7 +11,7 @@ from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE
 from runtime.scenario_file import scenario_of
 from tests.attacker.live_runs import run
-from wyner.runs.resolve import Resolved
+from tests.support.traces import Resolved
 
 pytestmark = pytest.mark.slow
 

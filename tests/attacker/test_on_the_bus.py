@@ -13,7 +13,7 @@ from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.support.recorded_loop import RecordedLoop
-from wyner.runs.resolve import Resolved
+from tests.support.traces import Resolved
 
 pytestmark = pytest.mark.slow
 

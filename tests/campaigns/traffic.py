@@ -4,13 +4,12 @@ Every message must be there once, every service must end with code 0 when it is 
 `wyner check` must pass.
 """
 
-import base64
 import random
 import time
 from collections import Counter
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Final
+from typing import Final
 
 from runtime.recording import TraceError
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
@@ -86,23 +85,16 @@ class Traffic:
 
 def _watched(run_dir: Path, counts: Counter[str]) -> list[str]:
     """Steps that a key watched, and what honest steps must not do."""
-    told: Counter[str] = Counter()
-
-    def note(event: dict[str, Any]) -> None:
-        told[event["event"]] += 1
-        told["watched"] += event.get("expected", -1) != -1 and event["event"] == "transition"
-
-    Run.load(run_dir).feed("controller", note)
-    counts["watched"] = told["watched"]
-    return [f"{told['alarm']} honest steps made an alarm"] if told["alarm"] else []
+    trace = Run.load(run_dir).columns("controller")
+    counts["watched"] = int((trace.rows["expected"] != -1).sum())
+    alarms = len(list(trace.told("alarm")))
+    return [f"{alarms} honest steps made an alarm"] if alarms else []
 
 
 def _recovered(run_dir: Path, expected: list[str], counts: Counter[str]) -> list[str]:
-    told: list[dict[str, Any]] = []
-    Run.load(run_dir).feed("plant", told.append)
-    events = [e for e in told if e["event"] in ("recovered", "session")]
-    got = [base64.b64decode(e["payload"]).decode() for e in events if e["event"] == "recovered"]
-    counts["sessions"] = len({e["session"] for e in events if e["event"] == "session"})
+    trace = Run.load(run_dir).columns("plant")
+    got = [told.payload.decode() for told in trace.told("recovered")]
+    counts["sessions"] = len(trace.announced)
     seen = Counter(got)
     wrong = [
         f"{text[:20]!r} was recovered {seen[text]} times" for text in expected if seen[text] != 1

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime.recording import TRACE_FORMAT, TRACE_VERSION, LineWriter, dumps
-from runtime.run_folder import BELIEFS, GUESSES
+from runtime.recording import LineWriter, decode, dumps, raw_lines
+from runtime.run_folder import BELIEFS, CAPTURE, GUESSES
 from tests.support.long_run import make_run
 from wyner.runs.run import Run
 
@@ -19,7 +19,7 @@ GROWN = 6 * 2**20
 """Bytes that 6,000 steps more may take: the lines of a trace, as Python has them, would be 15 MB.
 What is bounded (points of a chart, a part of each file) is filling up meanwhile."""
 
-FEW, MANY = 4_000, 30_000
+FEW, MANY = 8_000, 40_000
 MOST = 400 * 2**20
 
 SUMMARY = """
@@ -60,16 +60,16 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 def guessed(folder: Path, steps: int, scenario: str = "sustained") -> Path:
     """A run with an eavesdropper who guesses each step."""
     make_run(folder, steps, scenario)
-    events: list[dict[str, object]] = []
-    Run.load(folder).feed("plant", events.append)
-    made = [e for e in events if e["event"] == "transition"]
-    writer = LineWriter(folder / GUESSES, {"format": TRACE_FORMAT, "version": TRACE_VERSION})
-    for e in made:
-        at = {"name": "t", "session": e["session"], "k": e["k"]}
+    trace = Run.load(folder).columns("plant")
+    made = [trace.where(row) for row in trace.rows if row["j"] >= 0]
+    header = next(raw_lines(folder / CAPTURE))[1]
+    writer = LineWriter(folder / GUESSES, decode(header) or {})
+    for session, k in made:
+        at = {"name": "t", "session": session, "k": k}
         writer.append(dumps({"event": "guess", **at, "symbol": 0, "p": 1, "agreed": 1}))
     writer.close()
     record = {
-        "name": "t", "session": made[-1]["session"], "failed": "", "message": "", "whole": [],
+        "name": "t", "session": made[-1][0], "failed": "", "message": "", "whole": [],
         "whole_count": 0, "candidates_left": 0, "solved_k": -1, "confidence": 0.0, "symbols": [],
     }  # fmt: skip
     (folder / BELIEFS).write_text(json.dumps({"t": record}))

@@ -5,10 +5,10 @@ from typing import Any
 
 import pytest
 
-from runtime.recording import TraceError, TraceWriter
+from runtime.recording import TraceError
 from runtime.run_folder import PLANT_TRACE
 from tests.support.small_run import Fault, SmallRun
-from wyner.runs.resolve import Event, Resolved
+from tests.support.traces import Event, Resolved, read_trace
 from wyner.runs.run import Run, RunError
 
 S, T = "1" * 16, "2" * 16
@@ -79,8 +79,7 @@ def test_who_counts_and_who_checks_take_the_same_steps(
     run = SmallRun(tmp_path, (b"a", b"b"))
     run.steps(120, faults)
     run.close()
-    events: list[Event] = []
-    behind = Run.load(tmp_path).feed("plant", events.append)
+    events = read_trace(tmp_path / PLANT_TRACE).events
     mine = [
         (e["event"], e["session"], e["k"])
         for e in events
@@ -89,20 +88,23 @@ def test_who_counts_and_who_checks_take_the_same_steps(
     trace = Run.load(tmp_path).read("plant")
     kinds = ("transition", "missed", "interrupted")
     assert mine == [(kinds[row["kind"]], *trace.where(row)) for row in trace.rows]
-    assert behind == trace.behind
     reports = list(trace.told("recovered"))
     assert len(reports) == sum(e["event"] == "recovered" for e in events)
 
 
 def test_what_no_plant_wrote_is_one_line_that_names_the_trace(tmp_path: Path) -> None:
-    writer = TraceWriter(tmp_path / PLANT_TRACE, "plant", {})
-    writer.write(step(0, 0))
-    writer.write({"event": "transition", "session": S, "k": 1})
-    writer.close()
-    with pytest.raises(TraceError, match="a line is not as expected") as caught:
-        Run.load(tmp_path).feed("plant", lambda event: event)
-    assert str(caught.value).startswith("plant/trace.jsonl: ")
-    assert "\n" not in str(caught.value)
+    run = SmallRun(tmp_path)
+    run.steps(4)
+    run.close()
+    whole = (tmp_path / PLANT_TRACE).read_bytes().splitlines(keepends=True)
+    wrong = b'{"event":"transition","session":"1","k":1}\n'
+    (tmp_path / PLANT_TRACE).write_bytes(b"".join([*whole[:3], wrong, *whole[3:]]))
+    trace = Run.load(tmp_path).columns("plant")
+    assert trace.unread.startswith("trace.jsonl line 4: a line is not as expected: ")
+    assert "\n" not in trace.unread
+    assert (len(trace.steps), len(trace.rows)) == (1, 4)
+    with pytest.raises(TraceError, match="cannot be read"):
+        Run.load(tmp_path / "plant").columns("plant")
 
 
 def test_there_is_no_run_where_there_is_no_folder(tmp_path: Path) -> None:

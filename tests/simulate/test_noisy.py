@@ -17,7 +17,7 @@ from tap_service.eavesdroppers.text import Text
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.small_run import law_of
 from wyner.api import design, run
-from wyner.runs.score.counts import PlantCounts
+from wyner.runs.score.counts import costs
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.network import Simulation
@@ -231,9 +231,9 @@ def test_one_who_knows_her_own_set_lacks_the_noise_too() -> None:
 
 
 def test_the_cost_of_a_run_is_that_of_the_state_itself() -> None:
-    counts = PlantCounts(((2.0, 0.0), (1.0,)))
-    step = {"event": "missed", "k": 0, "x_next": (9.0, 9.0), "u": (0.5,)}
-    counts.take(step)
-    assert counts.mean_cost == pytest.approx(2 * 81 + 0.25)
-    counts.take(step | {"true_x_next": (1.0, 7.0), "true_u": (0.5,)})
-    assert counts.cost == pytest.approx(2 * 81 + 0.25 + 2 + 0.25)
+    pair = ("f8", (2,))
+    columns = [("x_next", *pair), ("u", "f8", (1,)), ("true_x", *pair), ("true_u", "f8", (1,))]
+    silent = ((9.0, 9.0), (0.5,), (np.nan, np.nan), (np.nan,))
+    told = ((9.0, 9.0), (0.25,), (1.0, 7.0), (0.5,))
+    rows = np.array([silent, told], np.dtype(columns))
+    assert costs(((2.0, 0.0), (1.0,)), rows).tolist() == [2 * 81 + 0.25, 2 + 0.25]

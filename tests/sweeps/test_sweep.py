@@ -191,6 +191,17 @@ def test_an_attack_that_would_be_left_out_is_one_line(
         api.run(str(tmp_path / "attacked.toml"), steps=2)
 
 
+def test_a_message_that_would_never_be_sent_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A run of `sealed` carried nothing, and said nothing."""
+    path = small(tmp_path, text=TEXT.replace('"sustained"', '"sealed"'))
+    assert main(["sweep", str(path), "--output", str(tmp_path / "out.csv")]) == 2
+    assert "travel under distilled keys, and these loops make none" in capsys.readouterr().err
+    with pytest.raises(ValueError, match="travel under distilled keys"):
+        api.run("sealed", steps=2, message=b"Hi")
+
+
 def test_one_scenario_in_two_spellings_is_told(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -15,10 +15,11 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Symbols
 from protocol.brief import Brief
 from protocol.scenario import Scenario
+from protocol.schemes.registry import scheme_named
 from protocol.statistics import Interval, mean_over_runs
 from runtime.errors import needs
 from wyner.api.systems import System, design
-from wyner.simulate import UNATTACKED
+from wyner.simulate import UNATTACKED, UNSEALED
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import follow, whole_messages
 
@@ -233,6 +234,8 @@ def run(
     s = system if isinstance(system, System) else design(system)
     if s.scenario.attack is not None:
         raise ValueError(f"{s.scenario.name}: {UNATTACKED}")
+    if message and scheme_named(s.scenario.secrecy.scheme).from_stream:
+        raise ValueError(f"{s.scenario.name}: {UNSEALED}")
     place = s.folder if folder is None else Path(folder)
     opened = None if plant is None else (lambda: open_plant(s.scenario, place, plant))
     record = simulate_runs(

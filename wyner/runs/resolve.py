@@ -12,13 +12,7 @@ One whose journal was put back from an older copy goes back further, and makes s
 counted already, until the other end makes the session end.
 """
 
-from collections.abc import Iterable, Iterator
 from enum import Enum
-from typing import Any
-
-from runtime.recording import CONTINUED, MARKS, REPORTS
-
-Event = dict[str, Any]
 
 
 class Counts(Enum):
@@ -93,81 +87,3 @@ class Resolver:
             self._stale = self._stale or self.restarted
             return self._stale
         return False
-
-
-class Resolved:
-    """The events of a trace that count, each once: iterate once.
-
-    Of a step that was traced twice the last counts. A missed step that was traced and never saved
-    does not count where it was made again. Marks of the writer's incarnations are left out.
-
-    Parameters
-    ----------
-    lines : iterable of dict
-        The events of a trace, marks included.
-
-    Attributes
-    ----------
-    behind : int
-        Steps that an end made again after its journal was put back: time went on, and nothing was
-        counted.
-    """
-
-    def __init__(self, lines: Iterable[Event]) -> None:
-        self.behind = 0
-        self._lines = lines
-        self._resolver = Resolver()
-        self._held: list[Event] = []  # a step that may be made again, and what followed it
-
-    def __iter__(self) -> Iterator[Event]:
-        for event in self._lines:
-            kind = event["event"]
-            if kind in MARKS:
-                if kind == CONTINUED:
-                    self._resolver.restart()
-            elif kind == "transition":
-                yield from self._transition(event)
-            elif kind in ("missed", "interrupted"):
-                yield from self._missed(event)
-            elif kind not in REPORTS or self._resolver.report() is Counts.NEW:
-                if kind == "session":
-                    self._resolver.session(event.get("session"))
-                yield from self._next(event)
-        yield from self._held
-
-    def _transition(self, event: Event) -> Iterator[Event]:
-        restarted = self._resolver.restarted
-        session, k = str(event["session"]), event["k"]
-        counts = self._resolver.transition(session, event["j"], k)
-        if counts is Counts.NEW:
-            yield from self._step(event, restarted)
-        elif counts is Counts.BEHIND:
-            self.behind += 1
-        elif self._held and self._held[0]["event"] == "transition":
-            self._held[0] = event
-        else:
-            self._held = self._held[1:]  # missed after it, and never saved
-
-    def _missed(self, event: Event) -> Iterator[Event]:
-        restarted = self._resolver.restarted
-        if self._resolver.missed(str(event["session"]), event["k"]) is Counts.BEHIND:
-            self.behind += 1
-        else:
-            yield from self._step(event, restarted)
-
-    def _step(self, event: Event, restarted: bool) -> Iterator[Event]:
-        held = self._held
-        if restarted and held and held[0]["event"] != "transition" and _same(held[0], event):
-            held = held[1:]
-        self._held = [event]
-        yield from held
-
-    def _next(self, event: Event) -> Iterator[Event]:
-        if self._held:
-            self._held.append(event)
-        else:
-            yield event
-
-
-def _same(a: Event, b: Event) -> bool:
-    return (a.get("session"), a.get("k")) == (b.get("session"), b.get("k"))

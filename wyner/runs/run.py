@@ -1,15 +1,15 @@
 """A run's folder, opened once: every command that looks at a run reads it through this.
 
-What a kill leaves is resolved here (:mod:`wyner.runs.resolve`): torn lines, steps and reports that
-were written twice, steps made again from an older journal. Files are read as streams, so that a
-run of a million steps is never in memory as a whole.
+Each end's trace is read once, into columns (:mod:`wyner.runs.trace`), which all that look at the
+run share: some 100 bytes a step and end, of two states and two candidates.
 """
 
-import base64
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
+from errno import ENOENT
 from functools import cached_property
+from os import strerror
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -17,7 +17,7 @@ from pydantic_core import from_json
 
 from protocol.link.records import Side
 from protocol.link.session import rules_of
-from protocol.scenario import Scenario
+from protocol.scenario import Scenario, ScenarioError
 from runtime.files import read_regular
 from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
 from runtime.run_folder import (
@@ -33,7 +33,6 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import load_scenario
 from tap_service.capture.reading import CaptureReader
-from wyner.runs.resolve import Event, Resolved
 
 if TYPE_CHECKING:
     from wyner.runs.trace import Trace
@@ -102,19 +101,46 @@ class Run:
         """The first part of an end's trace, also where it is there no more."""
         return self.folder / TRACES[side]
 
+    @cached_property
+    def _traces(self) -> "dict[Side, Trace]":
+        return {}
+
     def read(self, side: Side, pending: dict[str, Any] | None = None) -> "Trace":
-        """An end's trace in columns; ``pending`` is what its journal holds beyond it.
+        """Read an end's trace; ``pending`` is what its journal holds beyond it.
 
         Raises
         ------
         OSError
             When it cannot be read.
         """
-
         from wyner.runs.trace import Trace
 
         noisy = self.scenario.plant.noise is not None
-        return Trace(side, self.trace(side), rules_of(self.scenario), noisy=noisy, pending=pending)
+        rules = rules_of(self.scenario)
+        found = Trace(side, self.trace(side), rules, noisy=noisy, pending=pending)
+        self._traces[side] = found
+        return found
+
+    def forget(self, side: Side) -> None:
+        """Let go of an end's trace; it is read again if it is asked for."""
+        self._traces.pop(side, None)
+
+    def columns(self, side: Side) -> "Trace":
+        """An end's trace in columns, read once whoever asks.
+
+        Raises
+        ------
+        runtime.recording.TraceError
+            When there is none, or it cannot be read.
+        """
+        try:
+            if not self.has(side):
+                raise FileNotFoundError(ENOENT, strerror(ENOENT), str(self.trace(side)))
+            return self._traces.get(side) or self.read(side)
+        except OSError as error:
+            raise TraceError(f"{error.filename}: cannot be read: {error.strerror}") from None
+        except ScenarioError as error:
+            raise TraceError(str(error)) from None
 
     def has(self, side: Side) -> bool:
         """Whether any part of an end's trace is there."""
@@ -143,30 +169,6 @@ class Run:
         except OSError as error:
             raise TraceError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
-    def feed(self, side: Side, *takers: Callable[[Event], object]) -> int:
-        """Hand every event of an end's trace that counts to each taker, in order.
-
-        Returns
-        -------
-        int
-            Steps that an end made again after its journal was put back, and that did not count.
-
-        Raises
-        ------
-        runtime.recording.TraceError
-            When the trace cannot be read, or from a line on that no such end wrote.
-        """
-        reader = TraceReader(self.trace(side))
-        events = Resolved(reader.lines())
-        try:
-            for event in events:
-                for take in takers:
-                    take(event)
-        except (LookupError, TypeError, ValueError) as error:
-            what = f"{type(error).__name__}: {error}"
-            raise TraceError(f"{TRACES[side]}: a line is not as expected: {what}") from None
-        return events.behind
-
     def sent(self) -> list[bytes]:
         """The messages that the controller was handed, in order; none where it left no trace.
 
@@ -178,12 +180,11 @@ class Run:
         sent: dict[str, bytes] = {}
         if not self.has("controller"):
             return []
-
-        def take(event: Event) -> None:
-            if event["event"] == "sent":
-                sent.setdefault(event["id"], base64.b64decode(event["payload"]))
-
-        self.feed("controller", take)
+        trace = self.columns("controller")
+        if trace.unread:
+            raise TraceError(f"{self.trace('controller')}: {trace.unread}")
+        for told in trace.told("sent"):
+            sent.setdefault(getattr(told.line, "id", ""), told.payload)
         return list(sent.values())
 
     def capture(self) -> CaptureReader:
@@ -215,7 +216,7 @@ class Run:
             raise RunError(f"{path}: expected the tap's beliefs as JSON")
         return found
 
-    def guesses(self) -> Iterator[Event]:
+    def guesses(self) -> Iterator[dict[str, Any]]:
         """Every guess and second thought of the eavesdroppers, as the tap wrote them."""
         for stem in (GUESSES, ANALYSIS_GUESSES):
             for path in parts_of(self.folder / stem):

@@ -22,6 +22,7 @@ from runtime.recording import (
     END,
     HEADER,
     REPORTS,
+    TRACE_FORMAT,
     decode,
     number_of,
     parts_of,
@@ -134,6 +135,8 @@ class Trace:
     last : TracedTransition, optional
     attack : AttackLine, optional
         The attack on the plant.
+    failed : str
+        Why the attack was over before the run, as the last step says that tells it.
     of_last : int
         Transitions that its last process has traced.
     overwritten, behind : int
@@ -157,7 +160,7 @@ class Trace:
         self.parts: list[Segments] = []
         self.header: dict[str, Any] = {}
         self.problems: list[Problem] = []
-        self.readable = -1
+        self.readable, self._sure, self.failed = -1, 0, ""
         self.overwritten = self.behind = self.of_last = 0
         self.last: TracedTransition | None = None
         self.last_missed: MissedLine | None = None
@@ -191,7 +194,8 @@ class Trace:
         self._flush()
         self._note(Break(self.ended))
         self.rows: Rows = np.frombuffer(self._filed, self._file())
-        self.readable = len(self.rows) if self.readable < 0 else self.readable
+        if self.readable < 0:
+            self.readable, self._sure = len(self.rows), len(self.notes)
 
     @property
     def marks(self) -> Segments:
@@ -230,9 +234,34 @@ class Trace:
 
     def told(self, *events: str) -> Iterator[OtherLine]:
         """The other lines that count, of these events."""
-        for _, item in self.notes:
+        for _, item in self.noted(*events):
+            yield item
+
+    def noted(self, *events: str) -> Iterator[tuple[int, OtherLine]]:
+        """The same, each with the number of rows before it."""
+        for at, item in self.notes[: self._sure]:
             if isinstance(item, OtherLine) and not item.again and item.line.event in events:
-                yield item
+                yield at, item
+
+    @property
+    def steps(self) -> Rows:
+        """The rows that its end has traced, up to the first line that cannot be so."""
+        return self.rows[: min(self.readable, len(self.rows) - self.pended)]
+
+    @property
+    def unread(self) -> str:
+        """Why it cannot be read from some line on; empty where it can."""
+        if not self.header:
+            return f"{self._part.name}: line 1: expected a header of format {TRACE_FORMAT!r}"
+        where, text = self.problems[0] if self.problems else ("", "")
+        return f"{where}: a line is not as expected: {text}" if where else ""
+
+    def newest_k(self, at: int) -> int:
+        """The step of the last transition among the first ``at`` rows; -1 where there is none."""
+        for row in self.rows[:at][::-1]:
+            if row["kind"] == TRANSITION:
+                return int(row["k"])
+        return -1
 
     def let_go(self) -> None:
         """Give the room of all rows back; only the rest is asked for from now on."""
@@ -258,7 +287,8 @@ class Trace:
     def _problem(self, number: int, text: str) -> None:
         where = f"{self._part.name} line {number}" if number else "the step in the journal"
         self.problems.append(Problem(where, text))
-        self.readable = self._count if self.readable < 0 else self.readable
+        if self.readable < 0:
+            self.readable, self._sure = self._count, len(self.notes)
 
     def _line(self, number: int, raw: bytes) -> None:
         value = decode(raw)
@@ -458,6 +488,7 @@ class Trace:
     def _append(self, step: TracedTransition | MissedLine) -> None:
         self._count += 1
         self._labelled = self._truth
+        self.failed = step.attack_failed or self.failed
         self._batch.append(step)
         if len(self._batch) >= AT_ONCE:
             self._file()
@@ -506,3 +537,23 @@ class Trace:
 
 
 _NAN: Final = float("nan")
+
+
+class Places:
+    """Where the steps of a trace stand, by session and step."""
+
+    def __init__(self, trace: Trace) -> None:
+        self._sessions = {name: i for i, name in enumerate(trace.sessions)}
+        keys = trace.steps["session"].astype(np.int64)
+        keys <<= 32
+        keys |= trace.steps["k"]
+        self._order = np.argsort(keys, kind="stable").astype(np.int32)
+        self._keys = keys[self._order]
+
+    def of(self, session: str, k: int) -> int:
+        """The row of a step; -1 where there is none."""
+        number = self._sessions.get(session)
+        if number is None or k < 0:
+            return -1
+        at = int(np.searchsorted(self._keys, key := number << 32 | k))
+        return int(self._order[at]) if at < len(self._keys) and self._keys[at] == key else -1

@@ -16,12 +16,13 @@ from typing import Annotated, Any, Final, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
+from protocol.schemes.registry import scheme_named
 from runtime.errors import UsageError
 from runtime.files import read_regular
 from runtime.network import check_delays, measured_delays
 from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS
-from wyner.simulate import UNATTACKED
+from wyner.simulate import UNATTACKED, UNSEALED
 from wyner.sweeps import SWEEPS
 from wyner.sweeps.code import LOOP, code_version
 
@@ -304,6 +305,8 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
                     continue
                 if scenario.attack is not None:
                     problems += [p for p in [f"{where}: {UNATTACKED}"] if p not in problems]
+                if scheme_named(scenario.secrecy.scheme).from_stream:
+                    problems += [p for p in [f"{where}: {UNSEALED}"] if p not in problems]
                 task = _hash(
                     {
                         "scenario": _substance(scenario),

@@ -162,6 +162,5 @@ def test_a_change_of_the_captures_header_is_named(unsealed: Path, field: str) ->
     (unsealed / CAPTURE).write_bytes(head + b"".join(kept))
     assert not failed(unsealed)
     (unsealed / CAPTURE).write_bytes(json.dumps(header).encode() + b"\n" + b"".join(kept))
-    (told,) = [f.text for f in check(read_evidence(unsealed)) if f.rule == "whole"]
-    assert "their headers differ in" in told
-    assert told.endswith(field)
+    told = [f.text for f in check(read_evidence(unsealed)) if f.rule == "whole"]
+    assert any(text.endswith(f"their headers differ in {field}") for text in told)

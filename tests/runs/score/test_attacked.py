@@ -1,33 +1,43 @@
 """What an attack came to: over sessions that begin anew, and from traces that are damaged."""
 
-import tracemalloc
 from pathlib import Path
 from typing import Any
 
+from protocol.link.events import MET, NEW_JOURNAL
 from runtime.recording import TraceWriter
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
+from runtime.shipped import SCENARIOS
+from tests.support.traced import at_controller, transition
 from wyner.runs.run import Run
-from wyner.runs.score.attacked import AttackCounts, attack_lines, attacked
+from wyner.runs.score.attacked import attack_lines, attacked
 
 A, B = "a" * 16, "f" * 16
 ONSET = 5
 
 
 def began(at: str = "sensor") -> dict[str, Any]:
-    return {"event": "attack", "kind": "ghost", "at": at, "onset": ONSET}
+    told = {"event": "attack", "kind": "ghost", "at": at, "onset": ONSET}
+    return told | {"knows": [], "options": {}}
+
+
+def session(name: str, reason: str = NEW_JOURNAL) -> dict[str, Any]:
+    return {"event": "session", "session": name, "reason": reason}
 
 
 def step(session: str, j: int, k: int, away: float) -> dict[str, Any]:
     said, true = [0.0, 1.0], [away, 1.0]
-    event = {"event": "transition", "session": session, "j": j, "k": k, "x_next": said}
-    return event | {"true_x_next": true}
+    return transition(session, j, k, x_next=said, true_x_next=true, true_u=[0.0])
 
 
 def alarm(session: str, k: int) -> dict[str, Any]:
-    return {"event": "alarm", "session": session, "j": k, "k": k}
+    said = {"event": "alarm", "session": session, "j": k, "k": k, "reading": [0.0, 1.0]}
+    said |= {"reason": "unexplained", "candidate": 0, "expected": [0.0, 0.0], "gauge": 2.0}
+    return said
 
 
 def write(run_dir: Path, plant: list[dict[str, Any]], controller: list[dict[str, Any]]) -> Run:
+    run_dir.mkdir(exist_ok=True)
+    (run_dir / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
     for path, vantage, events in (
         (PLANT_TRACE, "plant", plant),
         (CONTROLLER_TRACE, "controller", controller),
@@ -43,7 +53,8 @@ def test_a_session_that_begins_anew_overwrites_no_step_of_the_one_before(tmp_pat
     """Distances were kept by step alone: the second session's took the place of the first's."""
     first = [step(A, k, k, float(k)) for k in range(20)]
     second = [step(B, k, k, 0.25) for k in range(10)]
-    run = write(tmp_path, [began(), *first, *second], [alarm(A, 8)])
+    plant = [session(A), began(), *first, session(B), *second]
+    run = write(tmp_path, plant, [alarm(A, 8)])
     found = attacked(run).as_json()
     assert found is not None
     assert (found["alarm_k"], found["delay"]) == (9, 5)
@@ -52,7 +63,7 @@ def test_a_session_that_begins_anew_overwrites_no_step_of_the_one_before(tmp_pat
     assert found["away"] == 0.25
     assert found["false_alarms"] == 0
     # an alarm in the second session comes twenty steps later, at a step that the first had too
-    run = write(tmp_path / "later", [began(), *first, *second], [alarm(B, 2)])
+    run = write(tmp_path / "later", plant, [alarm(B, 2)])
     found = attacked(run).as_json()
     assert found is not None
     assert (found["alarm_k"], found["delay"], found["away_at_alarm"]) == (3, 19, 0.25)
@@ -60,12 +71,17 @@ def test_a_session_that_begins_anew_overwrites_no_step_of_the_one_before(tmp_pat
 
 def test_of_an_attack_on_the_bus_what_was_sent_is_compared_with_what_came(tmp_path: Path) -> None:
     plant = [
-        {"event": "transition", "session": s, "j": k, "k": k, "x_next": [float(k), 0.0]}
+        line
         for s in (A, B)
-        for k in range(12)
+        for line in (session(s), *(transition(s, k, k, x_next=[float(k), 0.0]) for k in range(12)))
     ]
-    shown = [event | {"x_next": [0.0, 0.0], "expected": 1} for event in plant]
-    found = attacked(write(tmp_path, [began("bus"), *plant], shown)).as_json()
+    shown = [
+        at_controller(line, x_next=[0.0, 0.0], expected=1)
+        if line["event"] == "transition"
+        else session(line["session"], MET)
+        for line in plant
+    ]
+    found = attacked(write(tmp_path, [plant[0], began("bus"), *plant[1:]], shown)).as_json()
     assert found is not None
     assert (found["away"], found["away_most"], found["shown"]) == (11.0, 11.0, 0.0)
     assert (found["watched"], found["unwatched"]) == (24 - ONSET + 1, 0)
@@ -73,7 +89,7 @@ def test_of_an_attack_on_the_bus_what_was_sent_is_compared_with_what_came(tmp_pa
 
 def test_a_damaged_trace_is_no_proof_that_there_was_no_alarm(tmp_path: Path) -> None:
     """It was left out without a word, and the run said "no alarm"."""
-    plant = [began(), *(step(A, k, k, 1.0) for k in range(20))]
+    plant = [session(A), began(), *(step(A, k, k, 1.0) for k in range(20))]
     run = write(tmp_path, plant, [alarm(A, 8)])
     path = tmp_path / CONTROLLER_TRACE
     head = path.read_bytes().splitlines(keepends=True)[0]
@@ -91,16 +107,3 @@ def test_a_damaged_trace_is_no_proof_that_there_was_no_alarm(tmp_path: Path) -> 
         assert "alarm or not is unknown" in text
         assert "no alarm" not in text
         assert f"WARNING: counted up to there: {why}" in text
-
-
-def test_a_long_attack_takes_some_bytes_a_step() -> None:
-    counts = AttackCounts()
-    counts.plant(began())
-    tracemalloc.start()
-    before = tracemalloc.get_traced_memory()[0]
-    for k in range(50_000):
-        counts.plant(step(A, k, k, float(k)))
-    taken = tracemalloc.get_traced_memory()[0] - before
-    tracemalloc.stop()
-    assert counts.as_json() is not None
-    assert taken < 50_000 * 20

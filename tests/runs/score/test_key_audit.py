@@ -1,25 +1,26 @@
 """What the audit of a run says of her: by direction, and of what she was there for alone."""
 
 import random
-import tracemalloc
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from protocol.link.events import MET, NEW_JOURNAL
 from protocol.messages import Measurement, Offer
 from protocol.scenario import Scenario
 from runtime.chance import fresh_nonce
 from runtime.logs import logger
 from runtime.recording import Bounds, TraceWriter
-from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE, SCENARIO
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tap_service.capture.recording import RotatingLog, mirror_line
 from tap_service.inference.miss_rate import ALL
+from tests.support.traced import transition
 from wyner.runs.run import Run
-from wyner.runs.score.keys import Copies, HeardCopies, KeyAudit, audit_keys, key_lines
+from wyner.runs.score.keys import KeyAudit, audit_keys, key_lines
 
 S = "1" * 16
 STEPS = 600
@@ -55,13 +56,14 @@ def audited(
     header: dict[str, Any] = scenario.identity()
     plant = TraceWriter(run_dir / PLANT_TRACE, "plant", header)
     controller = TraceWriter(run_dir / CONTROLLER_TRACE, "controller", header)
-    for trace in (plant, controller):
-        trace.write({"event": "session", "session": S, "reason": "new"})
+    (run_dir / SCENARIO).write_bytes((SCENARIOS / "keys.toml").read_bytes())
+    for trace, reason in ((plant, NEW_JOURNAL), (controller, MET)):
+        trace.write({"event": "session", "session": S, "reason": reason})
     for k in range(STEPS):
         if k in (appearances or {}):
             assert appearances is not None
             plant.write({"event": "appearances", "session": S, "k": k, "times": appearances[k]})
-        plant.write({"event": "transition", "session": S, "j": k, "k": k, "counts": 3})
+        plant.write(transition(S, k, k, size=scenario.secrecy.candidates, counts=3 * (k > 0)))
     plant.close()
     controller.close()
     for life in lives:
@@ -157,20 +159,6 @@ def test_messages_that_left_twice_are_judged_by_themselves(
     }
     assert not audit.rates["measurements"].refuted
     assert audit.rates["measurements that left 2 times"].refuted
-
-
-def test_copies_take_a_few_bytes_each() -> None:
-    tracemalloc.start()
-    sent, heard = Copies(), HeardCopies()
-    for k in range(30_000):
-        sent.add(("measurement", S, k), ("offer", S, k))
-        heard.add(("offer", S, k), 1)
-    taken, _ = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert taken < 12 * len(sent)
-    assert list(sent)[-2:] == [("measurement", S, 29_999), ("offer", S, 29_999)]
-    assert heard.incarnation(("offer", S, 7)) == 1
-    assert heard.incarnation(("measurement", S, 7)) is None
 
 
 def test_where_nobody_listened_nobody_holds_anything_and_it_is_said(

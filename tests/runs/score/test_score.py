@@ -6,14 +6,18 @@ import math
 import random
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from protocol.link.events import NEW_JOURNAL
 from protocol.statistics import stated_left
 from runtime.recording import TraceWriter
-from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE
+from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
+from runtime.shipped import SCENARIOS
 from tap_service.eavesdroppers.base import Belief
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
+from tests.support import traced
 from wyner.runs.run import Run
 from wyner.runs.score import report as reporting
 from wyner.runs.score.report import over_runs, percent, report
@@ -394,17 +398,15 @@ def test_json_and_rows_hold_every_figure() -> None:
 # --- from files ----------------------------------------------------------------------------------
 
 
-def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, object]:
-    return {
-        "event": "transition", "session": S, "j": k, "k": k, "candidates": [[0.0], [1.0]],
-        "role": role, "symbol": symbol, "message_symbol": bit,
-    }  # fmt: skip
+def transition(k: int, role: str, symbol: int, bit: int) -> dict[str, Any]:
+    return traced.transition(S, k, k, role=role, symbol=symbol, message_symbol=bit)
 
 
 def write_run(run_dir: Path) -> None:
+    (run_dir / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
     trace = TraceWriter(run_dir / PLANT_TRACE, "plant", {})
-    trace.write(transition(0, "test", 1, -1))
-    trace.write(transition(0, "test", 0, -1))  # written again after a crash: the last counts
+    trace.write({"event": "session", "session": S, "reason": NEW_JOURNAL})
+    trace.write(transition(0, "test", 0, -1))
     trace.write(transition(1, "message", -1, 1))
     trace.write(transition(2, "test", 1, -1))  # the last one's result never travelled
     trace.write({"event": "recovered", "payload": base64.b64encode(b"m").decode()})
@@ -450,6 +452,7 @@ def test_missing_files_are_one_line(tmp_path: Path) -> None:
         with pytest.raises(ScoreError, match=expected) as error:
             score_run(Run.load(tmp_path))
         assert "\n" not in str(error.value)
+        (tmp_path / SCENARIO).write_bytes((SCENARIOS / "sustained.toml").read_bytes())
         TraceWriter(tmp_path / PLANT_TRACE, "plant", {}).close()
 
 

@@ -1,14 +1,12 @@
 """Agreements: what two records of one thing must have alike, joined by session and number."""
 
-from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
-from protocol.secret.blocks import Schedule
+from wyner.runs.blocks import Blocks, ended
 from wyner.runs.check.evidence import Evidence, Finding, Findings
-from wyner.runs.lines import BlockLine
 from wyner.runs.trace import TRANSITION, Rows, Trace
 
 OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
@@ -107,13 +105,6 @@ def once(e: Evidence) -> Findings:
                 yield Finding("once", name, k, text)
 
 
-def ended(trace: Trace) -> Iterator[BlockLine]:
-    """The blocks of which an end has keys, or had too few copies for any."""
-    for told in trace.told("block"):
-        if isinstance(told.line, BlockLine) and told.line.what != "unequal":
-            yield told.line
-
-
 # --- blocks ---------------------------------------------------------------------------------------
 
 
@@ -129,11 +120,13 @@ def blocks(e: Evidence) -> Findings:
             continue
         mine = {(line.session, line.number): line.keys for line in ended(trace)}
         made[trace.side] = mine
+        whole = Blocks(schedule, trace)
         for (session, number), keys in mine.items():
             cut = trace.cut
             if cut and session == cut.session and number <= schedule.block_of(cut.j + 1):
                 continue  # it began before what is left
-            expected = keys_of(schedule, trace, session, number)
+            block = whole.of(session, number)
+            expected = None if block is None else max(0, block.secret_rows(schedule) - 1)
             if keys != expected:
                 text = f"the {trace.side} made {keys} keys of block {number}, expected {expected}"
                 yield Finding("blocks", session, -1, text)
@@ -142,19 +135,3 @@ def blocks(e: Evidence) -> Findings:
         if keys != other:
             text = f"block {at[1]}: {keys} keys at the plant, {other} at the controller"
             yield Finding("blocks", at[0], -1, text)
-
-
-def keys_of(schedule: Schedule, trace: Trace, session: str, number: int) -> int | None:
-    """How many keys a block must have made; None where it is not whole."""
-    rows = trace.rows
-    which = trace.sessions.index(session) if session in trace.sessions else -1
-    begin, end = np.searchsorted(rows["session"], [which, which + 1])
-    here = begin + np.flatnonzero(rows["kind"][begin:end] == TRANSITION)
-    first, length = schedule.begins(number), schedule.length(number)
-    at, after = np.searchsorted(rows["j"][here], [first, first + length])
-    if after - at != length or at == 0:
-        return None
-    assumption = schedule.assumption
-    counted = [assumption.counting(n).bit_count() for n in rows["counts"][here[at:after]].tolist()]
-    steps = int(rows["k"][here[after - 1]] - rows["k"][here[at - 1]])
-    return max(0, assumption.rows(length, steps, sum(counted)) - 1)

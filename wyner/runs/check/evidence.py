@@ -127,6 +127,7 @@ def let_go(e: Evidence) -> Findings:
     """Let go of the controller's rows, so that there is room for what a capture takes."""
     if e.plant is not None and e.controller is not None:
         e.controller.let_go()
+        e.run.forget("controller")
     yield from ()
 
 

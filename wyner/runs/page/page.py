@@ -17,7 +17,7 @@ from wyner.runs.check.evidence import Evidence, read_evidence
 from wyner.runs.page.chart import Curve, Flag, Mark, Points, Series, chart
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
-from wyner.runs.score.counts import costs, truth_of
+from wyner.runs.score.counts import costs, total, truth_of
 from wyner.runs.score.report import HEADINGS, NOTE, remarks, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
@@ -92,8 +92,8 @@ def _outputs(run: Run) -> list[TapOutput] | str:
 
 def page(e: Evidence, said: list[TapOutput] | str) -> str:
     """The whole page."""
+    results = judge(e)  # first: it takes most room, and gives it back
     recorded = _Recorded(e)
-    results = judge(e)
     s, attack = e.scenario, attacked(e.run).as_json()
     period_s = s.plant.period_s
     if e.plant is None or isinstance(said, str):
@@ -186,7 +186,7 @@ class _Recorded:
         self.missed += int((~counted).sum())
         self.symbols += int((rows["message_symbol"] >= 0).sum())
         self.agreed += rows["k"][rows["symbol"] >= 0].tolist()
-        self.cost += float(costs(self._scenario.cost_weights, rows).sum())
+        self.cost = total(self.cost, costs(self._scenario.cost_weights, rows))
         at = rows["k"] * self._scenario.plant.period_s
         later = at + self._scenario.plant.period_s
         for series, times, values in (

@@ -1,65 +1,29 @@
 """What an attack came to: onset, alarm, and how far the plant was from what was shown."""
 
-from array import array
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from math import isnan, nan
 from typing import Any
 
+import numpy as np
+
+from protocol.arrays import Array
 from protocol.link.events import AttackBegan
+from protocol.link.records import Side
+from protocol.scenario import Scenario
 from protocol.statistics import GIVEN
 from runtime.recording import TraceError
+from wyner.runs.lines import AlarmLine
 from wyner.runs.run import Run
-
-
-class Places:
-    """Steps of all sessions, counted through: a session that begins anew goes on with the count."""
-
-    def __init__(self) -> None:
-        self._first: dict[str, int] = {}
-        self._next = 0
-
-    def of(self, session: str, k: int) -> int:
-        """The place of a step; in the first session it is the step itself."""
-        if session not in self._first:
-            self._first[session] = self._next - k if self._first else 0
-        place = self._first[session] + k
-        self._next = max(self._next, place + 1)
-        return place
-
-
-class Rows:
-    """A few numbers a step, by place; 8 bytes each from the first one on."""
-
-    def __init__(self) -> None:
-        self._values = array("d")
-        self._begin = self._width = 0
-
-    def put(self, place: int, row: list[float]) -> None:
-        """Keep the numbers of a step."""
-        if not self._values:
-            self._begin, self._width = place, len(row)
-        at = (place - self._begin) * self._width
-        if at < 0:
-            return
-        self._values.extend([nan] * (at + self._width - len(self._values)))
-        self._values[at : at + self._width] = array("d", row)
-
-    def get(self, place: int) -> list[float]:
-        """Those of a step; empty where there are none."""
-        at = (place - self._begin) * self._width
-        row = self._values[at : at + self._width].tolist() if at >= 0 else []
-        return [] if any(map(isnan, row)) else row
-
-    def known(self) -> list[float]:
-        """All numbers, in order."""
-        return [value for value in self._values if not isnan(value)]
+from wyner.runs.score.counts import parted, truth_of
+from wyner.runs.trace import Places, Rows, Trace
 
 
 @dataclass(slots=True)
 class AttackCounts:
-    """Follows the traces of an attacked plant and of its controller, the plant's first.
+    """What an attack came to, from the traces of the plant and of its controller.
 
-    Distances are between true and reported state, the largest of their components.
+    Distances are between true and reported state, the largest of their components. A place is a
+    step's among those of all sessions: in the first it is the step itself.
 
     Parameters
     ----------
@@ -69,8 +33,10 @@ class AttackCounts:
         Why the attack itself was over before the run.
     unread : list of str
         Traces that cannot be read to their end, and why: what they would tell is not known.
-    off : Rows
-        The distance at x(k+1), from the onset on.
+    off : float array
+        The distance at the end of each step of the plant, not a number where it is not known.
+    begin : int
+        The place at the end of the first.
     alarms : list of (int, int)
         Place and step of the readings over which the controller alarmed.
     shown : float, optional
@@ -82,42 +48,53 @@ class AttackCounts:
     attack: dict[str, Any] | None = None
     failed: str = ""
     unread: list[str] = field(default_factory=list)
-    off: Rows = field(default_factory=Rows)
+    off: Array = field(default_factory=lambda: np.zeros(0))
+    begin: int = 1
     alarms: list[tuple[int, int]] = field(default_factory=list)
     watched: int = 0
     unwatched: int = 0
     shown: float | None = None
-    _sent: Rows = field(default_factory=Rows)
-    _places: Places = field(default_factory=Places)
 
-    def plant(self, event: dict[str, Any]) -> None:
-        """Take an event of the plant's trace."""
-        if event["event"] == "attack":
-            self.attack = {name: value for name, value in event.items() if name != "event"}
-        if event["event"] in ("transition", "missed", "interrupted"):
-            after = self._places.of(event["session"], event["k"]) + 1
-            true = event.get("true_x_next")
-            if self.attack is not None and after >= self.attack["onset"]:
-                if true is not None:
-                    self.off.put(after, [_distance(true, event["x_next"])])
-                elif event["event"] == "transition":
-                    self._sent.put(after, event["x_next"])
-        self.failed = event.get("attack_failed") or self.failed
+    def plant(self, trace: Trace, scenario: Scenario) -> None:
+        """Take the plant's trace."""
+        line, rows = trace.attack, trace.steps
+        if line is None:
+            return
+        self.attack = {f.name: getattr(line, f.name) for f in fields(line) if f.name != "event"}
+        self.attack["knows"] = list(line.knows)
+        self.failed = trace.failed
+        self.begin = 1 + int(rows["k"][0]) if len(rows) else 1
+        true = truth_of(rows)
+        if true is not None:
+            read = true if scenario.observer is None else true @ np.array(scenario.observer.C).T
+            self.off = np.abs(read - rows["x_next"]).max(axis=1)
+            self.off[: max(0, line.onset - self.begin)] = np.nan
+        else:
+            self.off = np.full(len(rows), np.nan)
 
-    def controller(self, event: dict[str, Any]) -> None:
-        """Take an event of the controller's trace."""
-        if event["event"] == "alarm":
-            k = event["k"]
-            self.alarms.append((self._places.of(event["session"], k) + 1, k + 1))
-        if event["event"] == "transition" and self.attack is not None:
-            self.shown = max(map(abs, event["x_next"]))
-            after = self._places.of(event["session"], event["k"]) + 1
-            if after < self.attack["onset"]:
-                return
-            if self.attack["at"] == "bus" and (sent := self._sent.get(after)):
-                self.off.put(after, [_distance(sent, event["x_next"])])
-            self.watched += event.get("expected", -1) >= 0
-            self.unwatched += event.get("expected", -1) < 0
+    def controller(self, trace: Trace, plant: Trace) -> None:
+        """Take the controller's trace, after the plant's."""
+        places = Places(plant)
+        for told in trace.told("alarm"):
+            line = told.line
+            assert isinstance(line, AlarmLine)
+            place = places.of(line.session, line.k)
+            place = line.k + 1 if place < 0 else place + self.begin
+            self.alarms.append((place, line.k + 1))
+        for rows in parted(trace.steps) if self.attack is not None else ():
+            self._shown(trace, rows, plant, places)
+
+    def _shown(self, trace: Trace, rows: Rows, plant: Trace, places: Places) -> None:
+        assert self.attack is not None
+        self.shown = float(np.abs(rows["x_next"][-1]).max())
+        for row in rows:
+            place = places.of(*trace.where(row))
+            if (row["k"] + 1 if place < 0 else place + self.begin) < self.attack["onset"]:
+                continue
+            if self.attack["at"] == "bus" and place >= 0:
+                self.off[place] = np.abs(plant.rows["x_next"][place] - row["x_next"]).max()
+            self.watched += bool(row["expected"] >= 0)
+            self.unwatched += bool(row["expected"] < 0)
 
     def as_json(self) -> dict[str, Any] | None:
         """What it came to; None where nobody attacked, as far as the plant's trace tells.
@@ -133,7 +110,9 @@ class AttackCounts:
         onset = self.attack["onset"]
         alarms = sorted(self.alarms)
         place, alarm = next((one for one in alarms if one[0] >= onset), (-1, -1))
-        off = self.off.known()
+        off = self.off[~np.isnan(self.off)].tolist()
+        at = place - self.begin
+        away = float(self.off[at]) if alarm >= 0 and 0 <= at < len(self.off) else nan
         return {
             **self.attack,
             "failed": self.failed,
@@ -142,7 +121,7 @@ class AttackCounts:
             "false_alarms": sum(at < onset for at, _ in alarms),
             "watched": self.watched,
             "unwatched": self.unwatched,
-            "away_at_alarm": next(iter(self.off.get(place)), None) if alarm >= 0 else None,
+            "away_at_alarm": None if isnan(away) else away,
             "away": off[-1] if off else None,
             "shown": self.shown,
             "away_most": max(off, default=None),
@@ -151,19 +130,30 @@ class AttackCounts:
         }
 
 
-def _distance(true: list[float], told: list[float]) -> float:
-    return max(abs(a - b) for a, b in zip(true, told, strict=True))
-
-
 def attacked(run: Run) -> AttackCounts:
-    """Read it from a run's traces; one that is damaged, or not there, is named in ``unread``."""
+    """Read it from a run's traces; one that is damaged, or not there, is named in ``unread``.
+
+    The controller's is read where the plant's names an attack.
+    """
     counts = AttackCounts()
-    for side, take in (("plant", counts.plant), ("controller", counts.controller)):
-        try:
-            run.feed(side, take)  # type: ignore[arg-type]
-        except TraceError as error:
-            counts.unread.append(str(error))
+    plant = _columns(run, "plant", counts)
+    if plant is not None:
+        counts.plant(plant, run.scenario)
+    controller = None if counts.attack is None else _columns(run, "controller", counts)
+    if plant is not None and controller is not None:
+        counts.controller(controller, plant)
     return counts
+
+
+def _columns(run: Run, side: Side, counts: AttackCounts) -> Trace | None:
+    try:
+        trace = run.columns(side)
+    except TraceError as error:
+        counts.unread.append(str(error))
+        return None
+    if trace.unread:
+        counts.unread.append(f"{run.trace(side)}: {trace.unread}")
+    return trace
 
 
 def _steps(number: int) -> str:

@@ -1,10 +1,8 @@
-"""What a plant's trace adds up to, line by line."""
+"""What a plant's trace adds up to."""
 
-import base64
-from array import array
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 
@@ -12,86 +10,79 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import ScenarioError
 from protocol.vectors import Vector
+from runtime.recording import TraceError
 from wyner.runs.run import Run
-from wyner.runs.trace import Rows
+from wyner.runs.trace import AT_ONCE, TRANSITION, Rows, Trace
 
 
-@dataclass(slots=True)
+@dataclass(frozen=True, slots=True)
 class PlantCounts:
-    """Counts of a plant's trace, of the events that count (:meth:`wyner.runs.run.Run.feed`).
+    """Counts of a plant's trace.
 
     Parameters
     ----------
-    weights : pair of tuple of float, shapes (n,) and (m,)
-        Diagonals of Q and R.
     steps : int
         Steps that were made, missed ones included, by every journal that the plant had.
+    cost : float
+        Sum over steps of x(k+1)' Q x(k+1) + u(k)' R u(k).
     transitions : int
     agreements : int
         Transitions that agreed a key symbol.
     symbol_errors : int
         Agreements on another symbol than the coin.
-    cost : float
-        Sum over steps of x(k+1)' Q x(k+1) + u(k)' R u(k), where ``weights`` are given.
     message_symbols : int
         Transitions that carried a message symbol.
     recovered : list of (int, bytes)
         Each message that was whole, with the step at which it was.
-    without : array of int
+    without : list of int
         Steps that were missed, in order.
     """
 
-    weights: tuple[Vector, Vector] = ((), ())
     steps: int = 0
     cost: float = 0.0
     transitions: int = 0
     agreements: int = 0
     symbol_errors: int = 0
     message_symbols: int = 0
-    recovered: list[tuple[int, bytes]] = field(default_factory=list)
-    without: "array[int]" = field(default_factory=lambda: array("q"))
-    _last_k: int = -1
+    recovered: Sequence[tuple[int, bytes]] = ()
+    without: Sequence[int] = ()
+
+    @classmethod
+    def of(cls, trace: Trace, weights: tuple[Vector, Vector]) -> Self:
+        """Those of a trace; ``weights`` are the diagonals of Q and R."""
+        rows = trace.steps
+        counted, agreed = rows["kind"] == TRANSITION, rows["symbol"] != NO_SYMBOL
+        cost = 0.0
+        for part in parted(rows):
+            cost = total(cost, costs(weights, part))
+        return cls(
+            len(rows),
+            cost,
+            int(counted.sum()),
+            int(agreed.sum()),
+            int((agreed & (rows["symbol"] != rows["coin"])).sum()),
+            int((rows["message_symbol"] != NO_SYMBOL).sum()),
+            [(trace.newest_k(at), told.payload) for at, told in trace.noted("recovered")],
+            rows["k"][~counted].tolist(),
+        )
 
     @property
     def mean_cost(self) -> float | None:
         """The control cost a step; None before the first."""
         return self.cost / self.steps if self.steps else None
 
-    def take(self, event: Mapping[str, Any]) -> None:
-        """Take the next event."""
-        kind = event["event"]
-        if kind == "transition":
-            symbol, coin, carried = event["symbol"], event["coin"], event["message_symbol"]
-            self._last_k = int(event["k"])
-            self.steps += 1
-            self._judge(event)
-            self.transitions += 1
-            self.agreements += symbol != NO_SYMBOL
-            self.symbol_errors += symbol not in (NO_SYMBOL, coin)
-            self.message_symbols += carried != NO_SYMBOL
-        elif kind in ("missed", "interrupted"):
-            self.steps += 1
-            self.without.append(int(event["k"]))
-            self._judge(event)
-        elif kind == "recovered":
-            self.recovered.append((self._last_k, base64.b64decode(event["payload"])))
 
-    def _judge(self, event: Mapping[str, Any]) -> None:
-        """Add a step's cost: of the state itself and the input applied, where they are told."""
-        x_next = event.get("true_x_next", event["x_next"])
-        self.cost += step_cost(self.weights, x_next, event.get("true_u", event["u"]))
-
-
-def step_cost(weights: tuple[Vector, Vector], x_next: Sequence[float], u: Sequence[float]) -> float:
-    """What a step costs: x(k+1)' Q x(k+1) + u(k)' R u(k), ``weights`` the diagonals of Q and R."""
-    state, effort = weights
-    return sum(q * v * v for q, v in zip(state, x_next, strict=False)) + sum(
-        r * v * v for r, v in zip(effort, u, strict=False)
-    )
+def parted(rows: Rows) -> Iterator[Rows]:
+    """Rows, some at a time."""
+    for first in range(0, len(rows), AT_ONCE):
+        yield rows[first : first + AT_ONCE]
 
 
 def costs(weights: tuple[Vector, Vector], rows: Rows) -> Array:
-    """The same of every step of a plant's trace: of the truth, where it is told."""
+    """x(k+1)' Q x(k+1) + u(k)' R u(k) of each step, ``weights`` the diagonals of Q and R.
+
+    It is that of the true state and input, where they are told.
+    """
     state, effort = weights
     truth = truth_of(rows)
     x, u = (rows["x_next"], rows["u"]) if truth is None else (truth, rows["true_u"])
@@ -99,8 +90,20 @@ def costs(weights: tuple[Vector, Vector], rows: Rows) -> Array:
         silent = np.isnan(truth[:, :1])
         u = np.where(silent, rows["u"], u)
         x = np.where(silent, rows["x_next"], x) if x.shape == rows["x_next"].shape else x
-    found: Array = (x**2 @ np.array(state[: x.shape[1]])) + (u**2 @ np.array(effort[: u.shape[1]]))
+    return _weighed(state, x) + _weighed(effort, u)
+
+
+def _weighed(weights: Vector, values: Array) -> Array:
+    """Of each row the sum of its weighed squares, in the order of its columns."""
+    found: Array = np.zeros(len(values))
+    for weight, column in zip(weights, values.T, strict=False):
+        found += weight * column * column
     return found
+
+
+def total(start: float, values: Array) -> float:
+    """``start`` and all values, added one after another: the same sum in parts of any size."""
+    return float(np.add.accumulate(np.append(start, values))[-1])
 
 
 def truth_of(rows: Rows) -> Array | None:
@@ -109,7 +112,7 @@ def truth_of(rows: Rows) -> Array | None:
     return rows["true_x"] if told else None
 
 
-def exchanged(sent: list[bytes], recovered: list[tuple[int, bytes]]) -> list[tuple[bytes, int]]:
+def exchanged(sent: list[bytes], recovered: Sequence[tuple[int, bytes]]) -> list[tuple[bytes, int]]:
     """Each message that was sent, in order, with the step at which the plant had it; -1 never.
 
     What came a second time, after a journal was lost, is the same message.
@@ -135,8 +138,10 @@ def cost_of(run: Run) -> float | None:
         When the plant's trace cannot be read.
     """
     try:
-        counts = PlantCounts(run.scenario.cost_weights)
+        weights = run.scenario.cost_weights
     except ScenarioError:
         return None
-    run.feed("plant", counts.take)
-    return counts.mean_cost
+    trace = run.columns("plant")
+    if trace.unread:
+        raise TraceError(f"{run.trace('plant')}: {trace.unread}")
+    return PlantCounts.of(trace, weights).mean_cost

@@ -4,11 +4,13 @@ The claim is the operator's; a run can refute it, and never prove it. What she m
 her capture is all that she heard, and which copies counted stands in the plant's trace.
 """
 
-from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+import numpy as np
+
+from protocol.link.records import Side
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
@@ -18,14 +20,12 @@ from runtime.recording import TraceError
 from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
-from wyner.runs.resolve import Event
+from wyner.runs.blocks import Blocks, TracedBlock, ended
+from wyner.runs.lines import AppearancesLine
 from wyner.runs.run import Run
-from wyner.runs.score.by_step import BySteps
+from wyner.runs.trace import AT_ONCE, INTERRUPTED, MISSED, Places, Trace
 
 KEY_BITS: Final = 8 * NONCE_BYTES
-
-Copy = tuple[str, str, int]
-"""A copy 0: which message (``offer``, ``measurement``), session and step."""
 
 _TOPICS: Final = ("measurement", "offer")
 
@@ -52,67 +52,17 @@ class AuditedBlock(NamedTuple):
     lost: int
 
 
-class Copies:
-    """Copies 0 in their order, in eight bytes each: a run has millions."""
-
-    def __init__(self) -> None:
-        self._sessions: dict[str, int] = {}
-        self._codes = array("q")
-
-    def add(self, *copies: Copy) -> None:
-        """Append copies."""
-        for topic, session, k in copies:
-            place = self._sessions.setdefault(session, len(self._sessions))
-            self._codes.append(k << 24 | place << 1 | (topic == "offer"))
-
-    def __len__(self) -> int:
-        return len(self._codes)
-
-    def __iter__(self) -> Iterator[Copy]:
-        sessions = list(self._sessions)
-        for code in self._codes:
-            yield _TOPICS[code & 1], sessions[code >> 1 & 0x7FFFFF], code >> 24
-
-
-class HeardCopies:
-    """Copies 0 that a tap has heard, each with the number of her recording."""
-
-    def __init__(self) -> None:
-        self._incarnations = {topic: BySteps() for topic in _TOPICS}
-
-    def add(self, copy: Copy, incarnation: int) -> None:
-        """Note a copy, the first time."""
-        topic, session, k = copy
-        if (heard := self._incarnations.get(topic)) is not None:
-            heard.setdefault((session, k), incarnation)
-
-    def incarnation(self, copy: Copy) -> int | None:
-        """In which of her recordings a copy is; None where she missed it."""
-        topic, session, k = copy
-        found: int | None = self._incarnations[topic].get((session, k))
-        return found
-
-
-@dataclass(slots=True)
-class _Block:
-    transitions: int = 0
-    steps: int = 0
-    last_k: int = -1
-    copies: Copies = field(default_factory=Copies)
-
-
 class _Leaving:
-    """How often the messages of one end left, from the events of its trace."""
+    """How often the messages of one end left, from its trace."""
 
-    def __init__(self) -> None:
+    def __init__(self, trace: Trace | None) -> None:
         self._at: dict[str | None, list[tuple[int, int]]] = {}
-        self._times = 1
-
-    def take(self, event: Event) -> None:
-        """Take the next event."""
-        if event["event"] in ("appearances", "session"):
-            self._times = event.get("times", self._times)
-            self._at.setdefault(event["session"], []).append((event.get("k", -1), self._times))
+        times = 1
+        for told in () if trace is None else trace.told("appearances", "session"):
+            line, k = told.line, -1
+            if isinstance(line, AppearancesLine):
+                times, k = line.times, line.k
+            self._at.setdefault(getattr(line, "session", None), []).append((k, times))
 
     def times(self, session: str, k: int) -> int | None:
         """Of the message of step k; None where that changed just then."""
@@ -125,44 +75,22 @@ class _Leaving:
         return 1 if times is None else times
 
 
-@dataclass(slots=True)
-class _Walk:
-    """The blocks of a run, and every copy 0 that was sent, from the plant's trace."""
+class HeardCopies:
+    """Copies 0 of the plant's steps that a tap has heard, each with the number of her recording.
 
-    schedule: Schedule
-    blocks: dict[tuple[str, int], _Block] = field(default_factory=dict)
-    sent: Copies = field(default_factory=Copies)
-    keys: dict[tuple[str, int], int] = field(default_factory=dict)
-    steps: int = 0
-    _last_k: dict[str, int] = field(default_factory=dict)
+    Each direction takes two bytes a step: -1 where she missed the copy.
+    """
 
-    def take(self, event: Event) -> None:
-        """Take the next event of the trace."""
-        kind = event["event"]
-        if kind == "missed":
-            self.steps += 1
-            self.sent.add(("measurement", event["session"], event["k"]))
-        elif kind == "transition":
-            self._transition(event)
-        elif kind == "block" and event["what"] == "confirmed":
-            self.keys[event["session"], event["number"]] = event["keys"]
+    def __init__(self, plant: Trace) -> None:
+        self._places = Places(plant)
+        none = np.full(len(plant.rows), -1, np.int16)
+        self.of = {"measurement": none, "offer": none.copy()}
 
-    def _transition(self, event: dict[str, Any]) -> None:
-        session, j, k = event["session"], event["j"], event["k"]
-        before = self._last_k.get(session, k)
-        self._last_k[session] = k
-        self.steps += 1
-        both: tuple[Copy, Copy] = (("measurement", session, k), ("offer", session, k))
-        self.sent.add(*both)
-        number = self.schedule.block_of(j)
-        if number < 0:
-            return
-        block = self.blocks.setdefault((session, number), _Block())
-        block.transitions += 1
-        block.steps += k - before
-        block.last_k = k
-        counts = self.schedule.assumption.counting(event["counts"])
-        block.copies.add(*[both[1]] * (counts & 1), *[both[0]] * (counts >> 1))
+    def add(self, topic: str, session: str, k: int, incarnation: int) -> None:
+        """Note a copy, the first time."""
+        place = self._places.of(session, k)
+        if place >= 0 and self.of[topic][place] < 0:
+            self.of[topic][place] = incarnation
 
 
 @dataclass(frozen=True, slots=True)
@@ -301,39 +229,46 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         rates: dict[str, MissRate] = {}
         nothing = (claim.sentence(), refused, (), rates, 0.0, scenario.plant.period_s)
         return KeyAudit(claim.eps_E, *nothing)
-    walk, behind = _Walk(schedule), 0
-    leaving = {"measurement": _Leaving(), "offer": _Leaving()}
-    unread = []
-    try:
-        behind = run.feed("plant", walk.take, leaving["measurement"].take)
-    except TraceError as error:
-        unread.append(str(error))
-    try:
-        run.feed("controller", leaving["offer"].take)
-    except TraceError as error:
-        unread.append(str(error))
-    heard = _heard(run)
-    blocks = tuple(
-        _audited(walk, at, block, heard)
-        for at, block in walk.blocks.items()
-        if block.transitions == schedule.length(at[1])
-    )
-    rates = {} if heard is None else _rates(run, claim, walk.sent, heard, leaving)
+    unread: list[str] = []
+    plant, controller = _columns(run, "plant", unread), _columns(run, "controller", unread)
+    leaving = {"measurement": _Leaving(plant), "offer": _Leaving(controller)}
+    heard = None if plant is None else _heard(run, plant)
+    blocks: list[AuditedBlock] = []
+    steps = 0
+    if plant is not None:
+        keys = {(b.session, b.number): b.keys for b in ended(plant) if b.what == "confirmed"}
+        blocks = [_audited(schedule, b, plant, keys, heard) for b in Blocks(schedule, plant)]
+        steps = plant.behind + int((plant.steps["kind"] != INTERRUPTED).sum())
+    rates = {}
+    if heard is not None and plant is not None:
+        rates = _rates(run, claim, plant, heard, leaving)
     return KeyAudit(
         claim.eps_E,
         claim.sentence(),
         refused,
-        blocks,
+        tuple(blocks),
         rates,
-        (walk.steps + behind) * scenario.plant.period_s,
+        steps * scenario.plant.period_s,
         scenario.plant.period_s,
         heard is not None,
         tuple(unread),
     )
 
 
+def _columns(run: Run, side: Side, unread: list[str]) -> Trace | None:
+    """A trace as far as it can be read; what cannot be is told in ``unread``."""
+    try:
+        trace = run.columns(side)
+    except TraceError as error:
+        unread.append(str(error))
+        return None
+    if trace.unread:
+        unread.append(f"{run.trace(side)}: {trace.unread}")
+    return trace
+
+
 def _rates(
-    run: Run, claim: Assumption, sent: Copies, heard: HeardCopies, leaving: Mapping[str, _Leaving]
+    run: Run, claim: Assumption, plant: Trace, heard: HeardCopies, leaving: Mapping[str, _Leaving]
 ) -> dict[str, MissRate]:
     """Her misses by class: direction, and how often the message left.
 
@@ -344,64 +279,81 @@ def _rates(
     """
     hears = run.capture().header.get("appearances", 1)
 
-    def copies() -> Iterator[tuple[str, Copy]]:
-        for copy in sent:
-            name = f"{copy[0]}s"
-            times = leaving[copy[0]].times(*copy[1:])
-            if claim.directions not in ("both", name) or times is None or times > claim.appearances:
-                continue
-            yield (name if times == 1 else f"{name} that left {times} times"), copy
+    def copies() -> Iterator[tuple[str, int]]:
+        """The class of each copy 0 that was sent, and in which recording it is."""
+        for rows, *recorded in _together(plant.steps, heard.of["measurement"], heard.of["offer"]):
+            columns = (rows[name].tolist() for name in ("session", "k", "kind"))
+            both = (one.tolist() for one in recorded)
+            for number, k, kind, *incarnations in zip(*columns, *both, strict=True):
+                for topic, incarnation in zip(_TOPICS, incarnations, strict=True):
+                    if kind == INTERRUPTED or (kind == MISSED and topic == "offer"):
+                        continue
+                    times = leaving[topic].times(plant.sessions[number], k)
+                    other = claim.directions not in ("both", name := f"{topic}s")
+                    if other or times is None or times > claim.appearances:
+                        continue
+                    yield (name if times == 1 else f"{name} that left {times} times"), incarnation
 
     names: dict[str, None] = {}
     last: dict[int, int] = {}  # of each of her recordings, the last copy in it
     count = 0
-    for name, copy in copies():
+    for name, incarnation in copies():
         names.setdefault(name)
-        if (incarnation := heard.incarnation(copy)) is not None:
+        if incarnation >= 0:
             last[incarnation] = count
         count += 1
     ends = {i for i in last.values() if i < max(last.values()) or count - i > AWAY}
     audit = Audit(claim.eps_E**hears, tuple(names))
-    for i, (name, copy) in enumerate(copies()):
-        audit.add(name, missed=heard.incarnation(copy) is None)
+    for i, (name, incarnation) in enumerate(copies()):
+        audit.add(name, missed=incarnation < 0)
         if i in ends:
             audit.gone()
     return audit.judge()
 
 
+def _together(*columns: Any) -> Iterator[tuple[Any, ...]]:
+    for first in range(0, len(columns[0]), AT_ONCE):
+        last = min(first + AT_ONCE, len(columns[0]))
+        yield tuple(column[first:last] for column in columns)
+
+
 def _audited(
-    walk: _Walk, at: tuple[str, int], block: _Block, heard: HeardCopies | None
+    schedule: Schedule,
+    block: TracedBlock,
+    plant: Trace,
+    keys: Mapping[tuple[str, int], int],
+    heard: HeardCopies | None,
 ) -> AuditedBlock:
-    a = walk.schedule.assumption
-    rows = a.rows(block.transitions, block.steps, len(block.copies))
+    at, rows = (block.session, block.number), block.secret_rows(schedule)
     missed = held = None
     if heard is not None:
-        missed = sum(heard.incarnation(copy) is None for copy in block.copies)
+        unheard = {topic: heard.of[topic][block.rows] < 0 for topic in _TOPICS}
+        missed = int((unheard["offer"] & (block.counts & 1 > 0)).sum())
+        missed += int((unheard["measurement"] & (block.counts >> 1 > 0)).sum())
         held = bits_held(rows, missed) if rows >= 2 else 0
     return AuditedBlock(
         *at,
-        transitions=block.transitions,
+        transitions=len(block.rows),
         steps=block.steps,
-        counted=len(block.copies),
+        counted=block.counted,
         rows=rows,
-        keys=walk.keys.get(at, 0),
+        keys=keys.get(at, 0),
         missed=missed,
         held_bits=held,
-        confirmed=at in walk.keys,
-        last_k=block.last_k,
-        lost=a.copies * block.steps - len(block.copies),
+        confirmed=at in keys,
+        last_k=int(plant.rows["k"][block.rows[-1]]),
+        lost=schedule.assumption.copies * block.steps - block.counted,
     )
 
 
-def _heard(run: Run) -> HeardCopies | None:
+def _heard(run: Run, plant: Trace) -> HeardCopies | None:
     """Every copy 0 in the capture, with the number of her recording; None where there is none."""
-    heard = HeardCopies()
+    heard = HeardCopies(plant)
     try:
         reader = run.capture()
         for _, message in reader.records():
             if not message.copy_number:
-                copy = (message.topic, message.session, message.k)
-                heard.add(copy, reader.incarnations)
+                heard.add(message.topic, message.session, message.k, reader.incarnations)
     except (CaptureError, OSError):
         return None
     return heard

@@ -10,14 +10,13 @@ those of :mod:`protocol.statistics`.
 
 import base64
 import math
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from operator import index
 from typing import Any, Final
 
 from protocol.agreement import NO_SYMBOL
 from protocol.relabelling import Known, Pairs, known, pairs_of
-from protocol.scenario import ScenarioError
 from protocol.text import printable
 from runtime.recording import TraceError
 from tap_service.capture.channel import View
@@ -26,6 +25,8 @@ from tap_service.eavesdroppers.base import Belief, KeysHeld, MessageSymbols
 from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
+from wyner.runs.score.counts import parted
+from wyner.runs.trace import TRANSITION, Trace
 
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
@@ -100,38 +101,6 @@ class Truth:
             self.transitions,
             self.hidden_widths,
         )
-
-
-class TruthTaker:
-    """Gathers the truth from the events of a plant's trace that count, one by one."""
-
-    def __init__(self) -> None:
-        self._keys, self._symbols = BySteps(), BySteps()
-        self._whole: list[tuple[int, bytes]] = []
-        self._last: dict[str, int] = {}
-        self._size, self._last_k, self._transitions = 2, -1, 0
-
-    def take(self, event: Mapping[str, Any]) -> None:
-        """Take the next event."""
-        if event["event"] == "transition":
-            session, k = str(event["session"]), int(event["k"])
-            key, symbol = int(event["symbol"]), int(event["message_symbol"])
-            if key != NO_SYMBOL:
-                self._keys[session, k] = key
-            if symbol != NO_SYMBOL:
-                self._symbols[session, k] = symbol
-            self._last[session] = self._last_k = k
-            self._size = len(event["candidates"])
-            self._transitions += 1
-        elif event["event"] == "recovered":
-            self._whole.append((self._last_k, base64.b64decode(event["payload"])))
-
-    def truth(self, hidden_widths: int = 1) -> Truth:
-        """The truth of the events so far."""
-        for at in self._last.items():  # no message follows it: its result never travelled
-            self._keys.pop(at, None)
-        whole = tuple(self._whole)
-        return Truth(self._size, self._keys, self._symbols, whole, self._transitions, hidden_widths)
 
 
 @dataclass(frozen=True, slots=True)
@@ -417,31 +386,40 @@ def read_truth(run: Run) -> Truth:
     ScoreError
         When its plant's trace cannot be read.
     """
-    taker = TruthTaker()
-    feed_the_plant(run, taker.take)
-    return taker.truth(hidden_widths(run))
+    trace = the_plant(run)
+    keys, symbols, count = BySteps(), BySteps(), 0
+    last: dict[int, int] = {}
+    for rows in parted(trace.steps):
+        counted = rows[rows["kind"] == TRANSITION]
+        count += len(counted)
+        last |= zip(counted["session"].tolist(), counted["k"].tolist(), strict=True)
+        for into, column in ((keys, "symbol"), (symbols, "message_symbol")):
+            told = counted[counted[column] != NO_SYMBOL]
+            fields = (told[name].tolist() for name in ("session", "k", column))
+            for session, k, symbol in zip(*fields, strict=True):
+                into[trace.sessions[session], k] = symbol
+    for session, k in last.items():
+        keys.pop((trace.sessions[session], k), None)  # its result never travelled
+    whole = tuple((trace.newest_k(at), told.payload) for at, told in trace.noted("recovered"))
+    scenario = run.scenario
+    return Truth(scenario.secrecy.candidates, keys, symbols, whole, count, scenario.hidden_widths)
 
 
-def feed_the_plant(run: Run, take: Callable[[Mapping[str, Any]], None]) -> None:
-    """Hand over the plant's events, one after another.
+def the_plant(run: Run) -> Trace:
+    """The plant's trace.
 
     Raises
     ------
     ScoreError
-        When its trace cannot be read.
+        When it cannot be read.
     """
     try:
-        run.feed("plant", take)
+        trace = run.columns("plant")
     except TraceError as error:
         raise ScoreError(str(error)) from None
-
-
-def hidden_widths(run: Run) -> int:
-    """Widths of D_c that one who knows f_c and D_e does not know."""
-    try:
-        return run.scenario.hidden_widths
-    except ScenarioError:
-        return 1  # a folder of traces alone
+    if trace.unread:
+        raise ScoreError(f"{run.trace('plant')}: {trace.unread}")
+    return trace
 
 
 def score_run(run: Run) -> RunScore:

@@ -1,74 +1,43 @@
 """A run as a flat table: one row a step, one column a number, the truth beside it where asked."""
 
 import csv
-from array import array
-from bisect import bisect_left
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from types import NoneType
-from typing import IO, Any, Final
+from typing import IO, TYPE_CHECKING, Any, Final
 
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
 from wyner.runs.run import Run
-from wyner.runs.score.score import feed_the_plant
+
+if TYPE_CHECKING:
+    from wyner.runs.trace import Trace
 
 Row = dict[str, Any]
 
 
 class Truth:
-    """What the plant knew of each step, in some 60 bytes each."""
+    """What the plant knew of each step, found by session and step."""
 
-    def __init__(self) -> None:
-        self._sessions: dict[str, _Session] = {}
+    def __init__(self, trace: "Trace") -> None:
+        from wyner.runs.trace import Places
 
-    def take(self, event: Mapping[str, Any]) -> None:
-        """Keep a transition of the plant's trace; they come in rising steps."""
-        if event["event"] == "transition":
-            session = str(event["session"])
-            if session not in self._sessions:
-                self._sessions[session] = _Session(len(event["u"]), len(event["gauges"]))
-            self._sessions[session].take(event)
+        self._rows, self._places = trace.steps, Places(trace)
 
     def of(self, session: str, k: int) -> Row:
         """Coin, applied input, role, key, message symbol and gauges; empty where none was made."""
-        found = self._sessions.get(session)
-        return {} if found is None else found.of(k)
-
-
-class _Session:
-    """The steps of one session, in columns."""
-
-    def __init__(self, inputs: int, candidates: int) -> None:
-        self._inputs, self._width = inputs, inputs + candidates
-        self._k = array("q")
-        self._symbols = array("h")  # coin, key and message symbol of a step after the other
-        self._numbers = array("d")  # its input and gauges
-        self._carries = bytearray()
-
-    def take(self, event: Mapping[str, Any]) -> None:
-        numbers = [*event["u"], *event["gauges"]]
-        if len(numbers) != self._width:
-            raise ValueError(f"k {event['k']}: expected {self._width} inputs and gauges")
-        self._k.append(event["k"])
-        self._symbols.extend((event["coin"], event["symbol"], event["message_symbol"]))
-        self._numbers.extend(numbers)
-        self._carries.append(event["role"] == "message")
-
-    def of(self, k: int) -> Row:
-        i = bisect_left(self._k, k)
-        if i == len(self._k) or self._k[i] != k:
+        place = self._places.of(session, k)
+        row = self._rows[place] if place >= 0 else None
+        if row is None or row["j"] < 0:
             return {}
-        coin, key, message_symbol = self._symbols[3 * i : 3 * i + 3]
-        numbers = self._numbers[self._width * i : self._width * (i + 1)].tolist()
         return {
-            "coin": coin,
-            **_numbered("u_", numbers[: self._inputs]),
-            "role": "message" if self._carries[i] else "test",
-            "key": key,
-            "message_symbol": message_symbol,
-            **_numbered("gauge_", numbers[self._inputs :], first=0),
+            "coin": int(row["coin"]),
+            **_numbered("u_", row["u"].tolist()),
+            "role": "message" if row["message"] else "test",
+            "key": int(row["symbol"]),
+            "message_symbol": int(row["message_symbol"]),
+            **_numbered("gauge_", row["gauges"].tolist(), first=0),
         }
 
 
@@ -80,9 +49,9 @@ def truth_of(run: Run) -> Truth:
     ScoreError
         When the plant's trace cannot be read.
     """
-    found = Truth()
-    feed_the_plant(run, found.take)
-    return found
+    from wyner.runs.score.score import the_plant
+
+    return Truth(the_plant(run))
 
 
 def step_rows(reader: CaptureReader, truth: Truth | None) -> Iterator[Row]:

@@ -74,11 +74,14 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     """
     scenario = run.scenario
     size = scenario.secrecy.candidates
-    counts, behind, errors = PlantCounts(scenario.cost_weights), 0, list[str]()
+    counts, behind, errors = PlantCounts(), 0, list[str]()
     try:
-        behind = run.feed("plant", counts.take)
+        trace = run.columns("plant")
     except TraceError as error:
         errors.append(str(error))
+    else:
+        counts, behind = PlantCounts.of(trace, scenario.cost_weights), trace.behind
+        errors += [f"{trace.side}/{trace.unread}"] if trace.unread else []
     sent: list[bytes] = []
     try:
         sent = run.sent()
