@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from matplotlib.figure import Figure
 
@@ -159,21 +159,11 @@ def draw_shapes(figure: Figure, data: Path) -> str:
     axes = figure.subplots()
     for place, tap in enumerate(dict.fromkeys(r["tap"] for r in rows)):
         mine = [r for r in rows if r["tap"] == tap]
-        mine_at = [r["width_1"] for r in mine]
-        style: dict[str, Any] = {
-            "fmt": "-",
-            "marker": MARKERS[place],
-            "mfc": "none" if place else None,
-        }
-        bars(
-            axes,
-            mine_at,
-            intervals(mine, "right"),
-            place,
-            marker=MARKERS[place],
-            label=tap,
-            **style,
-        )
+        at = [r["width_1"] for r in mine]
+        style: dict[str, Any] = {"fmt": "-", "marker": MARKERS[place], "label": tap}
+        if place == 0:
+            style["mfc"] = None
+        bars(axes, at, intervals(mine, "right"), place, **style)
     axes.axhline(0.5, color="0.6", ls=":", lw=1)
     axes.set_xlabel(r"half-width of $\mathcal{D}_e$ in $x_1$ ($x_2$: 0.96; $\mathcal{D}_c$: 0.12)")
     axes.set_ylabel("agreed key symbols guessed right")

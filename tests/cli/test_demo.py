@@ -31,17 +31,17 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert spoken["keys"] is None
     assert keys["keys"]["made"] > 0
     assert keys["keys"]["held_by_tap_bits"] == 0
-    assert keys["keys"]["same_at_both_ends"]
     assert control["keys"]["made"] == 0
     assert "eps_E" in control["keys"]["refused"]
-    # the same attack under a key that she does not have, and under one that she has
+    # the same attack under a key that Eve does not have, and where the claim on her is refuted
     assert caught["attack"]["alarm_k"] >= caught["attack"]["onset"]
     assert caught["attack"]["watched"] > 0
     assert caught["keys"]["held_by_tap_bits"] == 0
     assert unseen["attack"]["alarm_k"] == -1
-    assert unseen["attack"]["watched"] > 0
+    assert unseen["attack"]["watched"] == 0 < unseen["attack"]["unwatched"]
     assert unseen["attack"]["away"] > 20
-    assert unseen["keys"]["held_by_tap_bits"] > 0
+    assert unseen["keys"]["made"] == 0
+    assert any("refuted" in line for line in unseen["keys"]["warnings"])
     assert caught["attack"]["false_alarms"] == unseen["attack"]["false_alarms"] == 0
     # its folder is one of runs: `score` takes it as `check` does
     assert main(["score", str(tmp_path / "demo"), "--json"]) == 0

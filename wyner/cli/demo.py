@@ -2,7 +2,7 @@
 
 The law `packed` at its limit, read by the tap as it is spoken; keys distilled beside a tap that
 misses three messages of ten; the control, a tap that hears all; and a sensor
-that is spoofed, under a key that is secret and under one that the tap reads.
+that is spoofed, under a key that is secret, and where no key can be secret.
 """
 
 import argparse
@@ -41,14 +41,14 @@ TITLES: Final = {
     "keys": "2/4 keys",
     "control": "3/4 control",
     "caught": "4/4 attacked, secret key",
-    "unseen": "4/4 attacked, key read",
+    "unseen": "4/4 attacked, no key",
 }
 ABOUT: Final = {
     "spoken": "a message that the loop itself carries, beside a tap that hears all",
     "keys": "keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
-    "caught": "a sensor spoofed by who misses 30 %, under keys distilled from that",
-    "unseen": "the same by who hears all: the claim that she misses 30 % is false",
+    "caught": "a spoofed sensor where Eve misses 30 %, under keys distilled from that",
+    "unseen": "the same where Eve hears all: the claim is refuted, and no key is made",
 }
 """What each run is, as the screen's first line begins and as a line says before it."""
 
@@ -216,7 +216,7 @@ def _keys(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage 
     if not made:
         return outcome, f"2. Keys:    none was made: {_missed(outcome.summary)}.", None
     line = f"2. Keys:    {made} keys made. A tap that loses 30 % holds {held} bits."
-    return outcome, line, bool(held == 0 and keys.get("same_at_both_ends"))
+    return outcome, line, bool(held == 0)
 
 
 def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
@@ -255,20 +255,21 @@ def _caught(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
 
 
 def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
-    """The same by one who hears all, so that she has the key and every digit of it."""
+    """The same where Eve hears all: the claim is refuted, so that no key watches the sensor."""
     before = tuple(told.lines)
 
     def line_of(summary: dict[str, Any]) -> str:
         found = summary["attack"] or {}
         away, shown = found.get("away") or 0.0, found.get("shown") or 0.0
         if found.get("alarm_k", -1) >= 0:
-            return f"{before[-1]}, and beside a tap that reads the key as well: that must not be."
-        if found.get("watched", 0) < ENOUGH:
-            missed = f"no key was there in time ({_missed(summary)})"
-            return f"{before[-1]}; beside a tap that hears all {missed}."
+            return f"{before[-1]}, and where Eve hears all as well: that must not be."
+        if (summary["keys"] or {}).get("made", 0):
+            return f"{before[-1]}; where Eve hears all keys were made: that must not be."
+        if found.get("unwatched", 0) < ENOUGH:
+            return f"{before[-1]}; where Eve hears all nothing is shown, for {_missed(summary)}."
         return (
-            f"{before[-1]}, and never under one that the tap reads: the plant is then {away:.0f} "
-            f"away while the screen shows {shown:.1f}."
+            f"{before[-1]}. Where Eve hears all, no key is made and nothing watches: the plant is "
+            f"then {away:.0f} away while the screen shows {shown:.1f}."
         )
 
     with _scenario("false-claim", "watched", LISTENED | HEARS_ALL) as scenario:
@@ -279,8 +280,8 @@ def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
             stage=stage,
         )
     found = outcome.summary["attack"] or {}
-    unseen = found.get("alarm_k", 0) < 0
-    shown = found.get("watched", 0) >= ENOUGH or not unseen
+    unseen = found.get("alarm_k", 0) < 0 and not (outcome.summary["keys"] or {}).get("made", 0)
+    shown = found.get("unwatched", 0) >= ENOUGH or not unseen
     return outcome, line_of(outcome.summary), unseen if shown else None
 
 
