@@ -48,6 +48,7 @@ class Condition(NamedTuple):
 
 MEASUREMENTS: Final = {"view": "measurements"}
 OFFERS: Final = {"view": "offers"}
+LOSS: Final = {"loss": 0.3}
 CONDITIONS: Final = (
     Condition("packed-quadruple-tank", MEASUREMENTS, 320),
     Condition("packed-batch-reactor", MEASUREMENTS, 320),
@@ -65,17 +66,17 @@ CONDITIONS: Final = (
     Condition("packed-quadruple-tank", OFFERS, 320),
     Condition("packed", OFFERS, 320),
     Condition("sustained", OFFERS, 1000, False),
-    Condition("packed", {"loss": 0.3}, 320),
+    Condition("packed", LOSS, 320),
     Condition("packed", {"loss": 0.5}, 320),
-    Condition("packed-double-integrator", {"loss": 0.3}, 320),
-    Condition("packed-batch-reactor", {"loss": 0.3}, 320),
-    Condition("packed-quadruple-tank", {"loss": 0.3}, 320),
-    Condition("nonlinear-quadruple-tank", {"loss": 0.3}, 640),
-    Condition("unicycle", {"loss": 0.3}, 640),
-    Condition("noisy", {"loss": 0.3}, 640),
-    Condition("sustained", {"loss": 0.3}, 1000, False),
-    Condition("quadruple-tank", {"loss": 0.3}, 1000, False),
-    Condition("batch-reactor", {"loss": 0.3}, 1000, False),
+    Condition("packed-double-integrator", LOSS, 320),
+    Condition("packed-batch-reactor", LOSS, 320),
+    Condition("packed-quadruple-tank", LOSS, 320),
+    Condition("nonlinear-quadruple-tank", LOSS, 640),
+    Condition("unicycle", LOSS, 640),
+    Condition("noisy", LOSS, 640),
+    Condition("sustained", LOSS, 1000, False),
+    Condition("quadruple-tank", LOSS, 1000, False),
+    Condition("batch-reactor", LOSS, 1000, False),
     Condition("packed", {"noise": 0.05}, 320),
     Condition("packed-double-integrator", {"noise": 0.05}, 320),
     Condition("sustained", {"noise": 0.05}, 1000, False),

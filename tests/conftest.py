@@ -58,7 +58,6 @@ def pytest_xdist_auto_num_workers() -> int:
 
 LONGEST = (
     "tap/test_text.py",
-    "tap/test_particle_smoother.py",
     "campaigns/test_campaigns.py",
     "system/test_medium.py",
     "studies/test_figures.py",

@@ -1,9 +1,8 @@
 """`smoother`: decodes like `list-decoder` what she heard badly or in part.
 
-She infers lost states and offers from later ones, by the law that she was told
-(:mod:`tap_service.inference.offers_reader`, :mod:`tap_service.inference.unheard_offers`) or
-by what she learns of it (:mod:`tap_service.inference.gap_smoother`), and follows every outcome that
-remains likely, beside every threshold. She has to hear what came after before she can infer what
+She infers lost states and offers from later ones, as `text` does
+(:mod:`tap_service.inference.front`), and follows every outcome that remains likely, beside every
+threshold. She has to hear what came after before she can infer what
 was lost, so she decodes all that she keeps anew each time she has heard twice as much as before.
 Where outputs alone are read she finds how far disturbance and sensors scatter, and takes each
 candidate for as likely as some readings later say; a lost offer she infers nothing of.
@@ -28,14 +27,10 @@ from tap_service.eavesdroppers.base import (
 )
 from tap_service.eavesdroppers.by_readings import ByReadings
 from tap_service.eavesdroppers.list_decoder import Collected
-from tap_service.inference.fitted_shape import Shape, likelier_shape
-from tap_service.inference.gap_smoother import GapSmoother
+from tap_service.inference.front import Inference
 from tap_service.inference.inferred import InferredStep
 from tap_service.inference.list_decoding import ListDecoding
-from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.output_model import OutputModel
-from tap_service.inference.policy import KnownLaw
-from tap_service.inference.unheard_offers import infer_from_readings
 
 KEPT: Final = 4096
 """Transitions that she keeps; at this many she lets the older half go, decoded for good."""
@@ -55,11 +50,6 @@ FINEST: Final = 0.0045
 ALL: Final = (0.02, 1.0)
 """Thresholds from and to, in units of D_e, where nothing is known of them."""
 
-WIDEST: Final = 3.0
-"""Where something was missed, a defender's set is taken for at most so many times as wide as the
-disturbance seen, and at least half: otherwise a threshold under which nothing was ever agreed
-explains a transcript full of holes best."""
-
 
 class Smoother(Eavesdropper):
     """Infers what was missed, then decodes with every threshold and every likely outcome."""
@@ -77,15 +67,7 @@ class Smoother(Eavesdropper):
             )
             self.final_guesses = self._readings.final_guesses
         self._even = even(self.size)
-        assert knowledge.disturbance_H is not None
-        assert knowledge.disturbance_h is not None
-        self._shape = np.array(knowledge.disturbance_H) / np.array(knowledge.disturbance_h)[:, None]
-        # rounding to a step is an error spread evenly over it
-        self._noise = float(np.hypot(knowledge.noise, knowledge.quantise / np.sqrt(12.0)))
-        A, B = np.array(self._model.A), np.array(self._model.B)
-        self._law = KnownLaw.of(knowledge)
-        if self._law is not None:
-            self.reader = OffersReader(A, B, self._shape, self._law, self._noise)
+        self._inference = Inference(knowledge)
         self._kept: list[Transition] = []
         self._before: ListDecoding | None = None
         self._collected = Collected()
@@ -167,27 +149,11 @@ class Smoother(Eavesdropper):
     def _infer(self) -> tuple[float, float]:
         """Infer what is kept by what was heard of it; the thresholds that remain, in units of D_e.
 
-        By the law that she was told, where it says enough: everything with its facets, each
-        direction alone without them. Else by what she learns of the law from states and offers.
+        A little lower than those of one who weighs the steps: what is inferred may be too wide.
         """
-        kept = self._kept
-        if self._law is not None and all(t.x is None and t.x_next is None for t in kept):
-            self._steps = self.reader.infer(kept)
-            return self.reader.width or _among(self.reader.support)
-        A, B = np.array(self._model.A), np.array(self._model.B)
-        if self._law is not None and all(t.candidates is None for t in kept):
-            found = infer_from_readings(A, B, self._shape, self._law, self.size, self._noise, kept)
-            self._steps = found.steps
-            return _among(1.0)
-        clear = not self._noise and all(t.whole for t in kept)
-        facets = self._law is not None and self._law.facets
-        if facets and not clear and self.reader.trusts(kept):
-            self._steps = self.reader.infer(kept)
-            return self.reader.width or _among(1.0)
-        shape = Shape(self._shape) if self._noise else likelier_shape(self._shape, A, B, kept)
-        inference = GapSmoother(A, B, shape, self._noise)
-        self._steps = inference.infer(kept)
-        return _among(inference.support)
+        found = self._inference.infer(self._kept)
+        self._steps, (low, high) = found.steps, found.among
+        return max(0.5 * low, ALL[0]), high
 
     def review(self) -> Sequence[Guess]:
         """What she takes each step for, with what came after it."""
@@ -215,8 +181,3 @@ class Smoother(Eavesdropper):
         """Those of her best decoding."""
         decoded = self._decoding if self._readings is None else self._readings
         return decoded.message_symbols()
-
-
-def _among(support: float) -> tuple[float, float]:
-    """Thresholds of a defender, by the gauge of the largest disturbance."""
-    return 0.5 * support, min(WIDEST * support, 1.0)

@@ -1,9 +1,9 @@
 """Which way of inferring what was missed suits what was heard, and the scales that it needs.
 
-A planar plant with one input: by exact proposals (:mod:`tap_service.inference.line_smoother`), with
-the law as the policy gives it or as it is learned. Any other: by the law's pieces
-(:mod:`tap_service.inference.gap_smoother`); by all readings together, where they are noisy
-(:mod:`tap_service.inference.mixture_smoother`); by the policy where offers alone are heard.
+Where no offer was heard: by the readings (:mod:`tap_service.inference.unheard_offers`). A planar
+plant with one input whose law bends nearly everywhere: by exact proposals
+(:mod:`tap_service.inference.line_smoother`), with the law as the policy gives it or as it is
+learned. All else: by one Kalman filter (:mod:`tap_service.inference.beam_smoother`).
 """
 
 from collections.abc import Sequence
@@ -16,6 +16,8 @@ import numpy as np
 from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition, steps_in_a_row
+from tap_service.inference.affine_law import AffineLaw
+from tap_service.inference.beam_smoother import BeamSmoother
 from tap_service.inference.fitted_shape import (
     SMALLEST,
     Shape,
@@ -23,14 +25,11 @@ from tap_service.inference.fitted_shape import (
     likelier_shape,
     residuals_of,
 )
-from tap_service.inference.gap_smoother import GapSmoother
 from tap_service.inference.inferred import Inferred, thresholds_above
 from tap_service.inference.line_smoother import LineSmoother
-from tap_service.inference.mixture_smoother import MixtureSmoother
-from tap_service.inference.offers_reader import OffersReader
 from tap_service.inference.planar_law import PlanarLaw, learned_law, matching
 from tap_service.inference.policy import KnownLaw
-from tap_service.inference.unheard_offers import infer_from_readings
+from tap_service.inference.unheard_offers import infer_from_readings, unit_offsets
 
 ENOUGH: Final = 16
 """Steps heard whole from which the disturbance is measured."""
@@ -95,21 +94,33 @@ class Inference:
             self._shape = likelier_shape(self._told, self._A, self._B, kept, ties=ties)
         if self._law is not None and all(t.candidates is None for t in kept):
             A, B, noise = self._A, self._B, self._noise
-            return infer_from_readings(A, B, self._told, self._law, self._size, noise, kept)
-        law = None if self._planar is None else self._fitted(self._planar, kept)
+            return infer_from_readings(
+                A, B, self._told, self._law, self._size, noise, kept, self._planar
+            )
+        beam = self._beam(kept, runs)
+        law = None if self._planar is None or beam.exact else self._fitted(self._planar, kept)
         if law is not None:
             return self._by_lines(law, runs, kept)
-        if self._law is not None and all(t.x is None for t in kept):
-            reader = OffersReader(self._A, self._B, self._told, self._law, self._noise)
-            return Inferred(reader.infer(kept), reader.width or thresholds_above(reader.support))
-        smoother: GapSmoother | MixtureSmoother = GapSmoother(
-            self._A, self._B, self._shape, self._noise, samples=SAMPLES
-        )
-        if self._noise:
-            smoother = MixtureSmoother(
-                self._A, self._B, self._told, self._noise, self._law, samples=SAMPLES
-            )
-        return Inferred(smoother.infer(kept), thresholds_above(smoother.support))
+        return Inferred(beam.infer(kept), thresholds_above(beam.support))
+
+    def _beam(self, kept: Sequence[Transition], runs: Sequence[list[Transition]]) -> BeamSmoother:
+        """By one Kalman filter, with the law as the policy or the offers have it."""
+        law = AffineLaw.of(self._law, kept, self._noise)
+        beam = BeamSmoother(self._A, self._B, self._told, self._shape, self._noise, law, SAMPLES)
+        beam.learn(kept, max(runs, key=len), self._alphabet(law))
+        return beam
+
+    def _alphabet(self, law: AffineLaw | None) -> float:
+        """D_c over D_e, by the distance of the candidates where these are apart for certain."""
+        if law is None or not law.shared or not self._certain or self._other_set:
+            return 1.0
+        edge = 1 / np.abs(self._told).max(axis=0)
+        offsets = law.g - law.g.mean(axis=0)
+        found = [(1.0, np.inf)]
+        for unit in unit_offsets(self._B, edge, self._size):
+            scale = float((unit * offsets).sum() / (unit**2).sum())
+            found.append((scale, float(np.abs(scale * unit - offsets).max())))
+        return min(found, key=lambda one: one[1])[0]
 
     # --- the law ----------------------------------------------------------------------------------
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from protocol.arrays import Array, Flags
 from protocol.knowledge import Knowledge
-from tap_service.inference.law_pieces import LawPieces
+from tap_service.inference.law_pieces import affine_pieces
 from tap_service.inference.policy import KnownLaw, corners_of, terminal_facets
 
 CLIPPED: Final = 1e-7
@@ -245,8 +245,9 @@ def learned_law(law: PlanarLaw, x: Array, u: Array) -> PlanarLaw:
     empty = np.empty((0, 3))
     if len(p) < ENOUGH:
         return replace(law, high=empty, low=empty, scaled=False)
-    (pieces,) = LawPieces(p, v[:, None, None]).pieces
-    high = pieces / np.array([1.0, 1.0, law.width])  # the candidates' distance keeps its scale
+    high = affine_pieces(p, v) / np.array(
+        [1.0, 1.0, law.width]
+    )  # the candidates' distance keeps its scale
     low = high * np.array([1.0, 1.0, -1.0])
     return replace(law, high=high, low=low, scaled=False)
 

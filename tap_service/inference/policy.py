@@ -12,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array, Flags
+from protocol.arrays import Array
 from protocol.knowledge import Knowledge
 
 TINY: Final = 1e-9
@@ -53,8 +53,6 @@ class KnownLaw:
     ----------
     free : array, shape (M, m, n)
         F_i: the candidates where no constraint is active.
-    curvature : array, shape (M, m, m)
-        Second derivatives of the costs, over two.
     together : array, shape (m, n), optional
         K, where the law's candidates coincide in T_0.
     facets : tuple of Facets
@@ -65,7 +63,6 @@ class KnownLaw:
     """
 
     free: Array
-    curvature: Array
     together: Array | None
     facets: tuple[Facets, ...]
     shared: bool = False
@@ -80,14 +77,13 @@ class KnownLaw:
         if not shared and len(k.policy.costs) != k.candidates:
             return None
         A, B = np.array(k.A), np.array(k.B)
-        free, curvature = [], []
+        free = []
         for cost in k.policy.costs:
             weighted = B.T * np.array(cost.next_state)
             P = weighted @ B + np.diag(cost.input)
             if not np.linalg.cond(P) < 1e12:
                 return None
             free.append(-np.linalg.solve(P, weighted @ A))
-            curvature.append(P)
         gain = None if k.policy.gain is None else np.array(k.policy.gain)
         together = None
         facets: tuple[Facets, ...] = ()
@@ -109,14 +105,7 @@ class KnownLaw:
                     Facets(below[0], below[1][:, 0], -1),
                     Facets(above[0], above[1][:, 0], 1),
                 )
-        return cls(np.array(free), np.array(curvature), together, facets, shared)
-
-    def solved(self, candidates: Array) -> Array:
-        """What the law's programs answered in an offer, shape (costs, m): v, where it is shared."""
-        if not self.shared:
-            return candidates
-        middle: Array = 0.5 * (candidates.min(axis=0) + candidates.max(axis=0))
-        return middle[None]
+        return cls(np.array(free), together, facets, shared)
 
     def offers(self, x: Array, width: float) -> Array:
         """The candidates in states ``x``, shape (S, n), where D_c is ``width`` times D_e.
@@ -131,14 +120,6 @@ class KnownLaw:
             else:
                 u = np.maximum(u, limits.max(axis=1)[:, None, None])
         return u
-
-    def holds(self, x: Array, width: float) -> Flags:
-        """Whether the facets leave an input in states ``x``, shape (S, n)."""
-        low, high = (
-            (x @ f.slopes.T + width * f.offsets) * f.side for f in self.facets
-        )  # from below, turned round; from above
-        out: Flags = -low.min(axis=1) <= high.min(axis=1) + TINY
-        return out
 
 
 def terminal_facets(

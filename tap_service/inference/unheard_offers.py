@@ -13,7 +13,7 @@ the width of D_c; the true one is that under which the nearest candidate leaves 
 message stays unread either way: no cipher symbol was heard.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Final
@@ -24,6 +24,7 @@ from protocol.arrays import Array
 from protocol.convex import SetError, planar_reduce
 from tap_service.capture.transcript import Transition
 from tap_service.inference.inferred import Inferred, InferredStep, thresholds_above
+from tap_service.inference.planar_law import PlanarLaw
 from tap_service.inference.policy import KnownLaw
 
 TINY: Final = 1e-12
@@ -34,11 +35,17 @@ ENOUGH: Final = 24
 SCALES: Final = tuple(np.geomspace(1 / 64, 1.0, 86).tolist())
 """Of D_c, over D_e: five in a hundred apart."""
 
-BEST: Final = 4
-"""Ways to begin that are followed further, of all shapes and scales."""
+BEST: Final = 6
+"""Shapes and scales that are followed further, of each way to begin."""
 
 ROUNDS: Final = 12
 """Labels and fits in turn."""
+
+NEARBY: Final = 0.02
+"""Over D_c: how far v is off where the policy gives it."""
+
+FINER: Final = 41
+"""Widths about the best one that are then tried."""
 
 STRAY: Final = 0.1
 """Share of the moves that v may not explain at first."""
@@ -169,8 +176,14 @@ class Moves:
         # a stray is anywhere where moves were seen
         self._anywhere = -float(np.log(np.ptp(self._moved, axis=0) + 2 * edge).sum())
 
-    def likeliest(self, free: Array, units: Sequence[Array]) -> Fit | None:
-        """The likeliest fit with offsets of one of these shapes; ``free`` is v by the policy."""
+    def likeliest(
+        self, free: Array, units: Sequence[Array], clipped: Callable[[float], Array] | None = None
+    ) -> Fit | None:
+        """The likeliest fit with offsets of one of these shapes.
+
+        ``free`` is v by the policy, and ``clipped`` the same by the width of D_c, where the policy
+        says what clips it.
+        """
         fitted = self._affine @ np.linalg.lstsq(self._affine, self._input, rcond=None)[0]
         nothing = np.zeros((len(free), 0))
 
@@ -178,11 +191,19 @@ class Moves:
             width = scale * self._edge
             return self._labelled(Fit(v, unit, scale, 0.9 * width, off * width, STRAY, nothing))
 
-        ways = ((free, 0.02), (fitted, 0.1))
-        tried = [begun(unit, v, s, off) for unit in units for v, off in ways for s in SCALES]
-        tried.sort(key=lambda fit: -fit.likelihood)
-        ended = [self._followed(fit) for fit in tried[:BEST]]
-        return max(tried[:1] + ended, key=lambda fit: fit.likelihood, default=None)
+        ways = ((free, NEARBY), (fitted, 0.1))
+        tried: list[Fit] = []
+        for v, off in ways:
+            mine = [begun(unit, v, s, off) for unit in units for s in SCALES]
+            mine.sort(key=lambda fit: -fit.likelihood)
+            tried += mine[:1] + [self._followed(fit) for fit in mine[:BEST]]
+        if clipped is not None:
+            mine = [begun(unit, clipped(s), s, NEARBY) for unit in units for s in SCALES]
+            best = max(mine, key=lambda fit: fit.likelihood)
+            near = (best.scale * np.geomspace(1 / NEARLY, NEARLY, FINER)).tolist()
+            fine = [begun(best.unit, clipped(s), s, NEARBY) for s in near if s <= 1.0]
+            tried += [self._labelled(self._measured(fit)) for fit in (best, *fine)]
+        return max(tried, key=lambda fit: fit.likelihood, default=None)
 
     def _followed(self, fit: Fit) -> Fit:
         """Labels and fits in turn."""
@@ -267,6 +288,7 @@ def infer_from_readings(
     size: int,
     noise: float,
     transitions: Sequence[Transition],
+    planar: PlanarLaw | None = None,
 ) -> Inferred:
     """Transitions of which no offer was heard, and the thresholds that remain.
 
@@ -281,6 +303,8 @@ def infer_from_readings(
         M.
     noise : float
         Standard deviation of what she reads.
+    planar : PlanarLaw, optional
+        With its bounds, where the policy gives them.
     """
     samples: list[Array | None] = [None] * len(transitions)
     among = (0.0, 1.0)
@@ -291,7 +315,10 @@ def infer_from_readings(
         if law.shared:
             edge = 1 / np.abs(shape).max(axis=0)
             moves = Moves(A, B, edge, x, after, noise)
-            fit = moves.likeliest(x @ law.free[0].T, list(unit_offsets(B, edge, size)))
+            bounded = planar is not None and planar.known and planar.gap > 0
+            clipped = _clipped(planar, x) if planar is not None and bounded else None
+            units = list(unit_offsets(B, edge, size))
+            fit = moves.likeliest(x @ law.free[0].T, units, clipped)
             drawn = [] if fit is None else [_draws(row) for row in moves.bent(fit)]
         else:
             gauges, among = _by_costs(after - x @ A.T, B, shape, law, x)
@@ -299,6 +326,11 @@ def infer_from_readings(
         for i, draws in zip(at, drawn, strict=False):
             samples[i] = draws
     return Inferred([InferredStep(t, s) for t, s in zip(transitions, samples, strict=True)], among)
+
+
+def _clipped(planar: PlanarLaw, x: Array) -> Callable[[float], Array]:
+    """v in states ``x`` by the width of D_c."""
+    return lambda width: planar.of_width(width).answers(x)
 
 
 def _draws(share: Array) -> Array:

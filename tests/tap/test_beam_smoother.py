@@ -1,0 +1,118 @@
+"""The Kalman filter under a beam of sequences: against all sequences, and on whole plants."""
+
+import itertools
+
+import numpy as np
+import pytest
+
+from protocol.agreement import NO_SYMBOL
+from protocol.arrays import Array
+from studies.eavesdroppers import LOSS, MEASUREMENTS, OFFERS, simulated
+from studies.listeners import heard_by
+from tap_service.capture.channel import View
+from tap_service.capture.transcript import Transition
+from tap_service.inference.beam_smoother import BeamSmoother
+from tap_service.inference.fitted_shape import Shape
+from tap_service.inference.front import Inference
+from tap_service.inference.verdicts import verdicts_of
+from wyner.simulate.engine import transfer
+from wyner.simulate.engine.taps import transcript
+
+A, B, NOISE = np.array([[0.8]]), np.array([[1.0]]), 0.3
+
+
+def scalar_steps(count: int, seed: int) -> list[Transition]:
+    """One state, two candidates half a unit either side, d even within 0.25; all through noise."""
+    rng = np.random.default_rng(seed)
+    x, out = np.zeros(count + 1), []
+    for k in range(count):
+        x[k + 1] = 0.8 * x[k] + 0.5 * rng.choice((-1, 1)) + rng.uniform(-0.25, 0.25)
+    y = x + NOISE * rng.standard_normal(count + 1)
+    for k in range(count):
+        u = np.array([-0.5, 0.5]) + NOISE * rng.standard_normal(2)
+        offer = tuple((float(v),) for v in u)
+        out.append(Transition("s", k, (y[k],), offer, 0, (y[k + 1],), start=k == 0))
+    return out
+
+
+def by_all_sequences(steps: list[Transition], size: float) -> Array:
+    """Probability of the second candidate at each step, d Gaussian, by enumeration."""
+    count, wide = len(steps), 12.0
+    y = np.array([t.x for t in steps] + [steps[-1].x_next])[:, 0]
+    # x as a linear function of x(0) and all d and misread inputs, which are one noise a step
+    M = np.zeros((count + 1, count + 1))
+    for i in range(count + 1):
+        for j in range(i + 1):
+            M[i, j] = 0.8 ** (i - j)
+    spread = np.diag([(10 * wide) ** 2, *[(size * wide) ** 2 / 3 + NOISE**2] * count])
+    S = M @ spread @ M.T + NOISE**2 * np.eye(count + 1)
+    inverse, found = np.linalg.inv(S), []
+    sequences = np.array(list(itertools.product((0, 1), repeat=count)))
+    for choices in sequences:
+        u = [0.0] + [steps[k].candidates[c][0] for k, c in enumerate(choices)]  # type: ignore[index]
+        off = y - M @ np.array(u)
+        found.append(-0.5 * off @ inverse @ off)
+    p = np.exp(np.array(found) - max(found))
+    return np.asarray(p @ sequences / p.sum())
+
+
+def test_choices_are_as_likely_as_all_sequences_of_them_say() -> None:
+    steps = scalar_steps(8, 3)
+    told_set = np.array([[1.0], [-1.0]]) / 12
+    smoother = BeamSmoother(A, B, told_set, Shape(told_set), NOISE, None, samples=20_000)
+    smoother.learn(steps, steps, 1.0)
+    inferred = smoother.infer(steps)
+    exact = by_all_sequences(steps, smoother.support)
+    told = np.array([s.samples.argmin(axis=1).mean() for s in inferred if s.samples is not None])
+    # of two candidates that were misread the nearer may be the other one
+    np.testing.assert_allclose(told, exact, atol=0.06)
+    ends = [by_all_sequences(steps[i : i + 1], smoother.support)[0] for i in range(len(steps))]
+    assert np.abs(ends - exact).max() > 0.1, "a step alone says something else"
+
+
+@pytest.mark.parametrize(
+    ("scenario", "view", "policy", "least", "bits"),
+    [
+        ("packed-batch-reactor", OFFERS, True, 0.93, 0.5),
+        ("packed-quadruple-tank", OFFERS, True, 0.88, 0.8),
+        ("packed-double-integrator", OFFERS, True, 0.95, 0.25),
+        ("unicycle", OFFERS, True, 0.95, 0.2),
+        ("packed-double-integrator", {"noise": 0.05}, True, 0.94, 0.25),
+        ("packed-quadruple-tank", LOSS, True, 0.86, 0.8),
+        ("unicycle", LOSS, False, 0.85, 0.5),
+    ],
+)
+def test_she_names_most_symbols_and_knows_how_sure_she_is(
+    scenario: str, view: dict[str, object], policy: bool, least: float, bits: float
+) -> None:
+    runs = simulated(scenario, 240, 0)
+    link = transfer(runs, payloads=[])
+    heard_as = View.model_validate({**view, "seed": 0})
+    heard = heard_by(list(transcript(runs, link, 0)), heard_as)
+    told = heard_as.knowledge(runs.scenario.knowledge())
+    if not policy:
+        told = told.model_copy(update={"policy": None})
+    inferred = Inference(told).infer(heard)
+    size = told.candidates
+    said, _ = verdicts_of(inferred.steps, (0.0, 1.0), size, certain=True)
+    coins = np.array([int(runs.coin[s.transition.k, 0]) for s in inferred.steps])
+    assert (coins != NO_SYMBOL).all()
+    assert (said[:, 1:].argmax(axis=1) == coins).mean() > least
+    assert -np.log2(said[np.arange(len(coins)), coins + 1]).mean() < bits
+
+
+def test_how_far_the_disturbance_reaches_is_found_by_the_offers() -> None:
+    """It reaches 0.83 of D_c, which is an eighth of D_e."""
+    runs = simulated("packed-double-integrator", 240, 1)
+    heard = heard_by(list(transcript(runs, transfer(runs, payloads=[]), 0)), View(view="offers"))
+    low, _ = Inference(runs.scenario.knowledge()).infer(heard).among
+    assert low / 0.95 == pytest.approx(1 / 8 / 1.2, rel=0.2)
+
+
+def test_of_what_nobody_told_her_she_infers_nothing() -> None:
+    runs = simulated("packed", 60, 0)
+    heard = list(transcript(runs, transfer(runs, payloads=[]), 0))
+    told = runs.scenario.knowledge().model_copy(update={"policy": None})
+    silent = View.model_validate(MEASUREMENTS)
+    steps = Inference(told).infer(heard_by(heard, silent)).steps
+    assert all(s.samples is None for s in steps)
