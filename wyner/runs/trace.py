@@ -52,7 +52,10 @@ TRANSITION, MISSED, INTERRUPTED = range(3)
 """Kinds of row."""
 
 AT_ONCE: Final = 4096
-"""Rows that are looked at, or filed, at a time."""
+"""Rows that are looked at at a time."""
+
+FILED: Final = 1024
+"""Lines that are held until they become rows."""
 
 HEADER_FIELDS: Final = frozenset(
     ("event", "part", "oldest", "format", "version", "vantage", "scenario", "fingerprint", "loop")
@@ -179,7 +182,8 @@ class Trace:
         self._announce, self._killed = side == "plant" and not self._seeking, False
         self._held: MissedLine | None = None
         self._dtype: np.dtype[np.void] | None = None
-        self._filed, self._numbers = bytearray(), dict[str, int]()
+        self.rows: Rows = np.zeros(0, np.dtype([("kind", "i1")]))
+        self._numbers = dict[str, int]()
         self._batch: list[TracedTransition | MissedLine] = []
         self._count = 0
         self._labelled: bool | None = None
@@ -193,7 +197,7 @@ class Trace:
             self._transition(0, to_json(pending))
         self._flush()
         self._note(Break(self.ended))
-        self.rows: Rows = np.frombuffer(self._filed, self._file())
+        self._file()
         if self.readable < 0:
             self.readable, self._sure = len(self.rows), len(self.notes)
 
@@ -265,7 +269,7 @@ class Trace:
 
     def let_go(self) -> None:
         """Give the room of all rows back; only the rest is asked for from now on."""
-        self.rows, self._filed = self.rows[:0].copy(), bytearray()
+        self.rows = self.rows[:0].copy()
 
     # --- reading ----------------------------------------------------------------------------------
 
@@ -490,17 +494,19 @@ class Trace:
         self._labelled = self._truth
         self.failed = step.attack_failed or self.failed
         self._batch.append(step)
-        if len(self._batch) >= AT_ONCE:
+        if len(self._batch) >= FILED:
             self._file()
 
-    def _file(self) -> np.dtype[np.void]:
-        """Put the steps that wait into rows; returns their columns."""
+    def _file(self) -> None:
+        """Put the steps that wait into rows, which take no more room than they need."""
         if self._dtype is None:
             self._dtype = columns(self.side, self._rules, truth=self._truth)
+            self.rows = np.zeros(0, self._dtype)
         rows = np.array([self._row(step) for step in self._batch], self._dtype)
-        self._filed += rows.tobytes()
+        before = len(self.rows)
+        self.rows.resize(before + len(rows), refcheck=False)
+        self.rows[before:] = rows
         self._batch.clear()
-        return self._dtype
 
     def _row(self, step: TracedTransition | MissedLine) -> tuple[Any, ...]:
         n, m, size, hidden = self._shape
