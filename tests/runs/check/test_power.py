@@ -6,14 +6,14 @@ import pytest
 
 import runtime.journal as journals
 from protocol.link.records import Side
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_loop import RecordedLoop
 
 TRACES: dict[Side, Path] = {"plant": PLANT_TRACE, "controller": CONTROLLER_TRACE}
 
 
 def cut(path: Path, lines: int, *, torn: bool) -> None:
-    """Take the newest lines of a trace, and half of the one before them."""
+    """Take the newest lines of a recording, and half of the one before them."""
     whole = path.read_bytes().splitlines(keepends=True)
     kept = whole[: max(1, len(whole) - lines)]
     if torn and len(kept) > 1:
@@ -31,7 +31,10 @@ def failed(
     times: int = 1,
     name: str = "keys",
 ) -> RecordedLoop:
-    """A run that lost so many lines where both ends were killed; ``power``: the machine died."""
+    """A run that lost so many lines where both ends were killed; ``power``: the machine died.
+
+    Where it lost some of both traces, it lost some of the capture as well.
+    """
     boot = folder.parent / "boot"
     boot.write_text("0")
     monkeypatch.setattr(journals, "BOOT_ID", boot)
@@ -46,6 +49,9 @@ def failed(
             loop.kill(side)
         for side, lines in taken.items():
             cut(folder / TRACES[side], lines, torn=torn)
+        if len(taken) == len(TRACES):
+            cut(folder / CAPTURE, 5, torn=torn)
+            loop.restart_tap()
         if power:
             boot.write_text(f"{number}")
         for side in TRACES:
