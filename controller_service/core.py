@@ -29,6 +29,7 @@ from protocol.link.events import (
     ELSEWHERE,
     FELL_BACK,
     MET,
+    PowerFailed,
     SessionBegan,
 )
 from protocol.link.key_events import appeared, block_notices, extraction_done
@@ -187,7 +188,7 @@ class ControllerCore:
             self.keys.fail(read.refuted)
         self._propose, self._predict = propose, predict
         self._stale = 0
-        self._fell_back = loaded.fell_back and read.session is not None
+        self._fell_back = loaded.fell_back
         self._first_message = message
         self._telemetry = telemetry
         self._status_s = status_s
@@ -228,10 +229,12 @@ class ControllerCore:
         self.now = now
         if self._telemetry is not None:
             self._status_at = now
+        if self._fell_back:
+            yield Tell(PowerFailed())
         if isinstance(self.step, Answered):
             measurement, offer = self.step
             yield from self._count(measurement, offer, self._report(measurement, offer.cipher))
-        if self._fell_back:
+        if self._fell_back and self.record.session is not None:
             self._drop_session()
             yield Tell(SessionBegan(None, FELL_BACK))
             yield self._save()

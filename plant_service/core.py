@@ -33,6 +33,7 @@ from protocol.link.events import (
     AttackBegan,
     Interrupted,
     Missed,
+    PowerFailed,
     SessionBegan,
 )
 from protocol.link.incoming import Incoming, Taken
@@ -211,6 +212,8 @@ class PlantCore:
         """
         self.now = now
         self._watchdog.begin(now, moved=self._moved)
+        if self._fell_back:
+            yield Tell(PowerFailed())
         reason = NEW_JOURNAL if self._fresh else RESUMED
         yield Tell(SessionBegan(self.record.session, reason))
         if self._attack is not None:

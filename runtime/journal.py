@@ -103,6 +103,8 @@ class Journal(ABC, Generic[R]):
     def __init__(self, path: Path | None, scenario: str) -> None:
         self.path = path
         self._fell_back = False
+        self._boot_due: str | None = None
+        """This boot, as long as the session that another one cut has not ended."""
         self._saved: R | None = None
         """The record that was saved last."""
         try:
@@ -128,7 +130,11 @@ class Journal(ABC, Generic[R]):
             raise
 
     def _open(self, expected: dict[str, str]) -> None:
-        """Open the tables, or make them; the boot of the machine is on the disk on return."""
+        """Open the tables, or make them; the boot of the machine is on the disk on return.
+
+        Where another boot cut a session, that one's name stays until the session has ended: a
+        process that dies before is followed by one that ends it.
+        """
         db, boot = self.db, _boot()
         db.execute(f"PRAGMA page_size={PAGE_BYTES}")
         db.execute("PRAGMA locking_mode=EXCLUSIVE")
@@ -144,7 +150,10 @@ class Journal(ABC, Generic[R]):
                 db.execute("ROLLBACK")
                 raise JournalError(f"{self.path}: {name}: got {found[name]!r}, expected {value!r}")
         self._fell_back = found.get("boot", "") not in ("", boot)
-        found["boot"] = boot
+        if self._fell_back:
+            self._boot_due = boot
+        else:
+            found["boot"] = boot
         db.executemany("INSERT OR REPLACE INTO meta VALUES (?, ?)", found.items())
         for table in self.tables:
             db.execute(f"CREATE TABLE IF NOT EXISTS {table}")
@@ -231,6 +240,9 @@ class Journal(ABC, Generic[R]):
     def _rows(self, save: Save) -> Iterator[Statement]:
         """What is written of key blocks and of the key stream."""
         if self._saved is None or save.record.session != self._saved.session:
+            if self._boot_due is not None:
+                yield "UPDATE meta SET value = ? WHERE name = 'boot'", (self._boot_due,)
+                self._boot_due = None
             for table in self.of_session:
                 yield f"DELETE FROM {table}", ()
         for row in save.rows.contributions:

@@ -22,6 +22,7 @@ from protocol.link.events import (
     AttackBegan,
     Interrupted,
     Missed,
+    PowerFailed,
     SessionBegan,
     Timing,
 )
@@ -168,6 +169,7 @@ EVENTS: Final[tuple[tuple[str, Callable[..., Any], Any], ...]] = (
     ("plant", Interrupted.as_event, Interrupted),
     ("both", SessionBegan.as_event, SessionBegan),
     ("plant", AttackBegan.as_event, AttackBegan),
+    ("both", PowerFailed.as_event, PowerFailed),
     ("controller", Alarm.as_event, Alarm),
     ("controller", SendCommand.as_event, SendCommand),
     ("plant", Timing.as_event, Timing),

@@ -55,6 +55,17 @@ class SessionBegan(NamedTuple):
         return {"event": "session", "session": self.session, "reason": self.reason}
 
 
+class PowerFailed(NamedTuple):
+    """This process began with a journal that another boot of the machine had not closed.
+
+    Lines that were traced before may be lost, since not every one of them was synced.
+    """
+
+    def as_event(self) -> dict[str, Any]:
+        """As a line of a trace."""
+        return {"event": "power_failed"}
+
+
 class AttackBegan(NamedTuple):
     """The plant is attacked: ``kind``, ``at``, ``onset`` and the attack's own, for who judges."""
 

@@ -15,7 +15,7 @@ from protocol.defence.watch import Watch
 from protocol.link.controller_session import GREETING_S
 from protocol.link.distiller import BlockEnded
 from protocol.link.effects import Notice, Save
-from protocol.link.events import FELL_BACK, Alarm, SessionBegan
+from protocol.link.events import FELL_BACK, Alarm, PowerFailed, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.records import Loaded, SenderRecord
@@ -345,13 +345,13 @@ def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_sessi
     end = Told(step=Answered(measurement(), answer), fell_back=True)
     end.does(end.core.start(0.0))
     events = [event for actions in end.all for event in actions.events]
-    assert [type(event) for event in events] == [CountedTransition, SessionBegan]
-    assert events[1] == SessionBegan(None, FELL_BACK)
+    assert [type(event) for event in events] == [PowerFailed, CountedTransition, SessionBegan]
+    assert events[2] == SessionBegan(None, FELL_BACK)
     assert end.core.record.session is None
     assert S in end.core.record.ended
     fresh = Told(record=None, fell_back=True)
     fresh.does(fresh.core.start(0.0))
-    assert [event for actions in fresh.all for event in actions.events] == []
+    assert [event for actions in fresh.all for event in actions.events] == [PowerFailed()]
 
 
 # --- phases ---------------------------------------------------------------------------------------

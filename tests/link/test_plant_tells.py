@@ -20,6 +20,7 @@ from protocol.link.events import (
     AttackBegan,
     Interrupted,
     Missed,
+    PowerFailed,
     SessionBegan,
     Timing,
 )
@@ -274,14 +275,16 @@ def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew
     assert last.save == Save(end.core.record)
     assert [type(m) for m in last.publish] == [PlantHello]
     assert (end.core.record.session, end.core.record.k) == (NEW, 4)
-    resumed, counted, began = end.events
+    failed, resumed, counted, began = end.events
+    assert failed == PowerFailed()
     assert isinstance(counted, CountedTransition)
     assert (resumed.session, counted.session) == (S, S)
     assert began == SessionBegan(NEW, FELL_BACK)
     acting = Machine(acts=True, device=True)
     dead = Told(machine=acting, step=Begun(OFFER, 0), back=(9.0,), fell_back=True)
     dead.does(dead.core.start(0.0))
-    assert [type(e) for e in dead.events] == [SessionBegan, Interrupted, SessionBegan]
+    told = [PowerFailed, SessionBegan, Interrupted, SessionBegan]
+    assert [type(e) for e in dead.events] == told
     assert dead.core.record.session == NEW
 
 

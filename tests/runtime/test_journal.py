@@ -236,6 +236,22 @@ def test_another_boot_of_the_machine_is_told_unless_the_journal_was_closed(
         assert not journal.load().fell_back
 
 
+def test_another_boot_is_told_until_the_session_that_it_cut_has_ended(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A process that dies before it has ended the session is followed by one that ends it."""
+    boot = tmp_path / "boot"
+    monkeypatch.setattr(journals, "BOOT_ID", boot)
+    saves = [Save(RECEIVER), Save(RECEIVER), Save(RECEIVER._replace(session="another")), None]
+    for name, save, fell_back in zip("1222", saves, (False, True, True, False), strict=True):
+        boot.write_text(name)
+        journal = PlantJournal(tmp_path / "p", SCENARIO)
+        assert journal.load().fell_back == fell_back
+        if save is not None:
+            journal.save(save)
+        journal.db.close()  # killed: it does not note that it was closed
+
+
 # --- what it refuses ------------------------------------------------------------------------------
 
 

@@ -170,6 +170,11 @@ class RecordedLoop(TwoEnds):
         end.files.journal.close()
         self.mail["plant" if side == "plant" else "controller"].clear()
 
+    def restart_tap(self) -> None:
+        """The tap is killed, and goes on with its capture."""
+        kill(self._capture)
+        self._capture = TraceWriter(self.folder / CAPTURE, "tap", {})
+
     def stop(self) -> None:
         """Let both ends say their last word."""
         for side, end in tuple(self.ends.items()):

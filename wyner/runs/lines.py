@@ -165,6 +165,13 @@ class TimingLine:
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
+class PowerLine:
+    """The machine was started again: the lines that stood before this process's may be lost."""
+
+    event: Literal["power_failed"]
+
+
+@checked_dataclass(frozen=True, slots=True, config=STRICT)
 class AttackLine:
     """The plant is attacked: every parameter."""
 
@@ -186,6 +193,7 @@ EventLine = (
     | AlarmLine
     | TimingLine
     | AttackLine
+    | PowerLine
 )
 
 KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
@@ -195,6 +203,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "interrupted": TypeAdapter(MissedLine),
         "timing": TypeAdapter(TimingLine),
         "attack": TypeAdapter(AttackLine),
+        "power_failed": TypeAdapter(PowerLine),
         "session": TypeAdapter(SessionLine),
         "recovered": TypeAdapter(RecoveredLine),
         "refused": TypeAdapter(Refused),
@@ -205,6 +214,7 @@ KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
         "transition": TypeAdapter(TracedTransition),
         "session": TypeAdapter(SessionLine),
         "alarm": TypeAdapter(AlarmLine),
+        "power_failed": TypeAdapter(PowerLine),
         "sent": TypeAdapter(QueuedLine),
         "delivered": TypeAdapter(QueuedLine),
         "block": TypeAdapter(BlockLine),

@@ -37,6 +37,7 @@ from wyner.runs.lines import (
     Item,
     MissedLine,
     OtherLine,
+    PowerLine,
     SessionLine,
     Shape,
     TracedTransition,
@@ -146,6 +147,9 @@ class Trace:
         Lines that were written again after a kill, and by an end that was put back.
     pended : bool
         Whether the last row is the journal's.
+    gaps : set of int
+        Rows before which lines may be lost: the machine lost its power there, and the end was not
+        written. What the journal had still to count of the session that this ended is no row.
     """
 
     def __init__(
@@ -172,6 +176,10 @@ class Trace:
         self.attack: AttackLine | None = None
         self.cut: TracedTransition | None = None
         self.pended = False
+        self.gaps: set[int] = set()
+        self._lost: set[str] = set()
+        self._newest: dict[str, int] = {}
+        self._mending, self._marked = False, 0
         paths = parts_of(path)
         self.gone = number_of(paths[0]) if paths else 0
         self._rules, self._shape, self._noisy = rules, Shape.of(rules), noisy
@@ -267,6 +275,16 @@ class Trace:
                 return int(row["k"])
         return -1
 
+    def may_lack(self, session: str, k: int) -> bool:
+        """Whether a power failure explains that it does not have step k: it lost its end there.
+
+        The session is one that a power failure ended, and k is beyond what is left of it; or the
+        lines that named the session are lost as well.
+        """
+        if session in self._lost:
+            return k > self._newest.get(session, -1)
+        return bool(self.gaps) and session not in self.announced and session not in self._newest
+
     def let_go(self) -> None:
         """Give the room of all rows back; only the rest is asked for from now on."""
         self.rows = self.rows[:0].copy()
@@ -320,11 +338,13 @@ class Trace:
     def _mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
         ended = self.ended
         self.marks.mark(number, raw, value)
+        self._marked = number
         if value["event"] == HEADER:
             self._headed(number, value)
         elif value["event"] == CONTINUED:
             self._note(Break(ended))
             self._resolver.restart()
+            self._mending = False
             self._announce, self.of_last, self._killed = self.side == "plant", 0, not ended
 
     def _other(self, number: int, line: EventLine | MissedLine) -> None:
@@ -332,6 +352,11 @@ class Trace:
             if unlike := self._shape.unlike_missed(line) or self._unlabelled(line):
                 raise ValueError(unlike)
             self._missed(number, line)
+            return
+        if isinstance(line, PowerLine):
+            self._power_failed(number)
+            return
+        if self._mending and line.event not in ("session", "attack", "sent"):
             return
         told = OtherLine(line, payload_of(line))
         if line.event in REPORTS:
@@ -349,6 +374,18 @@ class Trace:
             self._unannounced(number)
         if not self._seeking:
             self._note(told)
+
+    def _power_failed(self, number: int) -> None:
+        """The lines before this process's may be lost, unless the last of them is an end mark."""
+        if number != self._marked + 1 or self.of_last:
+            self._problem(number, "power_failed: expected where a process begins")
+        elif self._killed and not self._seeking:
+            self._flush()
+            self._mending = True
+            self.gaps.add(self._count)
+            if self._session is not None:
+                self._lost.add(self._session)
+            self._note(OtherLine(PowerLine("power_failed"), b""))
 
     def _note(self, item: Item) -> None:
         self.notes.append(Note(self._count, item))
@@ -380,6 +417,9 @@ class Trace:
             self._problem(number, f"reason: got {line.reason!r}, {unlike}")
         self._announce = False
         self._session = line.session
+        if self._mending and line.reason == RESUMED and line.session is not None:
+            self._lost.add(line.session)
+        self._mending = self._mending and line.reason == RESUMED
         self._resolver.session(line.session)
         if line.session is not None:
             self.announced.add(line.session)
@@ -432,6 +472,8 @@ class Trace:
         if unlike:
             self._problem(number, f"transition: {unlike}")
             return
+        if self._mending and number:
+            return
         if number:
             self._belongs(number, t.session)
         if self._seeking:
@@ -466,6 +508,8 @@ class Trace:
             self.cut, self._seeking = t, False
 
     def _missed(self, number: int, step: MissedLine) -> None:
+        if self._mending:
+            return
         self._belongs(number, step.session)
         if self._seeking:
             self.last_missed = step
@@ -491,6 +535,7 @@ class Trace:
 
     def _append(self, step: TracedTransition | MissedLine) -> None:
         self._count += 1
+        self._newest[step.session] = step.k
         self._labelled = self._truth
         self.failed = step.attack_failed or self.failed
         self._batch.append(step)

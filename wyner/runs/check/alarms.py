@@ -8,7 +8,7 @@ import numpy as np
 
 from protocol.agreement import NO_SYMBOL
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
-from wyner.runs.lines import AlarmLine, OtherLine, SessionLine
+from wyner.runs.lines import AlarmLine, OtherLine, PowerLine, SessionLine
 
 PREDICTED: Final = 1e-9
 """Relative: an expected state is a sum of products in an order of its own."""
@@ -42,6 +42,7 @@ def alarms(e: Evidence) -> Findings:
     test = _Test(e)
     t: Tested | None = None
     known = trace.gone == 0  # of a cut trace, once another session has begun
+    lost = False  # after a power failure nobody knows how many steps had no digit
     due: dict[tuple[str, int], tuple[Tested, str, bool]] = {}
     for row, item in trace.walk(*names):
         if item is None:
@@ -52,29 +53,36 @@ def alarms(e: Evidence) -> Findings:
             if t.expected != NO_SYMBOL and not t.keyed:
                 text = f"expected: got {t.expected}, and no digits served"
                 yield Finding("alarms", trace.sessions[t.session], t.k, text)
-            if test.over and known:
+            if test.over and known and not lost:
                 text = "too many steps had no digit before, and no alarm is told"
                 yield Finding("alarms", trace.sessions[t.session], t.k, text)
             if reason := test.failed(t):
-                due[trace.sessions[t.session], t.j] = t, reason, known
+                sure = known and not (lost and reason == "unwatched")
+                due[trace.sessions[t.session], t.j] = t, reason, sure
+        elif isinstance(item, OtherLine) and isinstance(item.line, PowerLine):
+            lost = True
+            if t is not None:  # its alarm may be lost
+                due.pop((trace.sessions[t.session], t.j), None)
         elif isinstance(item, OtherLine) and isinstance(item.line, SessionLine):
             test.began(item.line.session)
         elif isinstance(item, OtherLine) and isinstance(item.line, AlarmLine):
             line = item.line
             if line.j < 0:
                 told = line.reason == "unwatched" and (test.over or item.again)
-                if not told and known and not trace.behind:
+                if not told and known and not lost and not trace.behind:
                     yield Finding("alarms", line.session, line.k, "an alarm before its time")
-                test.total = 0.0
+                test.total, lost = 0.0, False
                 continue
             tested, reason, _ = due.pop((line.session, line.j), (None, "", False))
             if tested is not None:
                 text = _unlike(e, line, tested, reason)
             else:
-                unsure = trace.behind or not known
+                unsure = trace.behind or not known or (lost and line.reason == "unwatched")
                 text = "" if unsure else "an alarm, and the test did not fail"
             if text:
                 yield Finding("alarms", line.session, line.k, text)
+            if lost and line.reason == "unwatched":
+                test.total, lost = 0.0, False
     for (session, _), (tested, _, sure) in due.items():
         cut_off = tested is t and not trace.ended
         if sure and not cut_off and not trace.behind:

@@ -179,12 +179,15 @@ class Steps:
     ) -> Iterator[tuple[str, str]]:
         assert self._e.plant is not None
         if session < 0:
-            if message.session not in self._e.plant.announced:
+            plant = self._e.plant
+            known = message.session in plant.announced
+            if not known and not plant.may_lack(message.session, message.k):
                 yield "wire", "of a session that the plant's trace does not have"
             return
         before = self._rows[at - 1] if at > 0 and self._keys[at - 1] >> 32 == session else None
         if row is None and (before is None or before["k"] != message.k - 1):
-            yield "wire", f"step {message.k}, which the plant did not make"
+            if not self._e.plant.may_lack(message.session, message.k):
+                yield "wire", f"step {message.k}, which the plant did not make"
         elif isinstance(message, Offer):
             yield from self._unlike_offer(message, session, at, row)
         else:

@@ -7,7 +7,7 @@ from protocol.link.events import NEW_JOURNAL
 from protocol.schemes.framing import Deframer
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.journals import JournalState
-from wyner.runs.lines import Again, Break, Item, OtherLine, QueuedLine, SessionLine
+from wyner.runs.lines import Again, Break, Item, OtherLine, PowerLine, QueuedLine, SessionLine
 from wyner.runs.trace import Trace
 
 REPORTS: Final = {"plant": "recovered", "controller": "delivered"}
@@ -23,19 +23,23 @@ def messages(e: Evidence) -> Findings:
         yield from framing.wrong
         if trace.side == "plant":
             received = framing.received
-            yield from _same_inbox(trace, e.journals["plant"], received)
+            yield from _same_inbox(trace, e.journals["plant"], received, lost=framing.lost)
     if e.plant is None or e.controller is None or e.plant.gone or e.controller.gone:
         return
     yield from _in_order(e, e.controller, [frame for frame in received if frame is not None])
 
 
 class WholeFrame(NamedTuple):
-    """A frame that an end's symbols add up to; ``payload`` is None where its check failed."""
+    """A frame that an end's symbols add up to; ``payload`` is None where its check failed.
+
+    ``after_loss``: a power failure may have taken the frames before it.
+    """
 
     payload: bytes | None
     session: str
     j: int
     k: int
+    after_loss: bool = False
 
 
 @dataclass(slots=True)
@@ -58,6 +62,7 @@ class Framing:
     owed: WholeFrame | None = None  # killed before the report; the transition must come again
     deframer: Deframer = field(init=False)
     session: int = -1
+    lost: bool = False  # the power failed since the last frame
     unknown: bool = field(init=False)
 
     def read(self) -> None:
@@ -94,16 +99,18 @@ class Framing:
         payload = self.deframer.push(symbol)
         if payload is None and self.deframer.refused == refused:
             return
-        self.due = self.last = WholeFrame(payload, name, j, k)
+        self.due = self.last = WholeFrame(payload, name, j, k, self.lost)
         if payload is None:
             self._fail("a frame fails its check", self.last)
         else:
             self.received.append(self.last)
+            self.lost = False
 
     def _told(self, item: OtherLine) -> None:
         line = item.line
         if isinstance(line, SessionLine) and line.reason == NEW_JOURNAL:
             self.received.append(None)
+        self.lost = self.lost or isinstance(line, PowerLine)
         if line.event not in ("recovered", "refused", "delivered"):
             return
         due, self.due = self.due, None
@@ -129,17 +136,22 @@ class Framing:
 
 
 def _same_inbox(
-    plant: Trace, journal: JournalState | str | None, received: list[WholeFrame | None]
+    plant: Trace,
+    journal: JournalState | str | None,
+    received: list[WholeFrame | None],
+    *,
+    lost: bool,
 ) -> Findings:
     """The plant's journal has received as many messages as its trace, and the same last one."""
     if not isinstance(journal, JournalState) or plant.behind:
         return  # put back from an older copy, it has lost what came since
     since = received[len(received) - received[::-1].index(None) :] if None in received else received
     payloads = [frame.payload for frame in since if frame is not None]
-    if len(payloads) != journal.messages and not plant.gone:
+    fewer = plant.gaps and len(payloads) < journal.messages
+    if len(payloads) != journal.messages and not plant.gone and not fewer:
         text = f"the plant's trace has {len(payloads)} messages since its journal began, "
         yield Finding("messages", "", -1, f"{text}the journal counts {journal.messages}")
-    elif payloads and payloads[-1] != journal.last:
+    elif payloads and payloads[-1] != journal.last and not lost:
         text = f"the plant's trace ends with message {payloads[-1]!r}, "
         yield Finding("messages", "", -1, f"{text}its journal with {journal.last!r}")
 
@@ -151,10 +163,17 @@ class Queue:
     One that is a process's last line may be in no journal: ``doubtful``, until it is queued
     again. ``lost`` says whether the journal may have been lost since the last message was queued:
     another session was met by another process.
+
+    ``untold`` are messages whose lines a power failure took.
     """
+
+    trace: Trace
+    plant: Trace
 
     told: list[tuple[str, bytes]] = field(default_factory=list)
     delivered: list[bytes] = field(default_factory=list)
+    untold: set[bytes] = field(default_factory=set)
+    gaps: set[int] = field(default_factory=set)
     wrong: list[str] = field(default_factory=list)
     begins: set[int] = field(default_factory=set)
     known: dict[str, bytes] = field(default_factory=dict)
@@ -163,6 +182,7 @@ class Queue:
     restarted: bool = True
     latest: str = ""
     session: int = -1
+    k: int = -1
     died: bool = False
     lost: bool = False
 
@@ -171,10 +191,13 @@ class Queue:
         latest, self.latest = self.latest, ""
         if item is None:  # the session goes on: so does the journal
             self.died = self.died and row[0] != self.session
-            self.session = row[0]
+            self.session, self.k = row
         elif isinstance(item, OtherLine):
             if isinstance(item.line, SessionLine):
                 self.lost = self.lost or self.died
+            elif isinstance(item.line, PowerLine):
+                self.lost = True
+                self.gaps.add(len(self.told))
             elif isinstance(item.line, QueuedLine):
                 self._queued(item.line, item.payload)
         elif isinstance(item, Break):
@@ -185,8 +208,13 @@ class Queue:
     def _queued(self, line: QueuedLine, payload: bytes) -> None:
         name = line.id
         if line.event == "delivered":
-            self.delivered.append(payload)
-            if self.known.get(name) != payload:
+            here = self.trace.sessions[self.session] if self.session >= 0 else ""
+            if not self.plant.may_lack(here, self.k):  # else its report may be lost there
+                self.delivered.append(payload)
+            if self.gaps and name not in self.known:
+                self.known[name] = payload
+                self.untold.add(payload)
+            elif self.known.get(name) != payload:
                 self.wrong.append(
                     f"message {name} counts as delivered, and was not queued like that"
                 )
@@ -224,9 +252,14 @@ class Queue:
 
 def _in_order(e: Evidence, controller: Trace, received: list[WholeFrame]) -> Findings:
     """The recovered messages are the queued ones, in order, and those that were delivered."""
-    queue = Queue()
-    for row, item in controller.walk("session"):
+    assert e.plant is not None
+    queue = Queue(controller, e.plant)
+    for row, item in controller.walk("session", "k"):
         queue.take(row, item)
+    journal = e.journals["controller"]
+    waiting = journal.waiting if isinstance(journal, JournalState) else ()
+    if queue.gaps:
+        queue.untold |= {text for name, text in waiting if (name, text) not in queue.told}
     arrived = {frame.payload for frame in received}
     for payload in queue.delivered:
         if payload not in arrived:
@@ -238,17 +271,20 @@ def _in_order(e: Evidence, controller: Trace, received: list[WholeFrame]) -> Fin
             allowed |= places  # received, but the session ended before the controller knew
         session = frame.session
         told = queue.told
+        if frame.after_loss:  # others may have been recovered meanwhile
+            allowed |= places | set(range(min(places) + 1, len(told)))
         fits = {i for i in allowed if 0 <= i < len(told) and told[i][1] == frame.payload}
+        if frame.payload in queue.untold or controller.may_lack(frame.session, frame.k):
+            fits |= {g - 1 for g in queue.gaps if g > min(places)}  # queued in what is lost
         if fits:
             places = fits
         else:
             text = f"recovered {frame.payload!r}, which is not the next queued message"
             yield Finding("messages", frame.session, frame.k, text)
-    journal = e.journals["controller"]
     if isinstance(journal, JournalState):
-        for waiting in journal.waiting:
-            if waiting not in queue.told:
-                text = f"message {waiting[0]} is in the controller's journal, not in its trace"
+        for message in () if queue.gaps else waiting:
+            if message not in queue.told:
+                text = f"message {message[0]} is in the controller's journal, not in its trace"
                 queue.wrong.append(text)
         newest = queue.newest
         if newest and not controller.behind and journal.newest not in (newest, *queue.doubtful):

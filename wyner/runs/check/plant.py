@@ -26,21 +26,23 @@ def plant(e: Evidence) -> Findings:
     if trace is None:
         return
     breaks = {note.at for note in trace.notes if isinstance(note.item, Break)}
+    gaps = trace.gaps
     before: Rows = trace.rows[:0]
     for rows in trace.chunks():
-        for i, text in _begins(e, trace, before, rows, breaks, rows["kind"] == TRANSITION):
+        for i, text in _begins(e, trace, before, rows, breaks, gaps):
             yield Finding("plant", *trace.where(rows[i]), text)
-        for i, text in _leads(e, trace, before, rows, breaks):
+        for i, text in _leads(e, trace, before, rows, breaks, gaps):
             yield Finding("plant", *trace.where(rows[i]), text)
         before = rows[-1:]
         breaks = {at - len(rows) for at in breaks}
+        gaps = {at - len(rows) for at in gaps}
     said = (e.run.manifest or {}).get("attack")
     if text := unlike_manifest(trace.attack, said):
         yield Finding("plant", "", -1, text)
 
 
 def _begins(
-    e: Evidence, trace: Trace, before: Rows, rows: Rows, breaks: set[int], counted: Any
+    e: Evidence, trace: Trace, before: Rows, rows: Rows, breaks: set[int], gaps: set[int]
 ) -> list[tuple[int, str]]:
     """Steps that do not begin where the last ended, or in which another candidate was applied."""
     found = []
@@ -53,14 +55,15 @@ def _begins(
     sessions = np.append(before["session"] if len(before) else -1, rows["session"][:-1])
     at = np.arange(len(rows))
     applied = rows["candidates"][at, np.maximum(rows["coin"], 0)]
-    other = counted & (applied != rows["u"]).any(axis=1)
+    other = (rows["kind"] == TRANSITION) & (applied != rows["u"]).any(axis=1)
     for i in np.flatnonzero((rows["k"] != places) | away | other).tolist():
         k, begun = int(rows["k"][i]), rows["session"][i] != sessions[i]
         place, x = int(places[i]), ends[i]
         if begun and k == 0 and place:  # it began again, without a journal
             place, x = 0, _initial(e)
             x = rows["x"][i] if x is None else x
-        elif begun and k < place and i in breaks:  # its journal was an older copy
+        elif begun and (i in gaps or (k < place and i in breaks)):
+            # lines were lost with the power, or its journal was an older copy
             place, x = k, rows["x"][i]
         if k != place:
             found.append((i, f"expected step k = {place}"))
@@ -89,7 +92,7 @@ def _initial(e: Evidence) -> Any:
 
 
 def _leads(
-    e: Evidence, trace: Trace, before: Rows, rows: Rows, breaks: set[int]
+    e: Evidence, trace: Trace, before: Rows, rows: Rows, breaks: set[int], gaps: set[int]
 ) -> list[tuple[int, str]]:
     """Steps whose labels cannot be, and those whose end the input in force does not explain."""
     found = _unlabelled(e, trace, rows, breaks)
@@ -100,6 +103,7 @@ def _leads(
         told = ~np.isnan(rows["true_x"][:, 0])
         truth = np.vstack([before["true_x"], rows["true_x"]])
         truth = truth[:-1] if len(before) else np.vstack([truth[:1] * np.nan, truth[:-1]])
+        truth[[i for i in gaps if 0 <= i < len(rows)]] = np.nan
         known = ~np.isnan(truth[:, 0])
         u = np.where(told[:, None], rows["true_u"], u)
         if e.rules.outputs is None:

@@ -83,7 +83,7 @@ class _Replay:
         self._p, self._k, self._estimate, self._known = 0, -1, None, True
         if k == 0:  # it began again, without a journal
             self._u = (0.0,) * self._rules.inputs
-        elif k < self._place:  # its journal was an older copy
+        elif k != self._place:  # its journal was an older copy, or lines are lost
             self._u = u
 
     def _counted(self, rows: Rows, i: int, row: tuple[Any, ...]) -> list[tuple[str, str]]:
