@@ -15,15 +15,17 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import FIELD
+from protocol.link.events import NEW_JOURNAL
+from protocol.messages import FIELD, Measurement, Offer
 from runtime.locks import alone_in
 from runtime.recording import Bounds, TraceWriter
-from runtime.run_folder import CAPTURE, PLANT_TRACE
+from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from studies.secrecy.runs import Run, simulate
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.recording import RotatingLog, mirror_line
 from wyner.cli.main import main
+from wyner.fit.toml import as_toml
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +43,8 @@ def run_dir(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
         "view": View().model_dump(mode="json"),
         "eavesdroppers": ["set-membership", "nearest-centre"],
     }
+    tables = json.loads(run.scenario.model_dump_json(exclude_none=True, exclude_unset=True))
+    (folder / SCENARIO).write_text(as_toml(tables))
     limits = Bounds(part_bytes=60_000, free_bytes=0)
     log = RotatingLog(folder / CAPTURE, header, limits, logging.getLogger("test"))
     for i, message in enumerate(run.messages):
@@ -48,15 +52,30 @@ def run_dir(run: Run, tmp_path_factory: pytest.TempPathFactory) -> Path:
     log.close()
     trace = TraceWriter(folder / PLANT_TRACE, "plant", {})
     session = run.messages[0].session
+    trace.write({"event": "session", "session": session, "reason": NEW_JOURNAL})
     for k in range(run.truth.transitions):
         at = (session, k)
+        before, offer, after = run.messages[2 * k : 2 * k + 3]
+        assert isinstance(before, Measurement)
+        assert isinstance(offer, Offer)
+        assert isinstance(after, Measurement)
         trace.write(
             {
                 "event": "transition",
                 "session": session,
                 "j": k,
                 "k": k,
-                "candidates": [[0.0], [0.0]],
+                "x": before.x,
+                "candidates": offer.candidates,
+                "cipher": offer.cipher,
+                "x_next": after.x,
+                "gauges": [0.0, 0.0],
+                "coin": 0,
+                "u": offer.candidates[0],
+                "key": run.truth.keys.get(at, -1),
+                "p": 0,
+                "s": 1,
+                "counts": 0,
                 "role": "message" if at in run.truth.symbols else "test",
                 "symbol": run.truth.keys.get(at, -1),
                 "message_symbol": run.truth.symbols.get(at, -1),
