@@ -111,7 +111,7 @@ def test_no_reading_fits_two_candidates(packed: tuple[Scenario, CandidateLaw]) -
     found = run(packed, lambda draw: Cunning(model, {}, draw), KeyedCoin(2, 4), runs=8000, steps=6)
     for n, left in enumerate(found.undetected().tolist()):
         assert clopper_pearson(left, 8000, RARE)[0] <= 4.0**-n, n
-    assert found.undetected()[1] > 0  # some of what she says is within D_c of a prediction
+    assert found.undetected()[1] > 0  # some of what Eve says is within D_c of a prediction
 
 
 @pytest.mark.parametrize("size", [2, 3, 4])

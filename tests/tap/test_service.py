@@ -309,7 +309,7 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
 def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """A dead one has nothing new to say; what she said last must not look like what she says."""
+    """A dead one has nothing new to say; what she said last must not look like what Eve says."""
     monkeypatch.setattr(heavy, "REST_S", 0.3)
     run = simulate(1000, 11)
     half = len(run.messages) // 2

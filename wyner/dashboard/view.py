@@ -427,7 +427,7 @@ class _Page:
         whose: tuple[str, ...] = ()
         if tap is not None:
             says = "says, with her own odds"
-            whose = (f"and what {drawn(tap.status.name)} {says}", f"and what she {says}")
+            whose = (f"and what {drawn(tap.status.name)} {says}", f"and what Eve {says}")
         grid = Table.grid(padding=(0, 2, 0, 0))
         for _ in range(4):
             grid.add_column(no_wrap=True)
@@ -439,7 +439,7 @@ class _Page:
             guess = tap.guesses.get(k) if tap is not None else None
             if guess is not None:
                 wrong = truth.symbol >= 0 and guess.symbol != truth.symbol
-                hers.append(f"she says {guess.symbol}, {guess.probability:.2f}")
+                hers.append(f"Eve says {guess.symbol}, {guess.probability:.2f}")
                 hers.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
             grid.add_row(line(f"{k:<7}"), line(f"input {truth.coin}"), line(f"{what:<7}"), hers)
         return titled(rule("Last steps", width, *whose), Padding(grid, (0, 0, 0, 1)))
@@ -476,7 +476,7 @@ class _Page:
             rows.append((wrong if same else f"{wrong}, old", marks))
         if not shown:
             rows += _NOBODY
-        title = rule("Message", self.width, "what was sent, what the plant has, what she reads")
+        title = rule("Message", self.width, "what was sent, what the plant has, what Eve reads")
         return titled(title, labelled(rows))
 
     def _under_way(self, sent: int, recovered: int) -> RenderableType:

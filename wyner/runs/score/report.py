@@ -297,7 +297,7 @@ def _left(
     if not open_runs:
         return Interval(0.0, 0.0, 0.0), None
     parts = [
-        # what she says of herself, but no more than was agreed
+        # what Eve says of herself, but no more than was agreed
         stated_left(t.stated_left, _usable(s, t) * math.log2(size))
         for s, t in open_runs
         if t.stated_left is not None
