@@ -764,7 +764,7 @@ def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
         assert "STOPPED" not in shown(later, width, height)
     one = with_attacker(with_plant(made, key_blocks_lost=1), copies_missed=600)
     rows = shown(one, 80, 24)
-    assert "63 keys, 698 bit/s; 1 block lost; she holds 0 bits of 7 blocks\n" in rows
+    assert "63 keys, 698 bit/s; 1 block lost; Eve holds 0 bits of 7 blocks\n" in rows
     assert made.controller is not None
     partner = made.controller.model_copy(update={"keys_stopped": "no pad is left"})
     partners = replace(made, controller=partner)
@@ -815,7 +815,7 @@ def test_what_the_paper_claims_is_not_taken_for_a_word_on_distilled_keys() -> No
     assert secrecy_line(holds).startswith(
         "secrecy: PAPER'S RULE EXCEEDS TRUE: 326 bit by the paper's rule"
     )
-    assert "  distilled keys 63, she holds 0 bits of 7 blocks" in progress(holds)
+    assert "  distilled keys 63, Eve holds 0 bits of 7 blocks" in progress(holds)
 
 
 def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
@@ -824,7 +824,7 @@ def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
     holds = with_attacker(state, copies_missed=600)
     for width, height in ((80, 24), (120, 40)):
         text = shown(holds, width, height)
-        assert "63 keys, 0 bit/s; she holds 0 bits of 7 blocks, missed 30 %" in text
+        assert "63 keys, 0 bit/s; Eve holds 0 bits of 7 blocks, missed 30 %" in text
         assert f" assumption     {claim}" in text
     assert list(contradictions(holds)) == []
     worse = with_attacker(
@@ -836,7 +836,10 @@ def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
         missed_direction="offers",
     )
     text = shown(worse, 120, 40)
-    assert "she holds 512 bits of 7 blocks, missed 1 %" in text
+    assert "Eve holds 512 bits of 7 blocks, missed 1 %" in text
+    assert worse.plant is not None
+    none = replace(worse, plant=worse.plant.model_copy(update={"keys_made": 0}))
+    assert "Eve would hold 512 bits of 7 blocks, missed 1 %" in shown(none, 120, 40)
     assert "CLAIM REFUTED: she misses 0.021 of the offers at most" in text
     worst = with_attacker(
         state,
@@ -847,11 +850,11 @@ def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
     text = shown(worst, 80, 24)
     assert "CLAIM REFUTED: she misses 1 at most; MISSES IN BURSTS" in text
     away = with_attacker(state, copies=0, copies_missed=0, copies_absent=900)
-    assert "she holds 0 bits of 7 blocks, was not there" in shown(away, 120, 40)
+    assert "Eve holds 0 bits of 7 blocks, was not there" in shown(away, 120, 40)
     lines, _ = Reporter().report(worst, 0)
     assert "tap key-solver holds 999 bits of keys" in lines
     assert "MISSES IN BURSTS" in lines
-    assert any("she holds 999 bits of 7 blocks" in line for line in lines)
+    assert any("Eve holds 999 bits of 7 blocks" in line for line in lines)
     again, _ = Reporter(before=worst).report(worst, 0)
     assert not any("BURSTS" in line or "holds 999 bits of keys" in line for line in again)
 

@@ -108,11 +108,13 @@ def attacker(state: State) -> TapStatus | None:
 
 
 def held(state: State, room: int) -> tuple[str, str]:
-    """What she holds, in words, and its style."""
+    """What Eve holds of the keys, or would hold of blocks that gave none, and its style."""
     hers = attacker(state)
     if hers is None:
         return longest(room, "no tap goes for them"), "label"
-    bits = f"she holds {count(hers.key_bits_held)} bits"
+    made = state.plant is not None and state.plant.keys_made > 0
+    holds = "holds" if made or not hers.key_bits_held else "would hold"
+    bits = f"Eve {holds} {count(hers.key_bits_held)} bits"
     share = percent(hers.copies_missed, hers.copies)
     of = f"{bits} of {count(hers.key_blocks)} blocks"
     missed = f"missed {share}" if hers.copies or not hers.copies_absent else "was not there"
