@@ -72,7 +72,7 @@ def numbers(step: Worked) -> str:
     for i, u in enumerate(t.candidates):
         centre = predict(scenario.A, scenario.B, t.x, u)
         rows.append(
-            (f"c_{i} = A x + B u_{i}", _vector(centre), "computed by whoever knows A and B")
+            (f"c_{i} = A x + B u_{i}", _vector(centre), "computed by everyone who knows A and B")
         )
     rows.append(("x(k+1)", _vector(t.x_next), "in the next measurement: everyone reads it"))
     for i, g in enumerate(t.verdict.gauges):

@@ -54,11 +54,6 @@ class Alphabet:
         return out
 
 
-def input_length(inputs: ConvexSet) -> float:
-    """Length of an interval U."""
-    return float(np.ptp(set_corners(inputs)))
-
-
 def line_size(sep: Separation, alpha: float, length: float = math.inf) -> int:
     """M, the most inputs of one input's alphabet.
 

@@ -22,7 +22,7 @@ SILENT_PERIODS: Final = 3
 State = Literal["greeting", "serving", "elsewhere", "refused"]
 
 STATES: Final[dict[State, str]] = {
-    "greeting": "It serves no plant, and greets whoever speaks of a session.",
+    "greeting": "It serves no plant, and greets each plant that speaks of a session.",
     "serving": "It has taken up a plant's session, and offers in it.",
     "elsewhere": "The plant is with another controller, or asks one: it offers nothing.",
     "refused": "The only plant that it ever heard has another model: the controller ends.",
@@ -70,7 +70,7 @@ HEARD: Final[dict[Heard, str]] = {
     "its own.",
     "session not taken up": "A measurement of a session that this process has not taken up.",
     "session elsewhere": "A measurement of the session for which it stepped back.",
-    "does not follow": "A measurement that the journal rules out: one end's journal was put back.",
+    "does not follow": "A measurement that the journal rules out: a journal was restored from a copy.",
     "blocks differ": "A key block differs from the plant's.",
 }
 

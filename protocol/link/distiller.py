@@ -64,14 +64,6 @@ class KeyRows(NamedTuple):
     obsolete_rows: tuple[range, ...] = ()
     parts: tuple[Part, ...] = ()
 
-    def and_then(self, later: "KeyRows") -> "KeyRows":
-        """These rows and then ``later`` ones, in one save."""
-        return KeyRows(
-            self.contributions + later.contributions,
-            self.obsolete_rows + later.obsolete_rows,
-            self.parts + later.parts,
-        )
-
 
 NO_ROWS: Final = KeyRows()
 
