@@ -70,7 +70,7 @@ HEARD: Final[dict[Heard, str]] = {
     "its own.",
     "session not taken up": "A measurement of a session that this process has not taken up.",
     "session elsewhere": "A measurement of the session for which it stepped back.",
-    "does not follow": "A measurement that the journal rules out: a journal was restored from a copy.",
+    "does not follow": "A measurement that the journal rules out: a journal was restored.",
     "blocks differ": "A key block differs from the plant's.",
 }
 
