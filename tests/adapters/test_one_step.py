@@ -1,4 +1,4 @@
-"""One step of a plant is the same, whatever the plant is: the core's functions, in one order."""
+"""One step of a plant is the same, whatever the plant is: the stepper's functions, in one order."""
 
 import sys
 from collections.abc import Callable, Iterator
@@ -10,21 +10,21 @@ from typing import Any
 
 import pytest
 
-import plant_service.core
+import plant_service.stepper
 from plant_service.adapters import PlantAdapter
 from plant_service.plant import Disturbances, LinearModel, OperatedPlant, Plant
-from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import ControllerHello, Offer
 from protocol.scenario import Scenario
 from protocol.streams import Stream
 from tests.adapters.plants import START, Device, line, operated
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import plant_record
 from wyner.api import load
 
 SESSION = "5" * 16
-CORE = plant_service.core.__file__
-STEP = ["_offered", "_check", "_read", "_report", "_count"]
+STEPPER = plant_service.stepper.__file__
+STEP = ["wrong", "offered", "place", "read", "count"]
 """Of a step, in the order of Fig. 6: an offer, checked and applied; the reading, said, counted."""
 
 
@@ -54,12 +54,12 @@ PLANTS: dict[str, Callable[[Scenario, Path], Plant]] = {
 
 @contextmanager
 def entered(names: list[str]) -> Iterator[None]:
-    """Note each function of the plant's core that is entered."""
+    """Note each function of the plant's stepper that is entered."""
 
     frames: list[FrameType] = []
 
     def note(frame: FrameType, event: str, argument: Any) -> None:
-        if event == "call" and frame.f_code.co_filename == CORE and frame not in frames:
+        if event == "call" and frame.f_code.co_filename == STEPPER and frame not in frames:
             frames.append(frame)  # one that goes on was entered before
             names.append(frame.f_code.co_name)
 
@@ -76,7 +76,7 @@ def _met(plant: PlantInHand) -> None:
     hello = ControllerHello(
         instance="2" * 16,
         incarnation=1,
-        fingerprint=plant.core.rules.fingerprint,
+        fingerprint=plant.core.state.rules.fingerprint,
         verdict="greeting",
     )
     plant.hear(ControllerHello, hello.wire())
@@ -91,7 +91,7 @@ def _met(plant: PlantInHand) -> None:
 def test_a_step_goes_the_same_way_in_every_plant(kind: str, tmp_path: Path) -> None:
     scenario = load("packed-double-integrator")
     rules = rules_of(scenario)
-    record = ReceiverRecord(session=SESSION, k=0, x=START, u=(0.0,), state=rules.scheme.restore(()))
+    record = plant_record(session=SESSION, k=0, x=START, u=(0.0,), state=rules.scheme.restore(()))
     plant = PlantInHand(rules, "1" * 16, record, plant=PLANTS[kind](scenario, tmp_path))
     _met(plant)
     offered = Offer(
@@ -105,9 +105,9 @@ def test_a_step_goes_the_same_way_in_every_plant(kind: str, tmp_path: Path) -> N
         counted = plant.takes(offered)
     assert [name for name in dict.fromkeys(names) if name in STEP] == STEP
     assert [names.count(name) for name in STEP] == [1] * len(STEP)
-    assert plant.core.record.k == 1
+    assert plant.core.state.record.link.k == 1
     assert counted.u == offered.candidates[counted.coin]
-    plant.core.plant.close()
+    plant.core.stepper.plant.close()
 
 
 def test_a_device_saves_its_coin_before_it_moves_and_a_model_after() -> None:

@@ -51,9 +51,11 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
+from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import changed
 from tests.support.told import log_of, told
 from tests.support.traces import Recovered, read_trace
 from wyner.cli.main import main
@@ -138,7 +140,7 @@ class System:
     @property
     def k(self) -> int:
         assert self.plant_service is not None
-        return self.plant_service.endpoint.record.k
+        return self.plant_service.endpoint.state.record.link.k
 
     wait = staticmethod(wait_for)
 
@@ -262,7 +264,7 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
     with ControllerJournal(path, system.scenario.fingerprint()) as journal:
         after, step, *_ = journal.load()
         assert after is not None
-        assert after.k == before.k + 1
+        assert after.link.k == before.link.k + 1
         assert step == IDLE
         assert journal.queued == 1
 
@@ -303,7 +305,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     plant = system.scenario.plant.model_copy(update={"A": ((1e5, 0.0), (0.0, 1.0))})
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
-        record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
+        record = changed(first_record(scenario, "0" * 16), k=1000, x=(1e290, 0.0))
         journal.save(Save(record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
@@ -381,12 +383,12 @@ def test_an_offer_outside_u_is_malformed_and_changes_nothing(system: System, u: 
     forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
     with system.plant() as plant, system.controller(b"one"):
         system.wait(lambda: system.recovered() == [b"one"])
-    assert plant.endpoint.status(time.monotonic()).malformed == len(forged) == 20
+    assert status_of(plant.endpoint, time.monotonic()).malformed == len(forged) == 20
     assert system.errors == {}
 
 
 def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> None:
-    news = PlantTelemetry(sustained, "fast", seeded=False)
+    news = PlantTelemetry.of(sustained, "fast", seeded=False)
     record = first_record(sustained, "2" * 16)
     plant = PlantInHand(rules_of(sustained), "1" * 16, record)
     offer = Offer(session="2" * 16, k=0, candidates=((0.5,), (0.0,)), cipher=0)
@@ -394,7 +396,7 @@ def test_a_gauge_that_is_no_finite_number_is_not_told(sustained: Scenario) -> No
     (applied,) = [event for event in plant.events if isinstance(event, CountedTransition)]
     gauges = (float("inf"), 1.0)
     news.counted(applied._replace(verdict=AgreementResult(gauges, -1)))
-    status = news.status(plant.record, plant.deframer, plant.keys, 0, 1.0)
+    status = news.status(plant.core.state, 0)
     assert (status.pictured_k, status.tail_k) == (-1, (0,))
 
 
@@ -403,32 +405,32 @@ def test_a_measurement_far_ahead_stops_the_link_for_a_moment_only(system: System
     put = MemoryBus(system.field).publisher(key_of(Measurement, "loop")).put
     with system.plant("x20") as plant, system.controller(b"one") as controller:
         system.wait(lambda: system.k > 10)
-        k = plant.endpoint.record.k
-        system.wait(lambda: controller.endpoint.record.k > k)
+        k = plant.endpoint.state.record.link.k
+        system.wait(lambda: controller.endpoint.state.record.link.k > k)
 
         def believed() -> bool:
             """Where a step went between what is read of the two ends, it ends the session."""
-            if controller.endpoint.record.k == 10**18:
+            if controller.endpoint.state.record.link.k == 10**18:
                 return True
-            if controller.endpoint.record.session is not None:
+            if controller.endpoint.state.record.session.id is not None:
                 put(far_ahead(controller, plant).wire())
             return False
 
         system.wait(believed)
         system.wait(lambda: system.recovered() == [b"one"])
-        assert 0 <= controller.endpoint.record.k < 10**6
+        assert 0 <= controller.endpoint.state.record.link.k < 10**6
 
 
 def far_ahead(controller: ControllerService, plant: PlantService) -> Measurement:
     """A measurement that the controller believes, of a step that is far away."""
-    record = controller.endpoint.record
-    assert record.session is not None
+    record = controller.endpoint.state.record
+    assert record.session.id is not None
     return Measurement(
-        session=record.session,
+        session=record.session.id,
         k=10**18,
-        x=plant.endpoint.record.x,
-        applied_k=record.applied_k,
-        x_after=plant.endpoint.record.x,
+        x=plant.endpoint.state.record.link.x,
+        applied_k=record.link.applied_k,
+        x_after=plant.endpoint.state.record.link.x,
     )
 
 
@@ -447,7 +449,7 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
             system.wait(lambda: system.codes == {"stray": USAGE})
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            status = controller.endpoint.status()
+            status = status_of(controller.endpoint)
             assert (status.phase, status.detail) == ("running", "")
     assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
     sessions = read_trace(system.run_dir / PLANT_TRACE).of("session")
@@ -474,13 +476,13 @@ def test_two_controllers_on_one_loop_take_turns(
     ):
         names = {first.endpoint.instance: b"one", second.endpoint.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.endpoint.session.controller
+        mine = plant.endpoint.state.session.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
         running = first if mine == first.endpoint.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.endpoint.session.controller == mine
+        assert plant.endpoint.state.session.controller == mine
         system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
@@ -507,18 +509,18 @@ def test_a_controller_back_with_its_journal_goes_on_while_another_one_waits(
     system: System,
 ) -> None:
     with system.plant("x20") as plant, system.controller(name="second"):
-        system.wait(lambda: plant.endpoint.accepted)
+        system.wait(lambda: plant.endpoint.state.session.accepted)
     with system.plant("x20") as plant:
         with system.controller(name="second") as second:
             system.wait(lambda: system.k > 10)
             with system.controller() as first:
-                system.wait(lambda: first.endpoint.status().detail != "")
+                system.wait(lambda: status_of(first.endpoint).detail != "")
         with system.controller(name="second") as again:
-            system.wait(lambda: plant.endpoint.session.controller == again.endpoint.instance)
+            system.wait(lambda: plant.endpoint.state.session.controller == again.endpoint.instance)
             k = system.k
-            system.wait(lambda: plant.endpoint.record.applied_k > k)
-    assert second.endpoint.record.session == again.endpoint.record.session
-    assert first.endpoint.record.session is None
+            system.wait(lambda: plant.endpoint.state.record.link.applied_k > k)
+    assert second.endpoint.state.record.session.id == again.endpoint.state.record.session.id
+    assert first.endpoint.state.record.session.id is None
 
 
 @pytest.mark.slow
@@ -530,9 +532,9 @@ def test_a_second_plant_does_not_disturb_the_first(
         with system.plant("x20", name="second") as second:
             k = system.k
             system.wait(lambda: system.k > k + 60)
-            assert not second.endpoint.accepted
+            assert not second.endpoint.state.session.accepted
         system.wait(lambda: system.recovered() == [b"one"])
-        assert first.endpoint.record.sessions == 1
+        assert first.endpoint.state.record.session.sessions == 1
     told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
     both = (first.endpoint.instance, second.endpoint.instance)
     assert told
@@ -549,7 +551,7 @@ def test_a_plant_without_its_journal_is_taken_up_by_a_controller_that_ran_on(
         lose(system.run_dir / PLANT_JOURNAL)
         with system.plant("x20"):
             system.wait(lambda: system.recovered() == [b"a message"])
-    assert len(controller.endpoint.record.ended) == 1
+    assert len(controller.endpoint.state.record.session.ended) == 1
 
 
 # --- files ----------------------------------------------------------------------------------------
@@ -630,11 +632,11 @@ def test_a_detail_is_gone_when_all_is_well_again(system: System) -> None:
             system.wait(lambda: system.k > 20)
         lose(system.run_dir / CONTROLLER_JOURNAL)
         with system.controller(b"one") as controller:
-            system.wait(lambda: controller.endpoint.status().detail != "")
-            system.wait(lambda: controller.endpoint.status().phase == "running")
+            system.wait(lambda: status_of(controller.endpoint).detail != "")
+            system.wait(lambda: status_of(controller.endpoint).phase == "running")
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            status = controller.endpoint.status()
+            status = status_of(controller.endpoint)
             assert (status.phase, status.detail) == ("running", "")
 
 
@@ -684,11 +686,18 @@ def test_a_plant_restarts_within_the_second_of_two_long_messages(system: System)
         with system.plant() as plant:
             receiver = plant.endpoint
             system.wait(
-                lambda: receiver.record.messages == 1 and len(receiver.frame.deframer.symbols) > 80
+                lambda: (
+                    receiver.state.record.frame.messages == 1
+                    and len(receiver.state.frame.deframer.symbols) > 80
+                )
             )
         with system.plant() as plant:
             receiver = plant.endpoint
-            system.wait(lambda: receiver.record.messages + receiver.record.frames_refused == 2)
+            system.wait(
+                lambda: (
+                    receiver.state.record.frame.messages + receiver.state.record.frame.refused == 2
+                )
+            )
     assert system.recovered() == list(long)
 
 
@@ -699,17 +708,22 @@ def test_a_journal_is_lost_mid_frame_and_then_the_plant_restarts(system: System)
     with system.plant() as plant:
         receiver = plant.endpoint
         with system.controller(message):
-            system.wait(lambda: len(receiver.frame.deframer.symbols) > 100)
+            system.wait(lambda: len(receiver.state.frame.deframer.symbols) > 100)
         lose(system.run_dir / CONTROLLER_JOURNAL)
         with system.controller(message):
             system.wait(
-                lambda: receiver.record.sessions == 2 and len(receiver.frame.deframer.symbols) > 20
+                lambda: (
+                    receiver.state.record.session.sessions == 2
+                    and len(receiver.state.frame.deframer.symbols) > 20
+                )
             )
             system.stop("plant")
             system.wait(lambda: "plant" in system.codes)
             with system.plant() as again:
                 now = again.endpoint
-                system.wait(lambda: now.record.messages + now.record.frames_refused > 0)
+                system.wait(
+                    lambda: now.state.record.frame.messages + now.state.record.frame.refused > 0
+                )
     assert system.recovered() == [message]
 
 
@@ -728,5 +742,5 @@ def test_a_journal_put_back_from_an_old_copy_ends_the_session(system: System, si
         path.write_bytes(content)
     with system.controller(message), system.plant() as plant:
         system.wait(lambda: system.recovered() == [message])
-    assert plant.endpoint.record.frames_refused == 0
+    assert plant.endpoint.state.record.frame.refused == 0
     assert len({e["session"] for e in read_trace(system.run_dir / PLANT_TRACE).of("session")}) == 2
