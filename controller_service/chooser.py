@@ -11,6 +11,7 @@ from typing import Final, Literal, NamedTuple
 
 from controller_service.alarms import Tested, alarm_of, first, tested
 from controller_service.state import ControllerState
+from controller_service.telemetry import ControllerTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.effects import Effects, Extract, Notice, Publish, Tell
 from protocol.link.key_events import block_notices
@@ -62,6 +63,7 @@ class Chooser:
     Parameters
     ----------
     state : ControllerState
+    news : ControllerTelemetry
     propose : callable
         x -> M candidate inputs; raises `LookupError` where the law has no answer.
     predict : callable, optional
@@ -76,10 +78,11 @@ class Chooser:
     def __init__(
         self,
         state: ControllerState,
+        news: ControllerTelemetry,
         propose: Callable[[Vector], tuple[Vector, ...]],
         predict: Predict | None,
     ) -> None:
-        self.state = state
+        self.state, self.news = state, news
         self.stale_at = -inf
         self._stale = 0
         self._propose, self._predict = propose, predict
@@ -128,12 +131,12 @@ class Chooser:
             return
         offer = HALTED if halted else self._offer(measurement, reported)
         if isinstance(offer, str):  # what the measurement reports counts all the same
-            state.news.enter("alarmed" if halted else "outside")
-            yield state.news.refusal(offer)
+            self.news.enter("alarmed" if halted else "outside")
+            yield self.news.refusal(offer)
             yield from self.count(measurement, None, reported)
             return
         state.step = Answered(measurement, offer)
-        state.news.enter("running", "")
+        self.news.enter("running", "")
         yield state.save()
         yield Publish(offer)
         yield from self.count(measurement, offer, reported)
@@ -232,10 +235,10 @@ class Chooser:
                 expected=test.expected,
                 delivered=delivered,
             )
-            state.news.counted(transition)
+            self.news.counted(transition)
         if test.reason:
             alarm = alarm_of(self.state.rules, measurement, transition, applied, test.reason)
-            state.news.alarmed(alarm)
+            self.news.alarmed(alarm)
         nonce = before.nonce
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
@@ -255,7 +258,7 @@ class Chooser:
         if state.keys.on:
             yield from map(Extract, state.keys.tasks())
         if delivered is not None:
-            state.news.soon(state.now)
+            self.news.soon(state.now)
             yield Notice(f"message {delivered.id} delivered")
         if alarm is not None:
             yield Notice(alarm.sentence(), "error", "alarms")

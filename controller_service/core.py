@@ -92,6 +92,7 @@ class ControllerCore(Endpoint):
     )
 
     state: ControllerState
+    news: ControllerTelemetry
 
     def __init__(
         self,
@@ -114,7 +115,6 @@ class ControllerCore(Endpoint):
             rules,
             loaded.record or ControllerRecord(),
             loaded,
-            ControllerTelemetry() if news is None else news,
             nonces,
             -inf,
             instance,
@@ -122,7 +122,8 @@ class ControllerCore(Endpoint):
             messages,
             fresh,
         )
-        self.chooser = Chooser(self.state, propose, predict)
+        self.news = ControllerTelemetry() if news is None else news
+        self.chooser = Chooser(self.state, self.news, propose, predict)
         self._outbox = Outbox(self.state, messages)
         self._fell_back = loaded.fell_back
         self._first_message = message
@@ -133,7 +134,7 @@ class ControllerCore(Endpoint):
         """Count what a journal left to be counted, queue the first message, and greet."""
         state = self.state
         state.now = now
-        state.news.soon(now)
+        self.news.soon(now)
         if self._fell_back:
             yield Tell(PowerFailed())
         if isinstance(state.step, Answered):
@@ -150,14 +151,14 @@ class ControllerCore(Endpoint):
         yield Publish(state.session.hello())
         yield from map(Extract, state.keys.tasks())
         if state.alarms.halted:
-            yield state.news.refusal(HALTED)
+            yield self.news.refusal(HALTED)
 
     def stop(self, now: float) -> Effects:
         """The last status."""
         state = self.state
         state.now = now
-        state.news.stop()
-        state.news.soon(now)
+        self.news.stop()
+        self.news.soon(now)
         if state.step is IDLE:  # else digits that have served are erased with the next step
             yield state.save()
         yield from self.publish_status()
@@ -195,7 +196,7 @@ class ControllerCore(Endpoint):
                 yield from self.chooser.answer(measurement)
             case "repeated":
                 assert state.offer is not None
-                state.news.enter("running", "")
+                self.news.enter("running", "")
                 yield Publish(state.keys.again(state.offer))
             case "diverged":
                 text = f"measurement {measurement.k} does not follow from the journal"
@@ -213,7 +214,7 @@ class ControllerCore(Endpoint):
         if state.keys.record.refuted or not state.keys.on:
             return
         state.keys.refute(command.reason)
-        state.news.soon(state.now)
+        self.news.soon(state.now)
         yield state.save(durable=True)
         yield Notice(f"keys stop: {command.reason}", "error")
 
@@ -221,18 +222,18 @@ class ControllerCore(Endpoint):
 
     def due_at(self) -> float:
         """When the next status is due."""
-        return self.state.news.due_at
+        return self.news.due_at
 
     def act(self, now: float) -> Effects:
         """A status, if it is due."""
         self.state.now = now
-        return self.publish_status() if self.state.news.is_due(now, self.instance) else ()
+        return self.publish_status() if self.news.is_due(now, self.instance) else ()
 
     # --- sessions ---------------------------------------------------------------------------------
 
     def _greeted(self, hello: PlantHello) -> Effects:
         """The plant spoke on the management bus: do as the table says."""
-        state, session, news = self.state, self.state.session, self.state.news
+        state, session, news = self.state, self.state.session, self.news
         what, answer = session.hears(hello, state.record, state.now)
         match answer:
             case "greet":
@@ -276,14 +277,14 @@ class ControllerCore(Endpoint):
         session.plant = hello.instance
         yield Publish(session.hello("accepted", hello))
         if (hello.instance, hello.session) != known:
-            state.news.enter("running", "")
+            self.news.enter("running", "")
             yield Notice(f"session {hello.session} taken up with plant {hello.instance}")
 
     def _drop_session(self) -> None:
         """Forget the session and its half-agreed key."""
         self.state.session.plant = None
         self.state.begin_session(None)
-        self.state.news.enter("greeting")
+        self.news.enter("greeting")
 
     def _end_session(
         self, what: Literal["does not follow", "blocks differ"], why: str, text: str
@@ -295,19 +296,19 @@ class ControllerCore(Endpoint):
         yield Tell(SessionBegan(None, why))
         yield state.save()
         yield from self._remind()
-        yield state.news.refusal(f"{text}; session ended")
+        yield self.news.refusal(f"{text}; session ended")
 
     def _step_back(self, hello: PlantHello, *, ends: bool) -> Effects:
         """The plant asks another controller, or is with one: offer nothing in that session."""
         state = self.state
         state.session.plant = None
-        state.news.enter("greeting")
+        self.news.enter("greeting")
         if ends:
             self._drop_session()
             yield Tell(SessionBegan(None, ELSEWHERE))
             yield state.save()
         why = f"plant {hello.instance} is with controller {hello.controller}, and not with "
-        yield state.news.refusal(f"{why}this one, {self.instance}")
+        yield self.news.refusal(f"{why}this one, {self.instance}")
 
     def _give_up(self, hello: PlantHello) -> Effects:
         """The only plant shares another model: there is nothing to go on with."""
@@ -318,8 +319,8 @@ class ControllerCore(Endpoint):
             f"this controller's is {state.rules.fingerprint[:8]}"
         )
         yield Publish(state.session.hello("other-model", hello))
-        yield state.news.refusal(f"plant {hello.instance} shares another model")
-        state.news.enter("refused", detail)
+        yield self.news.refusal(f"plant {hello.instance} shares another model")
+        self.news.enter("refused", detail)
         yield Notice(f"{detail}: the two ends must share one scenario", "error")
 
     def _remind(self) -> Effects:

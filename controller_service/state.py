@@ -2,7 +2,6 @@
 
 from controller_service.outbox import MessageQueue
 from controller_service.outgoing import Outgoing
-from controller_service.telemetry import ControllerTelemetry
 from protocol.link.controller_session import ControllerSession
 from protocol.link.records import ControllerRecord, LinkRecord, Loaded
 from protocol.link.session import Rules
@@ -18,7 +17,7 @@ class ControllerState(EndState):
 
     Parameters
     ----------
-    rules, record, news, nonces, now
+    rules, record, nonces, now
         As of :class:`protocol.link.state.EndState`.
     loaded : Loaded
         What the journal has besides.
@@ -40,14 +39,12 @@ class ControllerState(EndState):
     """
 
     step: Idle | Answered
-    news: ControllerTelemetry
 
     def __init__(
         self,
         rules: Rules,
         record: ControllerRecord,
         loaded: Loaded[ControllerRecord],
-        news: ControllerTelemetry,
         nonces: NonceSource,
         now: float,
         instance: str,
@@ -55,7 +52,7 @@ class ControllerState(EndState):
         messages: MessageQueue,
         fresh: SymbolSource,
     ) -> None:
-        super().__init__(rules, record, news, nonces, now)
+        super().__init__(rules, record, nonces, now)
         assert not isinstance(loaded.step, Begun | Read)
         self.step = loaded.step
         self.session = ControllerSession(instance, rules.fingerprint, record.session, period_s)

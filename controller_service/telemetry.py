@@ -1,9 +1,10 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from controller_service.laws.online import OnlineLaw
+from controller_service.state import ControllerState
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm
 from protocol.link.pacing import STATUS_S
@@ -12,9 +13,6 @@ from protocol.link.telemetry import Telemetry
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
-
-if TYPE_CHECKING:
-    from controller_service.state import ControllerState
 
 LARGEST_GAUGE: Final = 1e300
 """What a status says of one that is larger still: a message holds finite numbers only."""
@@ -55,7 +53,7 @@ class ControllerTelemetry(Telemetry):
         self._alarms += 1
         self._alarm = alarm
 
-    def status(self, state: "ControllerState", malformed: int) -> ControllerStatus:
+    def status(self, state: ControllerState, malformed: int) -> ControllerStatus:
         """What the dashboard is told of the controller."""
         session, link, _, frame, _, _ = state.record
         messages, rules = state.messages, state.rules

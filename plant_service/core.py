@@ -97,6 +97,7 @@ class PlantCore(Endpoint):
     says: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, PlantModel, PlantStatus)
 
     state: PlantState
+    news: PlantTelemetry
 
     def __init__(
         self,
@@ -127,14 +128,14 @@ class PlantCore(Endpoint):
             rules,
             record,
             loaded,
-            PlantTelemetry() if news is None else news,
             nonces,
             now,
             instance,
             pacing,
             Watchdog(watchdog_s),
         )
-        self.stepper = Stepper(self.state, plant, coin, fallback)
+        self.news = PlantTelemetry() if news is None else news
+        self.stepper = Stepper(self.state, self.news, plant, coin, fallback)
         self._new_id = new_id
         self._steps = steps
         self._fresh, self._fell_back = loaded.record is None, loaded.fell_back
@@ -156,7 +157,7 @@ class PlantCore(Endpoint):
         """
         state = self.state
         state.now = now
-        state.news.soon(now)
+        self.news.soon(now)
         state.watchdog.begin(now, moved=state.moved)
         if self._fell_back:
             yield Tell(PowerFailed())
@@ -181,11 +182,11 @@ class PlantCore(Endpoint):
         """The last status. The plant goes to its safe state and is closed."""
         state = self.state
         state.now = now
-        state.news.stop()
+        self.news.stop()
         self.stepper.plant.safe("the process ended")
         failed = self.stepper.plant.close()
-        state.news.soon(now)
-        timing = state.news.punctuality.as_event(state.link.k)
+        self.news.soon(now)
+        timing = self.news.punctuality.as_event(state.link.k)
         if timing is not None:
             yield Tell(timing)
         if state.step is IDLE:  # else digits that have served are erased with the next step
@@ -234,7 +235,7 @@ class PlantCore(Endpoint):
             return self._farewell.due_at
         accepted = session.accepted
         return min(
-            state.news.due_at,
+            self.news.due_at,
             state.watchdog.at,
             pacing.due_at(running=state.moved or accepted, measuring=accepted),
             session.due_at(waiting=pacing.waiting),
@@ -243,7 +244,7 @@ class PlantCore(Endpoint):
     def act(self, now: float) -> Effects:
         """A tick, a repeated measurement, a hello, a status: whatever is due."""
         state = self.state
-        session, pacing, news = state.session, state.pacing, state.news
+        session, pacing, news = state.session, state.pacing, self.news
         state.now = now
         if session.state == "refused":
             self.code = USAGE
@@ -291,7 +292,7 @@ class PlantCore(Endpoint):
                 self._begin_session()
                 yield from self._anew(UNKNOWN_THERE, "session ended; new session", "warning")
             case "work":
-                state.news.enter("running")
+                self.news.enter("running")
                 if session.took_up():
                     yield Notice(f"{who} took up session {session.record.id}")
             case "say whose":
@@ -307,7 +308,7 @@ class PlantCore(Endpoint):
                     f"the controller's model is {hello.fingerprint[:8]}, "
                     f"this plant's is {state.rules.fingerprint[:8]}"
                 )
-                state.news.enter("refused", detail)
+                self.news.enter("refused", detail)
                 yield Notice(f"{detail}: the two ends must share one scenario", "error")
 
     def _begin_session(self) -> None:
@@ -317,7 +318,7 @@ class PlantCore(Endpoint):
     def _anew(self, why: str, notice: str, level: Literal["warning", "error"]) -> Effects:
         """Tell of a new session, save it, and say hello."""
         state = self.state
-        state.news.enter("greeting")
+        self.news.enter("greeting")
         session = state.session.record.id
         yield Tell(SessionBegan(session, why))
         yield state.save()

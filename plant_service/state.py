@@ -1,6 +1,5 @@
 """The plant's end as a state: the step under way, and machines that own a frozen record each."""
 
-from plant_service.status import PlantTelemetry
 from plant_service.watchdog import Watchdog
 from protocol.link.incoming import Incoming
 from protocol.link.pacing import Pacing
@@ -17,7 +16,7 @@ class PlantState(EndState):
 
     Parameters
     ----------
-    rules, record, news, nonces, now
+    rules, record, nonces, now
         As of :class:`protocol.link.state.EndState`.
     loaded : Loaded
         What the journal has besides.
@@ -34,21 +33,19 @@ class PlantState(EndState):
     """
 
     step: Idle | Begun | Read
-    news: PlantTelemetry
 
     def __init__(
         self,
         rules: Rules,
         record: PlantRecord,
         loaded: Loaded[PlantRecord],
-        news: PlantTelemetry,
         nonces: NonceSource,
         now: float,
         instance: str,
         pacing: Pacing,
         watchdog: Watchdog,
     ) -> None:
-        super().__init__(rules, record, news, nonces, now)
+        super().__init__(rules, record, nonces, now)
         assert not isinstance(loaded.step, Answered)
         self.step = loaded.step
         self.session = PlantSession(instance, rules.fingerprint, record, now)

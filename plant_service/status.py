@@ -5,9 +5,10 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
 from math import isfinite
-from typing import TYPE_CHECKING, Final, Self
+from typing import Final, Self
 
 from plant_service.punctuality import Punctuality, ReachWatch
+from plant_service.state import PlantState
 from protocol.link.pacing import STATUS_S
 from protocol.link.records import LinkRecord
 from protocol.link.session import CountedTransition
@@ -16,9 +17,6 @@ from protocol.messages import LATENCY_BOUNDS_S, Message, PlantModel, PlantStatus
 from protocol.scenario import Calibration, Scenario
 from protocol.text import Shown, readable
 from protocol.vectors import Vector
-
-if TYPE_CHECKING:
-    from plant_service.state import PlantState
 
 TAIL: Final = 64
 """Most transitions shown in a status; a whole status has as many."""
@@ -116,7 +114,7 @@ class PlantTelemetry(Telemetry):
         self._new += 1
         return self.watch.counted(t.verdict, t.coin)
 
-    def messages(self, state: "PlantState", malformed: int) -> tuple[Message, ...]:
+    def messages(self, state: PlantState, malformed: int) -> tuple[Message, ...]:
         """A status, and once a second the model before it: who hears that lacks nothing."""
         assert self.status_s is not None
         assert self.model is not None
@@ -131,7 +129,7 @@ class PlantTelemetry(Telemetry):
             return link.estimate.box.centre
         return (0.0,) * self._hidden or link.x
 
-    def status(self, state: "PlantState", malformed: int, *, whole: bool = True) -> PlantStatus:
+    def status(self, state: PlantState, malformed: int, *, whole: bool = True) -> PlantStatus:
         """What the dashboard is told of the plant.
 
         A ``whole`` one shows all transitions that are remembered, for whoever has not heard the

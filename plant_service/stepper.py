@@ -13,6 +13,7 @@ from typing import Literal
 
 from plant_service.plant import Coin, Plant
 from plant_service.state import PlantState
+from plant_service.status import PlantTelemetry
 from protocol.agreement import NO_SYMBOL
 from protocol.link.effects import Effects, Extract, Notice, Publish, Tell
 from protocol.link.events import Interrupted, Missed
@@ -31,6 +32,7 @@ class Stepper:
     Parameters
     ----------
     state : PlantState
+    news : PlantTelemetry
     plant : Plant
         What is stepped.
     coin : Coin
@@ -41,11 +43,13 @@ class Stepper:
     def __init__(
         self,
         state: PlantState,
+        news: PlantTelemetry,
         plant: Plant,
         coin: Coin,
         fallback: Callable[[Vector, Vector], Vector],
     ) -> None:
-        self.state, self.plant, self.coin = state, plant, coin
+        self.state, self.news = state, news
+        self.plant, self.coin = plant, coin
         self._fallback = fallback
         self._left = True  # copy 0 of the newest measurement may have left
         self._latest_late_k = -1
@@ -88,10 +92,10 @@ class Stepper:
             # not late; nor is it late twice.)
             self._latest_late_k = offer.k
             state.pacing.answered_late()
-            state.news.late += 1
+            self.news.late += 1
         if place != "current" or state.pacing.waiting:
             return
-        state.news.answered(k, now)
+        self.news.answered(k, now)
         state.keys.heard(offer)  # first: it may confirm the block of the offer's digits
         digits = self.digits(offer)
         if state.keys.on and not digits and state.keys.awaits(offer.position.block):
@@ -103,7 +107,7 @@ class Stepper:
             yield state.save()
         self.plant.begin(k, state.link.x, offer.candidates[coin])
         if state.pacing.timed:
-            state.news.punctuality.acted(state.pacing.since_tick_s(now))
+            self.news.punctuality.acted(state.pacing.since_tick_s(now))
         state.pacing.applied()
         state.watchdog.applied(now)
         if not (self.plant.acts and state.pacing.waiting):
@@ -149,7 +153,7 @@ class Stepper:
         carried = bool(digits) if scheme.from_stream else scheme.pad(state.link.state) >= 0
         yield state.save(durable=state.frame.deframer.lacks_one and carried)
         if due:
-            state.news.measured(k + 1, state.now)
+            self.news.measured(k + 1, state.now)
             yield Publish(report)
         yield from self.count(read)
 
@@ -161,7 +165,7 @@ class Stepper:
         state, link, applied = self.state, self.state.link, self.state.applied
         again = (self._left or bool(state.keys.crowded)) and state.keys.on
         self._left = True
-        state.news.measured(link.k, state.now)
+        self.news.measured(link.k, state.now)
         return Measurement(
             session=state.session.record.id,
             k=link.k,
@@ -223,7 +227,7 @@ class Stepper:
             state.keys.used(offer.position, rules.digits)
         self.coin.prepare(state.link.transitions)
         self.plant.prepare(state.link.k)
-        contradicted = state.news.counted(transition)
+        contradicted = self.news.counted(transition)
         ended = state.keys.ended()
         yield from map(Tell, ended)
         yield Tell(transition)
@@ -240,7 +244,7 @@ class Stepper:
 
     def _frame_ended(self, transition: CountedTransition) -> Notice:
         """What is told of a frame that is whole, or failed its check."""
-        payload, k, news = transition.recovered, transition.k, self.state.news
+        payload, k, news = transition.recovered, transition.k, self.news
         if payload is None:
             return Notice("a frame failed its check and was refused", "error")
         news.last_message, news.message_k = payload, k

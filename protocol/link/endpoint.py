@@ -14,6 +14,7 @@ from protocol.link.channel import Channel, UnderWay
 from protocol.link.effects import Effects, Notice, Publish, Show
 from protocol.link.key_events import appeared, extraction_done
 from protocol.link.state import EndState
+from protocol.link.telemetry import Telemetry
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 
@@ -46,6 +47,7 @@ class Endpoint(ABC):
     says: ClassVar[tuple[type[Message], ...]]
 
     state: EndState
+    news: Telemetry
 
     def __init__(self, instance: str, channel: Channel | None) -> None:
         self.instance = instance
@@ -128,7 +130,7 @@ class Endpoint(ABC):
 
     def publish_status(self) -> Effects:
         """A status to publish, and once a second to be kept; nothing where none is asked for."""
-        news = self.state.news
+        news = self.news
         if news.status_s is None:
             return
         messages = news.messages(self.state, self.malformed)

@@ -10,7 +10,6 @@ from protocol.link.effects import Save
 from protocol.link.records import ControllerRecord, LinkRecord, PlantRecord
 from protocol.link.session import Rules
 from protocol.link.step import Step
-from protocol.link.telemetry import Telemetry
 from protocol.messages import SendCommand
 from protocol.secret.nonces import NonceSource
 
@@ -23,7 +22,6 @@ class EndState(ABC):
     rules : Rules
     record : ControllerRecord or PlantRecord
         As read back from the journal, or a first one.
-    news : Telemetry
     nonces : NonceSource
 
     Attributes
@@ -42,14 +40,12 @@ class EndState(ABC):
         self,
         rules: Rules,
         record: ControllerRecord | PlantRecord,
-        news: Telemetry,
         nonces: NonceSource,
         now: float,
     ) -> None:
         self.rules = rules
         self.link: LinkRecord = record.link._replace(state=rules.scheme.restore(record.link.state))
         self.keys = Distiller(rules.schedule, rules.size, nonces)
-        self.news = news
         self.now = now
 
     @property

@@ -219,7 +219,7 @@ def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
     assert isinstance(counted, CountedTransition)
     assert (counted.coin, counted.u, counted.truth, counted.x_next) == (0, (1.5,), TRUTH, (1.5,))
     assert end.core.state.record.link.k == 4
-    assert end.core.state.news.measured_k == -1
+    assert end.core.news.measured_k == -1
 
 
 @pytest.mark.parametrize("of", ["", S, T])

@@ -55,7 +55,7 @@ def status_of(core: Endpoint, now: float | None = None, **more: Any) -> Any:
     """The status of an end, at ``now``."""
     state = core.state
     state.now = state.now if now is None else now
-    return state.news.status(state, core.malformed, **more)
+    return core.news.status(state, core.malformed, **more)
 
 
 def fields(status: Message) -> dict[str, Any]:
