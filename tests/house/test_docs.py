@@ -188,7 +188,8 @@ def test_the_index_has_every_page_once() -> None:
     )
     rows = [row for tree in trees for row in tree.splitlines() if row and not row.startswith(":")]
     named = [row for row in rows if "/" not in row]
-    assert sorted(named) == sorted(p.stem for p in DOCUMENTS if p.stem != "index")
+    made = {"command-reference", "scenario-reference"}  # when the site is built
+    assert sorted(named) == sorted({p.stem for p in DOCUMENTS if p.stem != "index"} | made)
 
 
 def is_there(command: str) -> bool:

@@ -1,16 +1,22 @@
-"""The reference of the scenario file: fresh, whole, and of the models that read it."""
+"""The references that the site is built with: whole, and of the models and commands themselves."""
+
+import tomllib
+from pathlib import Path
 
 import pytest
 
 from protocol.scenario import LAWS, PLANTS, Scenario
 from runtime.shipped import SCENARIOS
-from tools.scenario_reference import PAGE, form_of, lines_of, main, missing, page
+from tools import command_reference
+from tools.scenario_reference import form_of, missing, page
+from wyner.cli.main import commands
 
 
-def test_the_page_is_fresh() -> None:
-    assert page() == PAGE.read_text(encoding="utf-8"), (
-        "run: python -m tools.scenario_reference --write"
-    )
+def test_every_command_is_told_with_its_options() -> None:
+    text = command_reference.page()
+    for name in commands():
+        assert f"### wyner {name}\n\n```text\nusage: wyner {name}" in text
+    assert "--until-delivered" in text
 
 
 def test_every_field_says_what_it_is_for() -> None:
@@ -23,14 +29,11 @@ def test_every_table_kind_and_law_is_told() -> None:
         assert f"`[{table}]`" in text
     for kind in PLANTS:
         assert f'`[plant] of kind = "{kind}", besides`' in text
-    assert all(name in Scenario.model_fields for name in lines_of(Scenario))
     assert set(LAWS) >= {"paper", "sustained", "packed"}
 
 
 @pytest.mark.parametrize("path", sorted(SCENARIOS.glob("*.toml")), ids=lambda path: path.stem)
-def test_every_field_of_the_shipped_files_is_in_it(path: object) -> None:
-    import tomllib
-
+def test_every_field_of_the_shipped_files_is_in_it(path: Path) -> None:
     text = page()
 
     def fields(table: dict[str, object]) -> set[str]:
@@ -41,8 +44,7 @@ def test_every_field_of_the_shipped_files_is_in_it(path: object) -> None:
                     found |= fields(part)
         return found
 
-    with open(str(path), "rb") as file:  # noqa: PTH123
-        told = tomllib.load(file)
+    told = tomllib.loads(path.read_text(encoding="utf-8"))
     sets = {"half_widths", "H", "h"}
     assert all(f"| `{name}` |" in text for name in fields(told) - sets)
 
@@ -52,8 +54,3 @@ def test_forms_are_those_of_toml() -> None:
     assert form_of(tuple[tuple[float, ...], ...]) == "matrix"
     assert form_of(tuple[float, float]) == "list of 2 numbers"
     assert form_of(fields["name"].annotation, fields["name"]) == "text"
-
-
-def test_it_can_be_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 0
-    assert capsys.readouterr().out == page()
