@@ -77,7 +77,8 @@ class Study:
 
     def _by_column(self, row: Values) -> Row:
         values = [row[column] for column in self.columns] if isinstance(row, Mapping) else list(row)
-        return dict(zip(self.columns, map(str, values), strict=True))
+        texts = ["" if value is None else str(value) for value in values]
+        return dict(zip(self.columns, texts, strict=True))
 
     def measure(
         self,

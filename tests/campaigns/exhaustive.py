@@ -162,7 +162,7 @@ def main(argv: list[str] | None = None) -> int:
         acts=args.acts,
         coin=args.coin,
     )
-    until = time.monotonic() + args.seconds
+    until: float = time.monotonic() + args.seconds
     told_at = 0.0
 
     def told() -> str:
