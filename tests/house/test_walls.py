@@ -177,7 +177,7 @@ def test_a_tag_is_compared_in_constant_time() -> None:
         if compared_in_haste(path.read_text(encoding="utf-8"))
     }
     asked = {name for name in found if not name.startswith(("wyner/runs/check/", "tap_service/"))}
-    assert asked == {"wyner/simulate/engine/defences.py"}
+    assert asked == {"studies/attacks/defences.py"}
 
 
 def test_the_protocol_is_pure() -> None:
