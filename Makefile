@@ -117,7 +117,7 @@ figures: $(STAMPS)/dev
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper
 
-# Hours, and resumable: stop it with Ctrl-C, and it goes on where it was. See docs/protocol.md.
+# Hours. See docs/protocol.md.
 CAMPAIGN := $(BIN)/python -m tests.campaigns
 campaign: $(STAMPS)/dev
 	$(CAMPAIGN).exhaustive --scheme switched --seconds 7200
