@@ -23,7 +23,7 @@ from studies.figures import FIGURES, FigureError, draw
 from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
 from studies.loops import centre_distances, closed_form, gauges_of, system, tap_rows
-from studies.registry import pages, recorded, stale, studies
+from studies.registry import origin, pages, recorded, stale, studies
 from tests.support.patience import PATIENCE_S
 from tests.support.size import size
 from wyner.advice.rate import long_runs, settled_rate
@@ -209,6 +209,18 @@ def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
     path.write_text(path.read_text().replace(one.version, "1.0.0+00000001"))
     told = f"widths.csv: {len(rows)} of {len(rows)} rows by 1.0.0+00000001 ({len(rows)}); today "
     assert list(stale(tmp_path)) == [told + one.version]
+
+
+def test_a_page_says_that_its_rows_are_of_other_code() -> None:
+    one = studies()["widths"]
+    rows = [row | {"version": one.version} for row in recorded("widths")]
+    hash_ = one.version.partition("+")[2]
+    assert origin({"widths": rows}) == f"Rows of code {hash_}."
+    rows[3]["version"] = "1.0.0+00000001"
+    assert origin({"widths": rows}) == (
+        f"Rows of code {hash_} ({len(rows) - 1}), 00000001 (1), measured with an earlier version "
+        "of the code."
+    )
 
 
 def test_every_page_has_its_tables_as_the_data_have_them() -> None:
