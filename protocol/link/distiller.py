@@ -25,7 +25,7 @@ from protocol.secret.nonces import (
 )
 from protocol.secret.stream import (
     NO_PART,
-    NOTHING,
+    NOTHING_HELD,
     NOWHERE,
     Held,
     Keys,
@@ -129,7 +129,7 @@ class Distiller:
         tag: str = "",
         confirmed: int = -1,
         rows: Iterable[Contribution] = (),
-        held: Held = NOTHING,
+        held: Held = NOTHING_HELD,
         after: Position = NOWHERE,
     ) -> None:
         """Begin a session, or go on with it from what was read back.

@@ -8,7 +8,7 @@ from protocol.defence.watch import NEVER
 from protocol.link.step import IDLE, Step
 from protocol.messages import Offer
 from protocol.secret.nonces import Contribution, Copy
-from protocol.secret.stream import NOTHING, Held
+from protocol.secret.stream import NOTHING_HELD, Held
 from protocol.vectors import Vector
 
 INITIAL_ID: Final = "initial"
@@ -136,6 +136,6 @@ class Loaded(NamedTuple, Generic[R]):
     record: R | None = None
     step: Step = IDLE
     rows: tuple[Contribution, ...] = ()
-    held: Held = NOTHING
+    held: Held = NOTHING_HELD
     symbols: str = ""
     fell_back: bool = False

@@ -111,7 +111,7 @@ class Held(NamedTuple):
     keys: tuple[Keys, ...] = ()
 
 
-NOTHING: Final = Held()
+NOTHING_HELD: Final = Held()
 
 
 class Stream:
@@ -132,7 +132,7 @@ class Stream:
         The key in use; what it holds stands before all else.
     """
 
-    def __init__(self, size: int, held: Held = NOTHING, after: Position = NOWHERE) -> None:
+    def __init__(self, size: int, held: Held = NOTHING_HELD, after: Position = NOWHERE) -> None:
         self._size = size
         self.part = held.part
         self._keys = list(held.keys)
