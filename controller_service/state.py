@@ -63,7 +63,7 @@ class ControllerState(EndState):
         named = NOWHERE if newest is None else newest.position
         after = Position(named.block, named.at + rules.digits)
         session = record.session.id or ""
-        self.keys.resume(session, record.keys, loaded.rows, loaded.parts, after)
+        self.keys.resume(session, record.keys, loaded.rows, loaded.held, after)
 
     @property
     def record(self) -> ControllerRecord:

@@ -51,7 +51,7 @@ class PlantState(EndState):
         self.session = PlantSession(instance, rules.fingerprint, record, now)
         self.applied = record.applied
         self.frame = Incoming(rules.size, record.frame, loaded.symbols)
-        self.keys.resume(record.session.id, record.keys, loaded.rows, loaded.parts)
+        self.keys.resume(record.session.id, record.keys, loaded.rows, loaded.held)
         self.pacing, self.watchdog = pacing, watchdog
 
     @property
