@@ -209,11 +209,11 @@ class PlantCore(Endpoint):
                     self.code = DONE
             case Offer():
                 if wrong := self.stepper.wrong(message):
-                    yield from self.reject(wrong)
-                else:
-                    yield from self._counted(self.stepper.offered(message))
+                    return self.reject(wrong)
+                return self._counted(self.stepper.offered(message))
             case ControllerHello() if not self._finished:
-                yield from self._greeted(message)
+                return self._greeted(message)
+        return ()
 
     def _counted(self, effects: Effects) -> Effects:
         """A step's effects; the session ends where a key block turns out to differ."""

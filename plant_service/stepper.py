@@ -19,6 +19,7 @@ from protocol.link.effects import Effects, Extract, Notice, Publish, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.incoming import NOTHING_TAKEN
 from protocol.link.key_events import block_notices
+from protocol.link.records import AppliedRecord
 from protocol.link.session import CountedTransition, Truth
 from protocol.link.step import IDLE, Begun, Read
 from protocol.messages import Measurement, Offer
@@ -213,14 +214,17 @@ class Stepper:
             refused=taken.refused,
         )
         state.step = IDLE
-        state.link = counted.link._replace(k=report.k, x=x_next, nonce=report.nonce)
-        state.applied = state.applied._replace(
-            u=u,
-            x_after=x_next,
-            copy=report.applied_copy,
-            keyed=bool(report.keyed),
-            symbol_errors=state.applied.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
-            true_x=self._state_of(truth),
+        state.link = counted.link.at(report.k, x_next, report.nonce)
+        applied = state.applied
+        state.applied = AppliedRecord(
+            u,
+            x_next,
+            report.applied_copy,
+            bool(report.keyed),
+            applied.missed,
+            applied.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            applied.sensor_seed,
+            self._state_of(truth),
         )
         state.session.on("offer applied")
         if counted.digits:
@@ -309,7 +313,7 @@ class Stepper:
         state = self.state
         state.keys.announcement()
         state.step = IDLE
-        state.link = state.link._replace(k=state.link.k + 1, x=x_next, nonce=state.keys.nonce())
+        state.link = state.link.at(state.link.k + 1, x_next, state.keys.nonce())
         state.applied = state.applied._replace(
             u=u, missed=state.applied.missed + 1, true_x=self._state_of(self.plant.truth)
         )

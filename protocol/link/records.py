@@ -62,6 +62,11 @@ class LinkRecord(NamedTuple):
         """What the automaton is doing, by number."""
         return self.state[0]
 
+    def at(self, k: int, x: Vector, nonce: str) -> "LinkRecord":
+        """The same at step ``k``, which reads ``x``."""
+        _, _, *counted, _, estimate = self
+        return LinkRecord(k, x, *counted, nonce, estimate)
+
 
 class KeyRecord(NamedTuple):
     """What :class:`protocol.link.distiller.Distiller` must not forget beside rows of blocks.

@@ -105,7 +105,7 @@ def done(effects: Sequence[Effect]) -> Done:
 def reported(core: ControllerCore) -> int:
     """Transitions that the plant has reported, the one that waits to be counted included."""
     record, step = core.state.record, core.state.step
-    counts = isinstance(step, Answered) and reports(record, step.measurement)
+    counts = isinstance(step, Answered) and reports(record.link, record.offer, step.measurement)
     return record.link.transitions + counts
 
 

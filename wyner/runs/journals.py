@@ -75,7 +75,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
         with ControllerJournal(path, rules.fingerprint) as journal:
             loaded = journal.load()
             record, step, t = loaded.record or ControllerRecord(), loaded.step, None
-            if isinstance(step, Answered) and reports(record, step.measurement):
+            if isinstance(step, Answered) and reports(record.link, record.offer, step.measurement):
                 t = _by_controller(rules, record, step.measurement, loaded.held)
             delivered = record.frame.message + (t is not None and _ends_frame(t, record, journal))
             for number in range(delivered, journal.queued):
