@@ -64,8 +64,17 @@ class LinkRecord(NamedTuple):
 
     def at(self, k: int, x: Vector, nonce: str) -> "LinkRecord":
         """The same at step ``k``, which reads ``x``."""
-        _, _, *counted, _, estimate = self
-        return LinkRecord(k, x, *counted, nonce, estimate)
+        return LinkRecord(
+            k,
+            x,
+            self.applied_k,
+            self.state,
+            self.transitions,
+            self.p,
+            self.agreements,
+            nonce,
+            self.estimate,
+        )
 
 
 class KeyRecord(NamedTuple):
