@@ -222,7 +222,8 @@ class PlantCore:
             yield self._save()
         yield from map(Extract, self.keys.tasks())
         if isinstance(self.step, Read):
-            yield from self._count(self.step)
+            offer, _, report = self.step
+            yield from self._count(self.step, self._digits(offer) if report.keyed else ())
         if self._back is not None:
             yield Tell(self._interrupted(self._back))
             yield self._save()
@@ -426,7 +427,7 @@ class PlantCore:
         yield self._save(durable=self.frame.lacks_one and carried)
         if due:
             yield Publish(report)
-        yield from self._count(read)
+        yield from self._count(read, digits)
 
     def _save(
         self, symbols: str = "", received: bytes | None = None, *, durable: bool = False
@@ -480,15 +481,15 @@ class PlantCore:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def _count(self, step: Read) -> Effects:
-        """Count the transition that the step made.
+    def _count(self, step: Read, digits: tuple[int, ...]) -> Effects:
+        """Count the transition that the step made; these ``digits`` have served.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
         """
         record, rules = self.record, self.rules
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
-        counted = rules.count(record, offer, x_next, self._digits(offer) if report.keyed else ())
+        counted = rules.count(record, offer, x_next, digits)
         agreed, pad = counted.carry
         symbol, taken = NO_SYMBOL, Taken(record.partial, record.stored)
         if pad != NO_SYMBOL:
