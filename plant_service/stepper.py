@@ -156,7 +156,7 @@ class Stepper:
         if due:
             self.news.measured(k + 1, state.now)
             yield Publish(report)
-        yield from self.count(read)
+        yield from self.count(read, digits)
 
     def measurement(self) -> Measurement:
         """Measurement(k): the state, the last applied offer and what came right after it.
@@ -183,15 +183,15 @@ class Stepper:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def count(self, step: Read) -> Effects:
-        """Count the transition that the step made.
+    def count(self, step: Read, digits: tuple[int, ...]) -> Effects:
+        """Count the transition that the step made, in which these ``digits`` have served.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
         """
         state, rules, before = self.state, self.state.rules, self.state.link
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
-        counted = rules.count(before, offer, x_next, self.digits(offer) if report.keyed else ())
+        counted = rules.count(before, offer, x_next, digits)
         agreed, pad = counted.carry
         symbol, taken = NO_SYMBOL, NOTHING_TAKEN
         if pad != NO_SYMBOL:
