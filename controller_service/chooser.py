@@ -215,7 +215,7 @@ class Chooser:
         state, before, applied = self.state, self.state.link, self.state.offer
         frame, test, counted = reported.frame, reported.test, reported.counted
         state.step = IDLE
-        state.keys.heard(measurement)
+        state.keys.compare(measurement)
         transition = delivered = alarm = None
         if counted is not None:
             assert applied is not None

@@ -83,8 +83,8 @@ class ControllerCore(Endpoint):
     chooser : Chooser
     """
 
-    hears: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, SendCommand, StopKeys)
-    says: ClassVar[tuple[type[Message], ...]] = (
+    receives: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, SendCommand, StopKeys)
+    sends: ClassVar[tuple[type[Message], ...]] = (
         Offer,
         ControllerHello,
         SendReply,
@@ -234,7 +234,7 @@ class ControllerCore(Endpoint):
     def _greeted(self, hello: PlantHello) -> Effects:
         """The plant spoke on the management bus: do as the table says."""
         state, session, news = self.state, self.state.session, self.news
-        what, answer = session.hears(hello, state.record, state.now)
+        what, answer = session.answer(hello, state.record, state.now)
         match answer:
             case "greet":
                 yield Publish(session.hello())

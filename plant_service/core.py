@@ -93,8 +93,8 @@ class PlantCore(Endpoint):
     stepper : Stepper
     """
 
-    hears: ClassVar[tuple[type[Message], ...]] = (Offer, ControllerHello)
-    says: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, PlantModel, PlantStatus)
+    receives: ClassVar[tuple[type[Message], ...]] = (Offer, ControllerHello)
+    sends: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, PlantModel, PlantStatus)
 
     state: PlantState
     news: PlantTelemetry
@@ -284,7 +284,7 @@ class PlantCore(Endpoint):
         """The controller spoke on the management bus: do as the table says."""
         state = self.state
         session, link = state.session, state.link
-        answer = session.hears(hello, state.record, state.now)
+        answer = session.answer(hello, state.record, state.now)
         who = f"controller {hello.instance}"
         match answer:
             case "ask":

@@ -97,7 +97,7 @@ class Stepper:
         if place != "current" or state.pacing.waiting:
             return
         self.news.answered(k, now)
-        state.keys.heard(offer)  # first: it may confirm the block of the offer's digits
+        state.keys.compare(offer)  # first: it may confirm the block of the offer's digits
         digits = self.digits(offer)
         if state.keys.on and not digits and state.keys.awaits(offer.position.block):
             return  # the offer comes again, when its digits are there

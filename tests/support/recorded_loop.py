@@ -125,7 +125,7 @@ class RecordedLoop(TwoEnds):
                 clear_alarm=self._clear_alarm,
             )
             core, files = open_controller(made)
-        publishers = {kind: _Publisher(self, side, kind) for kind in core.says}
+        publishers = {kind: _Publisher(self, side, kind) for kind in core.sends}
         closed = deque[ClosedBlock]()
         health = HealthFiles(files.health, log)
         ports = LoopPorts(

@@ -20,7 +20,7 @@ from protocol.messages import Measurement, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import frame_length
 from protocol.secret.nonces import contribution_of
-from protocol.secret.stream import Held, Stream
+from protocol.secret.stream import Held, KeyStream
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, JournalError, PlantJournal
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
@@ -162,7 +162,7 @@ def _digits(rules: Rules, offer: Offer, said: Measurement, held: Held) -> tuple[
     """The digits of the key stream that have served, as far as they are held."""
     if not said.keyed:
         return ()
-    return Stream(rules.size, held).at(offer.position, rules.digits) or ()
+    return KeyStream(rules.size, held).at(offer.position, rules.digits) or ()
 
 
 def _counted(
