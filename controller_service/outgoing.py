@@ -59,6 +59,8 @@ class Outgoing:
             fresh = decided
         elif not scheme.from_stream:
             fresh = self._fresh.symbol(transitions, size)
+            clear = scheme.clear(state)
+            fresh = fresh if clear == NO_SYMBOL else clear
         symbols = self._frame_of(message)
         framed = bool(symbols)
         message_symbol = symbols[offset] if framed else IDLE

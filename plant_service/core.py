@@ -484,11 +484,13 @@ class PlantCore:
         """Count the transition that the step made.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
+        (Where words are corrected it is of the coins, and they are compared as words.)
         """
         record, rules = self.record, self.rules
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
-        counted = rules.count(record, offer, x_next, self._digits(offer) if report.keyed else ())
+        digits = self._digits(offer) if report.keyed else ()
+        counted = rules.count(record, offer, x_next, digits, coin)
         agreed, pad = counted.carry
         symbol, taken = NO_SYMBOL, Taken(record.partial, record.stored)
         if pad != NO_SYMBOL:
@@ -529,7 +531,8 @@ class PlantCore:
             transitions=record.transitions + 1,
             p=transition.p,
             agreements=record.agreements + (agreed != NO_SYMBOL),
-            symbol_errors=record.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            symbol_errors=record.symbol_errors
+            + (agreed not in (NO_SYMBOL, coin) and not rules.scheme.corrects),
             messages=record.messages + (taken.payload is not None),
             frames_refused=record.frames_refused + taken.refused,
             nonce=report.nonce,
@@ -561,7 +564,8 @@ class PlantCore:
             yield Notice(contradicted, "warning")
         if ended:
             yield from block_notices(self.keys, ended)
-        if any(block.what == "unequal" for block in ended):
+        words_differ = rules.scheme.differs(self.record.state)
+        if words_differ or any(block.what == "unequal" for block in ended):
             self.session.on("blocks differ")
             self._begin_session()
             yield from self._anew(BLOCKS_DIFFER, f"{BLOCKS_DIFFER}; new session", "error")
