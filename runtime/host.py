@@ -19,7 +19,7 @@ from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from protocol.link.effects import Effects, Notice, Save
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
@@ -68,7 +68,7 @@ class _Extracted(NamedTuple):
 
 @dataclass(slots=True)
 class _Loop:
-    endpoint: Peer
+    endpoint: Endpoint
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
@@ -168,7 +168,7 @@ class Host:
         """The loops that run."""
         return tuple(self._loops)
 
-    def add(self, loop: str, endpoint: Peer, files: Files, log: logging.Logger) -> None:
+    def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
         with self.turns:
             publishers = {
@@ -421,6 +421,6 @@ class Host:
                 ends.callback(self._end, name)
 
 
-def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
+def _told(endpoint: Endpoint, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
     """Tell an end of its block."""
     return endpoint.extracted(block)

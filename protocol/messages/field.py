@@ -27,14 +27,8 @@ class StepMessage(Message):
 
     @classmethod
     def from_wire(cls, payload: bytes) -> Self:
-        """The message that ``payload`` is.
-
-        Raises
-        ------
-        pydantic.ValidationError
-            When it is none.
-        """
-        message = cls.model_validate_json(payload)
+        """The message that ``payload`` is, which it keeps."""
+        message = super().from_wire(payload)
         message.__dict__["_bytes"] = payload
         return message
 

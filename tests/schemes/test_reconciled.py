@@ -156,8 +156,8 @@ def test_words_that_differ_end_the_session_and_the_message_comes_once(scheme: st
     history = ends.run(steps=20_000, until=lambda: len(ends.history.inbox) == len(text))
     assert history.inbox == list(text)
     assert history.record is not None
-    assert history.record.sessions > 1
-    assert history.record.frames_refused == 0
+    assert history.record.session.sessions > 1
+    assert history.record.frame.refused == 0
     runs = simulate_runs(system.scenario, system.law, seed=2, runs=range(1), steps=8000)
     link, ended = transfer(runs, payloads=text), followed(runs, [8.0]).ended
     assert ended is not None

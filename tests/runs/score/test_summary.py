@@ -173,20 +173,6 @@ def test_each_message_is_told_beside_itself(tmp_path: Path) -> None:
     assert "besides    'third', not recovered" in lines
 
 
-def test_a_plant_that_lost_its_journal_has_made_the_steps_of_both_its_lives(tmp_path: Path) -> None:
-    """Steps were counted by their number, which begins again: the rate came out twice too large."""
-    run = SmallRun(tmp_path, (PAYLOAD,))
-    run.steps(40)
-    run.step("plant forgets")
-    run.steps(40)
-    run.close()
-    summary = summarise(Run.load(tmp_path), PAYLOAD)
-    lines = (tmp_path / "plant" / "trace.jsonl").read_text().splitlines()
-    made = sum('"event":"transition"' in line or '"event":"missed"' in line for line in lines)
-    assert summary["steps"] == made > 75
-    assert summary["bits_per_second"] == summary["bits"] / summary["seconds"]
-
-
 def test_a_plant_that_lost_its_journal_has_made_all_its_steps(tmp_path: Path) -> None:
     """Its second life counts from 0 again: the rate was told up to twice too large."""
     run = SmallRun(tmp_path, (PAYLOAD,))
