@@ -31,8 +31,8 @@ from wyner.runs.trace import TRANSITION, Trace
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
 
-UNFINISHED: Final = "she did not finish"
-SILENT: Final = "she guesses at no symbol of the loop"
+UNFINISHED: Final = "it did not finish"
+SILENT: Final = "it guesses at no symbol of the loop"
 DEAF: Final = "it could use none of the steps that agreed a key"
 
 
@@ -192,7 +192,7 @@ class EavesdropperScore:
         if self.messages.every:
             return ""
         if self.failed:
-            return f"she failed: {self.failed}"
+            return f"it failed: {self.failed}"
         if self.unfinished:
             return UNFINISHED
         if self.keys_reviewed.of:
