@@ -105,7 +105,7 @@ def test_deaths_and_a_bad_network_break_nothing() -> None:
     """Exactly once, the box at both ends the same and around the state, over 4 seeds."""
     for history in through_deaths_and_losses(*law_of("encoder")):
         assert history.record is not None
-        assert history.record.symbol_errors == 0
+        assert history.record.applied.symbol_errors == 0
         assert all(map(held, history.plant.values()))
 
 
