@@ -169,7 +169,9 @@ class PlantCore(Endpoint):
             yield state.save()
         yield from map(Extract, state.keys.tasks())
         if isinstance(state.step, Read):
-            yield from self._counted(self.stepper.count(state.step))
+            offer, _, report = state.step
+            digits = self.stepper.digits(offer) if report.keyed else ()
+            yield from self._counted(self.stepper.count(state.step, digits))
         if self._back is not None:
             yield Tell(self.stepper.interrupted(self._back))
             yield state.save()

@@ -155,7 +155,7 @@ class Stepper:
         if due:
             self.news.measured(k + 1, state.now)
             yield Publish(report)
-        yield from self.count(read)
+        yield from self.count(read, digits)
 
     def measurement(self) -> Measurement:
         """Measurement(k): the state, the last applied offer and what came right after it.
@@ -182,8 +182,8 @@ class Stepper:
 
     # --- count: judge, advance the automaton, decrypt, deframe ------------------------------------
 
-    def count(self, step: Read) -> Effects:
-        """Count the transition that the step made.
+    def count(self, step: Read, digits: tuple[int, ...]) -> Effects:
+        """Count the transition that the step made, in which these ``digits`` have served.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
         (Where words are corrected it is of the coins, and they are compared as words.)
@@ -191,7 +191,6 @@ class Stepper:
         state, rules, before = self.state, self.state.rules, self.state.link
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
-        digits = self.digits(offer) if report.keyed else ()
         counted = rules.count(before, offer, x_next, digits, coin)
         agreed, pad = counted.carry
         symbol, taken = NO_SYMBOL, NOTHING_TAKEN

@@ -153,6 +153,7 @@ class Distiller:
         self.broken = self.broken or record.refuted
         self.stream = Stream(self._size, held, after)
         self._newest = -1
+        self._number = self._following = -1  # of the open block, and where the next one begins
         self._closed: list[ClosedBlock] = []
         self._wanted: set[int] = set()
         self._extracted: dict[int, ExtractedBlock] = {}
@@ -237,11 +238,14 @@ class Distiller:
         return row
 
     def _count(self, schedule: Schedule, row: Contribution) -> None:
+        if self._open.empty:
+            self._number = schedule.block_of(row.j)
+            self._following = schedule.begins(self._number + 1)
         self._open.add(row)
         self._newest = row.j
-        number = schedule.block_of(row.j)
-        if row.j + 1 != schedule.begins(number + 1):
+        if row.j + 1 != self._following:
             return
+        number = self._number
         closed = self._open.close(self.session, number, row.j)
         self._open = OpenBlock(schedule.assumption)
         assert closed.transitions == schedule.length(number), "a row is missing"
@@ -349,16 +353,19 @@ class Distiller:
         """What the journal must save with the record, once."""
         if self.schedule is None:
             return NO_ROWS
+        obsolete = self._obsolete(self.schedule) if self._over else ()
+        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._keys), self.stream.part)
+        self._rows, self._keys = [], []
+        return rows
+
+    def _obsolete(self, schedule: Schedule) -> tuple[range, ...]:
+        """Transitions of blocks that are over, and no longer announced in an older message."""
         over = {n for n in self._over if n <= self.record.block or n not in self._wanted}
         self._over -= over
         for number in over:
             self._extracted.pop(number, None)
             self._wanted.discard(number)
-        begins = self.schedule.begins
-        obsolete = tuple(range(begins(n), begins(n + 1)) for n in sorted(over))
-        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._keys), self.stream.part)
-        self._rows, self._keys = [], []
-        return rows
+        return tuple(range(schedule.begins(n), schedule.begins(n + 1)) for n in sorted(over))
 
     def status_fields(self) -> dict[str, Any]:
         """Fields of a status on keys."""

@@ -28,7 +28,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 """
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple, Self
 
@@ -107,6 +107,12 @@ class Rules:
         An alarm ends the offers.
     outputs : OutputRule, optional
         In the place of ``agreement``, where some outputs alone are read.
+
+    Attributes
+    ----------
+    digits : int
+        Digits of the key stream that an offer takes: one for the coin, which is the first, and one
+        for a sealed symbol.
     """
 
     agreement: AgreementRule
@@ -122,6 +128,10 @@ class Rules:
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
     outputs: OutputRule | None = None
+    digits: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digits", self.keyed + self.scheme.from_stream)
 
     @property
     def size(self) -> int:
@@ -217,14 +227,6 @@ class Rules:
         if self.predicted:
             return offer.predictions[candidate]
         return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
-
-    @property
-    def digits(self) -> int:
-        """Digits of the key stream that an offer takes: one for the coin, one for a sealed symbol.
-
-        The coin's is the first.
-        """
-        return self.keyed + self.scheme.from_stream
 
     def malformed_digits(self, name: str, *said: object) -> str:
         """What is wrong with a message's fields of the key stream, which begin with ``name``."""

@@ -7,6 +7,7 @@ she believes of the message. Live and offline she is fed the same things by the 
 
 from abc import ABC, abstractmethod
 from array import array
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
@@ -165,6 +166,15 @@ class Belief:
     bits_left: float | None = None
     given: str = ""
     keys: KeysHeld | None = None
+
+    def read_of(self, messages: Sequence[bytes]) -> tuple[int, int]:
+        """How many of the messages she had whole, and of how many that can be told.
+
+        She keeps the last of hers alone, so they stand beside as many of the last messages.
+        """
+        if self.whole_count > len(self.whole):
+            messages = messages[-len(self.whole) :]
+        return (Counter(messages) & Counter(self.whole)).total(), len(messages)
 
 
 class Eavesdropper(ABC):

@@ -301,7 +301,7 @@ def true_in_words(summary: dict[str, Any]) -> str:
             of = f" of {summary['claimed_bits'] - summary['silent_bits']:.0f}"
         return f"at most {true:.0f}{of} ({summary['strongest']})"
     if summary["failed"]:
-        return "unknown, she failed"
+        return "unknown, Eve failed"
     if any(tap["unscored"].startswith(UNFINISHED) for tap in summary["taps"].values()):
         return f"unknown, {UNFINISHED}"
     if any(tap["unscored"] == DEAF for tap in summary["taps"].values()):
