@@ -187,11 +187,12 @@ class Stepper:
         """Count the transition that the step made, in which these ``digits`` have served.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
+        (Where words are corrected it is of the coins, and they are compared as words.)
         """
         state, rules, before = self.state, self.state.rules, self.state.link
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
-        counted = rules.count(before, offer, x_next, digits)
+        counted = rules.count(before, offer, x_next, digits, coin)
         agreed, pad = counted.carry
         symbol, taken = NO_SYMBOL, NOTHING_TAKEN
         if pad != NO_SYMBOL:
@@ -215,14 +216,14 @@ class Stepper:
         )
         state.step = IDLE
         state.link = counted.link.at(report.k, x_next, report.nonce)
-        applied = state.applied
+        applied, wanted = state.applied, (NO_SYMBOL, coin)
         state.applied = AppliedRecord(
             u,
             x_next,
             report.applied_copy,
             bool(report.keyed),
             applied.missed,
-            applied.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            applied.symbol_errors + (agreed not in wanted and not rules.scheme.corrects),
             applied.sensor_seed,
             self._state_of(truth),
         )

@@ -395,6 +395,31 @@ def test_one_process_writes_a_file_at_a_time(
     assert main(arguments) == 0
 
 
+def test_a_file_in_the_way_is_never_spoilt(tmp_path: Path) -> None:
+    path = small(tmp_path)
+    output = tmp_path / "a.csv"
+    rows_of(path, output)
+    before = output.read_bytes()
+    with pytest.raises(SweepError, match="exists; --resume"):
+        rows_of(path, output)
+    other = small(
+        tmp_path,
+        text=TEXT.replace('"plant.initial_state"', '"control.law"').replace(
+            "[[1.0, -0.5], [4.0, -2.0]]", '["paper"]'
+        ),
+    )
+    with pytest.raises(SweepError, match="columns are not this sweep's"):
+        rows_of(other, output, resume=True)
+    output.write_bytes(before.replace(loop_version().encode(), b"0.0.9+cafecafe"))
+    with pytest.raises(SweepError, match=r"rows of code version 0\.0\.9\+cafecafe"):
+        rows_of(small(tmp_path), output, resume=True)
+    torn = before.replace(loop_version().encode(), b"0.0.9+cafecafe") + b"torn"
+    output.write_bytes(torn)
+    with pytest.raises(SweepError, match="rows of code version"):
+        rows_of(small(tmp_path), output, resume=True)
+    assert output.read_bytes() == torn
+
+
 LONG = (
     TEXT.replace("runs = 30", "runs = 400000")
     .replace("steps = 40", "steps = 200")

@@ -232,10 +232,10 @@ def test_one_who_fails_or_does_not_guess_is_not_scored_and_never_the_strongest()
     r = report([RunScore("r", t, (failed, keys))])
     assert r.strongest is None
     assert r.unscored == {
-        "tap": "she failed: step 21: ValueError: no idea",
+        "tap": "it failed: step 21: ValueError: no idea",
         "key-solver": SILENT,
     }
-    assert "; tap: she failed: step 21: ValueError: no idea, so they" in r.verdict()
+    assert "; tap: it failed: step 21: ValueError: no idea, so they" in r.verdict()
     only_keys = report([RunScore("r", t, (keys,))])
     assert "10 bits count as secret; nobody guessed, so they stand untested" in only_keys.verdict()
     value = only_keys.to_json()["taps"]["key-solver"]

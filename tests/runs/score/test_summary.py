@@ -127,7 +127,7 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     assert summary["failed"] == ["mine"]
     lines = render(summary).splitlines()
     assert "Eve        mine            FAILED: not scored" in lines
-    assert lines[-2].endswith("bits by the paper's rule. True: unknown, she failed.")
+    assert lines[-2].endswith("bits by the paper's rule. True: unknown, Eve failed.")
     assert lines[-1] == "FAILED     mine: step 21: ValueError: no idea"
     record |= {"failed": ""}
     # killed while she was behind: what she leaves is unknown, whatever she had guessed by then
