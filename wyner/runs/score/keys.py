@@ -10,13 +10,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from protocol.link.records import Side
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.statistics import COUNTED, POOLED
-from runtime.recording import TraceError
 from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
@@ -230,7 +228,7 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         nothing = (claim.sentence(), refused, (), rates, 0.0, scenario.plant.period_s)
         return KeyAudit(claim.eps_E, *nothing)
     unread: list[str] = []
-    plant, controller = _columns(run, "plant", unread), _columns(run, "controller", unread)
+    plant, controller = run.so_far("plant", unread), run.so_far("controller", unread)
     leaving = {"measurement": _Leaving(plant), "offer": _Leaving(controller)}
     heard = None if plant is None else _heard(run, plant)
     blocks: list[AuditedBlock] = []
@@ -253,18 +251,6 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         heard is not None,
         tuple(unread),
     )
-
-
-def _columns(run: Run, side: Side, unread: list[str]) -> Trace | None:
-    """A trace as far as it can be read; what cannot be is told in ``unread``."""
-    try:
-        trace = run.columns(side)
-    except TraceError as error:
-        unread.append(str(error))
-        return None
-    if trace.unread:
-        unread.append(f"{run.trace(side)}: {trace.unread}")
-    return trace
 
 
 def _rates(

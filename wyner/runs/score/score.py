@@ -410,12 +410,9 @@ def the_plant(run: Run) -> Trace:
         When it cannot be read.
     """
     try:
-        trace = run.columns("plant")
+        return run.whole("plant")
     except TraceError as error:
         raise ScoreError(str(error)) from None
-    if trace.unread:
-        raise ScoreError(f"{run.trace('plant')}: {trace.unread}")
-    return trace
 
 
 def score_run(run: Run) -> RunScore:
