@@ -73,7 +73,9 @@ class Outgoing:
         size, scheme = self._rules.size, self._rules.scheme
         pad = scheme.pad(state)
         if pad == NO_SYMBOL and not scheme.from_stream:
-            cover = self._fresh.symbol(transitions, size) if decided is None else decided
+            clear = scheme.clear(state)
+            fresh = self._fresh.symbol(transitions, size) if clear == NO_SYMBOL else clear
+            cover = fresh if decided is None else decided
             return OutgoingRecord(cover, NO_SYMBOL, framed=False, message=message, offset=offset)
         symbols = self._frame_of(message)
         framed = bool(symbols)

@@ -218,9 +218,10 @@ class PlantCore(Endpoint):
                 yield from self._greeted(message)
 
     def _counted(self, effects: Effects) -> Effects:
-        """A step's effects; the session ends where a key block turns out to differ."""
+        """A step's effects; the session ends where a key block or a word turns out to differ."""
         yield from effects
-        if self.state.keys.unequal:
+        state = self.state
+        if state.keys.unequal or state.rules.scheme.differs(state.link.state):
             self.state.session.on("blocks differ")
             self._begin_session()
             yield from self._anew(BLOCKS_DIFFER, f"{BLOCKS_DIFFER}; new session", "error")

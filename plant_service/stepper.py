@@ -186,11 +186,12 @@ class Stepper:
         """Count the transition that the step made, in which these ``digits`` have served.
 
         The key is what the test returns, as for the controller; the coin is only compared with it.
+        (Where words are corrected it is of the coins, and they are compared as words.)
         """
         state, rules, before = self.state, self.state.rules, self.state.link
         offer, coin, report = step
         u, x_next = offer.candidates[coin], report.x
-        counted = rules.count(before, offer, x_next, digits)
+        counted = rules.count(before, offer, x_next, digits, coin)
         agreed, pad = counted.carry
         symbol, taken = NO_SYMBOL, NOTHING_TAKEN
         if pad != NO_SYMBOL:
@@ -219,7 +220,8 @@ class Stepper:
             x_after=x_next,
             copy=report.applied_copy,
             keyed=bool(report.keyed),
-            symbol_errors=state.applied.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            symbol_errors=state.applied.symbol_errors
+            + (agreed not in (NO_SYMBOL, coin) and not rules.scheme.corrects),
             true_x=self._state_of(truth),
         )
         state.session.on("offer applied")

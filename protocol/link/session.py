@@ -159,17 +159,26 @@ class Rules:
         return self.agreement.verdict(x, candidates, x_next)
 
     def count(
-        self, link: LinkRecord, offer: Offer, x_next: Vector, digits: tuple[int, ...]
+        self,
+        link: LinkRecord,
+        offer: Offer,
+        x_next: Vector,
+        digits: tuple[int, ...],
+        coin: int = NO_SYMBOL,
     ) -> Counted:
         """Judge the transition that an applied offer made of ``link``; advance the automaton.
 
         The key is what the test returns (equations 21 and 22), at both ends. Under the key stream
-        it is the last of the ``digits`` that served.
+        it is the last of the ``digits`` that served. Where words are corrected the plant, which
+        has a ``coin``, gathers that.
         """
         scheme = self.scheme
         box = self.box(link.estimate, link.k - link.applied_k - 1, link.x)
         verdict = self.judge(link.x, offer.candidates, offer.predictions, x_next, box)
-        state, carry = scheme.follow(link.state, verdict.symbol)
+        state, symbol = link.state, verdict.symbol
+        if scheme.corrects and coin != NO_SYMBOL:
+            state, symbol = scheme.hear(state, offer.cipher), coin
+        state, carry = scheme.follow(state, symbol)
         if scheme.from_stream and digits:
             carry = carry._replace(pad=digits[-1])
         following = link._replace(
@@ -253,6 +262,7 @@ def rules_of(scenario: Scenario) -> Rules:
             alpha=scenario.secrecy.alpha,
             reach=None if hers is None else Gauge.from_rows(*hers.rows()),
             apart=Gauge.from_rows(*D_c.rows()) if noisy else None,
+            deviations=scenario.defender.deviations,
         ),
         scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
         states=scenario.readings,

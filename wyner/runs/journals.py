@@ -153,7 +153,7 @@ def _by_plant(
     """The transition that it has saved, with what it will report of it."""
     offer, coin, report = step
     digits = _digits(rules, offer, report, held)
-    t = _counted(rules, record.link, offer, report.x, digits, offer.copy_number)
+    t = _counted(rules, record.link, offer, report.x, digits, offer.copy_number, coin)
     symbol = NO_SYMBOL if t.role == "test" else decrypt(offer.cipher, t.key, rules.size)
     return t._replace(message_symbol=symbol, coin=coin, u=offer.candidates[coin])
 
@@ -172,10 +172,11 @@ def _counted(
     x_next: Vector,
     digits: tuple[int, ...],
     copy: int,
+    coin: int = NO_SYMBOL,
 ) -> CountedTransition:
     """What the pure functions make of an applied offer."""
     link = link._replace(state=rules.scheme.restore(link.state))
-    counted = rules.count(link, offer, x_next, digits)
+    counted = rules.count(link, offer, x_next, digits, coin)
     row = None
     if rules.schedule is not None and link.transitions:
         row = contribution_of(
