@@ -9,14 +9,14 @@ from protocol.link.records import Side
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
 from tests.support.mail import Mail
-from tests.support.two_ends import SIDES, Name
+from tests.support.pair import SIDES, Name
 
 CLAIM = Assumption(0.7, appearances=2)
 
 
-class Watched(KeyedEnds):
+class Watched(KeyedPair):
     """A world that notes which copies its ends send first, by side."""
 
     def __init__(self) -> None:

@@ -43,10 +43,9 @@ from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
 from tests.support.asked import NOTHING, Asked, gathered
-from tests.support.controller_in_hand import PERIOD_S, Zeros
-from tests.support.end_in_hand import EndInHand, fields
+from tests.support.end_in_hand import EndInHand, Zeros, fields
 from tests.support.journals import controller_journal
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 SCHEDULE = Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4)
@@ -70,6 +69,9 @@ AT_WORK = SenderRecord(
     x=(0.0,),
     offer=OFFER,
 )
+
+
+PERIOD_S = 0.1
 
 
 class Law:

@@ -53,7 +53,7 @@ from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
 from tests.support.asked import NOTHING, Asked, gathered, turns
 from tests.support.end_in_hand import EndInHand, fields
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 KEYS = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))

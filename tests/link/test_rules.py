@@ -20,7 +20,7 @@ from protocol.schemes.switched import Switched
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOWHERE, Position
 from runtime.scenario_file import scenario_of
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 from wyner.api import vary
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)

@@ -21,6 +21,7 @@ from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import StateTable, advance_many
 from runtime.run_folder import BELIEFS, SCENARIO
+from runtime.shipped import SCENARIOS
 from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import LADDER
@@ -29,8 +30,8 @@ from tap_service.inference.list_decoding import ListDecoding
 from tap_service.service import TapService
 from tests.support.memory_bus import MemoryBus
 from tests.support.patience import PATIENCE_S
+from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import violations
-from tests.support.small_run import SCENARIOS, SmallRun
 from tests.system.test_services import System
 from wyner.cli.main import main
 from wyner.simulate.engine import follow, simulate_runs, transfer
@@ -303,10 +304,10 @@ def test_exactly_once_when_messages_are_lost_and_processes_die(
 def test_the_check_and_every_tap_follow_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], cls: type[Scheme[Any]]
 ) -> None:
-    run = SmallRun(tmp_path, (b"over the hill",), changes=changed(cls.name))
+    run = RecordedPair(tmp_path, b"over the hill", changes=changed(cls.name))
     run.until_received(1)
     run.steps(20, {3: "offer lost", 6: "repeated", 9: "plant dies", 12: "controller dies"})
-    run.close()
+    run.stop()
     code = main(["check", str(tmp_path)])
     assert code == 0, capsys.readouterr().out
     capsys.readouterr()

@@ -15,7 +15,7 @@ from studies.readings import MESSAGE, largest
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tap_service.eavesdroppers.text import Text
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
-from tests.support.small_run import law_of
+from tests.support.recorded_pair import law_of
 from wyner.api import design, run
 from wyner.runs.score.counts import costs
 from wyner.simulate.engine import simulate_runs, transfer

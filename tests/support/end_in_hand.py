@@ -51,6 +51,13 @@ class EndInHand(Generic[E]):
         return said
 
 
+class Zeros:
+    """Symbols that are no secret."""
+
+    def symbol(self, transition: int, size: int) -> int:
+        return 0
+
+
 def fields(status: Message) -> dict[str, Any]:
     """All of a status but version, number and hour."""
     said = status.model_dump()
