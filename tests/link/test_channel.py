@@ -1,19 +1,18 @@
 """A direction of the network: what is lost and when the rest arrives is each message's own fate."""
 
 import random
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from math import inf, nextafter
 from typing import Any
 
 import pytest
 
 from protocol.fates import Fates
-from protocol.link.channel import COPIES, REMEMBERED, Channel
+from protocol.link.channel import REMEMBERED, Channel
 from protocol.link.effects import Publish
-from protocol.link.networked import UNDER_WAY, Networked, behind
+from protocol.link.networked import UNDER_WAY, Networked
 from protocol.messages import ControllerHello, Offer
 from protocol.scenario.network import ChannelTable
-from protocol.secret.blocks import ExtractionFailed
 from tests.support.hearing import Hearing
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
@@ -42,24 +41,6 @@ def test_a_step_that_loses_everything_loses_all_its_copies() -> None:
     for k in range(40):
         lost = {way.arrival(k, 0.0) is None for _ in range(3)}
         assert len(lost) == 1, k
-
-
-def test_after_many_copies_the_state_is_that_of_the_step_after() -> None:
-    lost = [channel(**BAD_HALF).arrival(k, 0.0) is None for k in range(40)]
-    assert any(a and not b for a, b in pairwise(lost))
-    way = channel(**BAD_HALF)
-    for k in range(38):
-        copies = [way.arrival(k, 0.0) is None for _ in range(2 * COPIES + 1)]
-        assert copies == [*[lost[k]] * COPIES, *[lost[k + 1]] * COPIES, lost[k + 2]]
-
-
-def test_a_fate_is_the_same_whatever_was_sent_before() -> None:
-    table = BAD_HALF | JITTER | {"loss": 0.3}
-    forth = [channel(**table).arrival(k, 0.0) for k in range(30)]
-    way = channel(**table)
-    back = [way.arrival(k, 0.0) for k in reversed(range(30))]
-    assert back[::-1] == forth
-    assert 5 < forth.count(None) < 25
 
 
 FATES = Fates("1 to_plant")
@@ -115,19 +96,6 @@ def test_a_step_that_was_forgotten_begins_with_its_first_copy_again() -> None:
         assert (way.arrival(1000, 0.0) == began) == first
 
 
-def test_a_step_that_is_sent_again_is_remembered_anew() -> None:
-    way = channel(delay="uniform", delay_s=1.0, jitter_s=1.0)
-    began = way.arrival(1000, 0.0)
-    for k in range(REMEMBERED - 1):
-        way.arrival(k, 0.0)
-    way.arrival(1000, 0.0)
-    for k in range(REMEMBERED - 1):
-        way.arrival(k, 0.0)
-    third = way.arrival(1000, 0.0)
-    assert third == 2.0 * FATES.at(1000, 2)[1]
-    assert third != began
-
-
 def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
     way = channel(loss=0.5)
     lost = [way.arrival(k, 0.0) is None for k in range(60)]
@@ -166,12 +134,6 @@ HELLO = ControllerHello(
 )
 
 
-def test_without_a_channel_an_end_stands_as_it_is() -> None:
-    end = Hearing(inf)
-    assert behind(None, end, Offer) is end
-    assert isinstance(behind(channel(), end, Offer), Networked)
-
-
 def test_what_comes_at_once_or_is_no_message_is_heard_at_once_and_what_is_lost_never() -> None:
     end = Hearing(inf)
     end.says_now = (HELLO,)
@@ -183,25 +145,6 @@ def test_what_comes_at_once_or_is_no_message_is_heard_at_once_and_what_is_lost_n
     assert lossy.receive(Offer, offer(3), 3.0) == ()
     assert lossy.wake_at() == inf
     assert end.heard == [(1.0, Offer, offer(3)), (2.0, Offer, b"no offer")]
-
-
-def test_all_else_is_the_ends() -> None:
-    end = Hearing(7.5)
-    end.says_now = (HELLO,)
-    peer = Networked(end, Offer, channel(delay_s=2.0))
-    failed = ExtractionFailed("disk full")
-    for effects in (
-        peer.start(1.0),
-        peer.extracted(failed),
-        peer.appear(2),
-        peer.stop(9.0),
-        peer.wake(7.5),
-    ):
-        assert effects == [Publish(HELLO)]
-    assert peer.code is None
-    assert (peer.hears, peer.says, peer.makes_keys) == (end.hears, end.says, end.makes_keys)
-    assert end.blocks == [failed]
-    assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [7.5], [9.0], 2)
 
 
 def test_messages_that_arrive_together_are_heard_in_the_order_in_which_they_were_sent() -> None:
