@@ -181,7 +181,7 @@ def halted(loop: RecordedPair) -> bool:
 
 
 def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
-    loop = RecordedPair(tmp_path / "run", name="watched")
+    loop = RecordedPair(tmp_path / "run", name="watched", pace="fast")
     loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > 600)
     loop.controller.rules = replace(loop.controller.rules, halts=True)
     at = loop.transitions
