@@ -30,7 +30,7 @@ class Watched(KeyedPair):
         super().said(side, message)
 
     def appear(self, side: Side, count: int) -> None:
-        self.do(side, lambda _: self.ends[side].peer.appear(count))
+        self.do(side, lambda _: self.ends[side].endpoint.appear(count))
 
     def keys(self) -> tuple[int, int]:
         plant, controller = (sum(self.confirmed[side].values()) for side in SIDES)
@@ -65,7 +65,7 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
 
 def told(world: Watched, side: Side) -> str:
     keyed: Any = world.ends[side].endpoint
-    stopped: str = keyed.keys.status_fields()["keys_stopped"]
+    stopped: str = keyed.state.keys.status_fields()["keys_stopped"]
     return stopped
 
 

@@ -101,9 +101,9 @@ def test_both_ends_move_one_box_through_steps_that_are_made_and_missed() -> None
         assert box is not None
         low, high = box.box
         assert all(a <= v <= b for a, v, b in zip(low, t.truth.x_next, high, strict=True))
-    record = world.plant.record
-    assert record.estimate == box, "it stands until the next transition"
-    assert len(record.true_x) == scenario.n
+    record = world.plant.state.record
+    assert record.link.estimate == box, "it stands until the next transition"
+    assert len(record.applied.true_x) == scenario.n
 
 
 def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with() -> None:
@@ -116,11 +116,11 @@ def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with() -> N
         assert rule is not None
         world = Simulation(own, law, seed=3, step_s=0.02)
         world.run(steps=20)
-        record = world.plant.record
+        record = world.plant.state.record
         missed = [e for e in effects_of(world) if isinstance(e, Missed)]
-        u = record.u
+        u = record.applied.u
         for number, told in enumerate(missed):
-            assert told.u == rule.instead(record.estimate, number, u)
+            assert told.u == rule.instead(record.link.estimate, number, u)
             u = told.u
         assert len(missed) > 2
 

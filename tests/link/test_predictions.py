@@ -87,10 +87,10 @@ def test_predictions_of_another_kind_are_malformed(
     system = nonlinear if model else linear
     world = Simulation(system.scenario, system.law, seed=2)
     world.run(steps=2)
-    record = world.plant.record
+    record = world.plant.state.record
     offer = Offer(
-        session=record.session,
-        k=record.k,
+        session=record.session.id,
+        k=record.link.k,
         candidates=((0.0,),) * 4,
         cipher=0,
         predictions=predictions,
@@ -98,7 +98,7 @@ def test_predictions_of_another_kind_are_malformed(
     (said,) = world.plant.receive(Offer, offer.wire(), world.now_s)
     assert isinstance(said, Notice)
     assert says in said.text
-    assert world.plant.record == record
+    assert world.plant.state.record == record
 
 
 def test_eavesdroppers_hear_the_predictions(nonlinear: System) -> None:

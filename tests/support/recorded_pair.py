@@ -11,26 +11,26 @@ import shutil
 import time
 import tomllib
 from collections import deque
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal
 
 from attacker_service.attacker import Attacker
+from controller_service.core import ControllerCore
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
 from protocol.link.effects import Save
-from protocol.link.networked import behind
-from protocol.link.peer import Peer
 from protocol.link.records import Side
+from protocol.link.session import reports
+from protocol.link.step import Answered
 from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
 from protocol.scenario import Attack, Scenario, parse_scenario
 from protocol.secret.blocks import ClosedBlock
 from runtime.health_files import HealthFiles
-from runtime.network import channel_of
 from runtime.pace import Pace
 from runtime.ports import LoopPorts
 from runtime.recording import Bounds, TraceWriter
@@ -67,6 +67,13 @@ def law_of(name: str) -> tuple[Scenario, CandidateLaw]:
     return scenario, make_law(scenario, cached_design(scenario))
 
 
+def reported(core: ControllerCore) -> int:
+    """Transitions that the plant has reported, the one that waits to be counted included."""
+    record, step = core.state.record, core.state.step
+    counts = isinstance(step, Answered) and reports(record, step.measurement)
+    return record.link.transitions + counts
+
+
 @dataclass
 class _Publisher:
     """Puts what an end says into the other's mail, and on record."""
@@ -88,18 +95,6 @@ class _Ports(LoopPorts):
         super().save(save)
         if save.received is not None:
             self.received.append(save.received)
-
-
-@dataclass
-class _Behind(Alive):
-    """One end's process, behind its direction of the network."""
-
-    _: KW_ONLY
-    outer: Peer
-
-    @property
-    def peer(self) -> Peer:
-        return self.outer
 
 
 class RecordedPair(Pair):
@@ -199,14 +194,7 @@ class RecordedPair(Pair):
                 **more,
             )
             core, files = open_controller(made)
-        channel = channel_of(
-            self.scenario,
-            "to_plant" if side == "plant" else "to_controller",
-            self.folder,
-            scale=self._pace.scale,
-        )
-        peer = behind(channel, core, Offer if side == "plant" else Measurement)
-        publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
+        publishers = {kind: _Publisher(self, side, kind) for kind in core.says}
         closed = deque[ClosedBlock]()
         health = HealthFiles(files.health, log)
         ports = _Ports(
@@ -217,7 +205,7 @@ class RecordedPair(Pair):
             closed.append,
         )
         ports.received = self.received
-        return _Behind(core, MortalPorts(ports), files, closed, outer=peer)
+        return Alive(core, MortalPorts(ports), files, closed)
 
     def die(self, side: Name) -> None:
         """It is killed, and comes back at once."""
@@ -257,7 +245,7 @@ class RecordedPair(Pair):
     def stop(self) -> None:
         """Let both ends say their last word."""
         for side, end in tuple(self.ends.items()):
-            self.do(side, end.peer.stop)
+            self.do(side, end.endpoint.stop)
             end.files.close()
         self._capture.close()
 
@@ -283,7 +271,7 @@ class RecordedPair(Pair):
 
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
-        plant = self.plant.plant if "plant" in self.ends else None
+        plant = self.plant.stepper.plant if "plant" in self.ends else None
         kind: Any = message.kind
         if isinstance(plant, FilteredPlant):
             for one in plant.filters:
@@ -294,7 +282,7 @@ class RecordedPair(Pair):
 
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
-        at = offer.session, self.controller.reported
+        at = offer.session, reported(self.controller)
         first = self.ciphers.setdefault(at, offer.cipher)
         assert first == offer.cipher, f"transition {at}: offered ciphers {first}, {offer.cipher}"
 
@@ -314,12 +302,12 @@ class RecordedPair(Pair):
             self.copy("plant")
         elif fault == "journal put back":
             self.restart("plant", "old")
-        k = self.plant.record.k
+        k = self.plant.state.record.link.k
         self._lost = k if fault == "offer lost" else None
         if fault == "repeated":
             self.run(lambda: any(m.kind is Measurement for m in self.mail["controller"]))
             self.hear("controller", self.mail["controller"][-1])
-        self.run(lambda: self.plant.record.k != k)
+        self.run(lambda: self.plant.state.record.link.k != k)
         if fault == "plant dies":  # what it counted last is counted again
             self.die("plant")
         for side in SIDES:
@@ -337,12 +325,12 @@ class RecordedPair(Pair):
     @property
     def transitions(self) -> int:
         """Transitions that the plant has made in its session."""
-        return self.plant.record.transitions
+        return self.plant.state.record.link.transitions
 
     @property
     def delivered(self) -> int:
         """Messages that the controller knows to be delivered."""
-        return self.controller.record.message
+        return self.controller.state.record.frame.message
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""

@@ -178,6 +178,8 @@ def _rate(
             runs = long_runs(whole, law, folder, record=True)
         except SimulationError:
             return rate, None, found
+    if scenario.defender.deviations is not None:  # no set decides there
+        return rate, None, found
     return rate, why(scenario, runs), found
 
 
