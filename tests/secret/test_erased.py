@@ -13,7 +13,7 @@ from protocol.link.distiller import Distiller
 from protocol.link.records import KeyRecord, Loaded, Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
-from protocol.secret.stream import Keys, Position, Stream
+from protocol.secret.stream import Keys, KeyStream, Position
 from runtime.chance import fresh_nonce
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
@@ -51,14 +51,14 @@ def confirmed(loop: RecordedPair) -> int:
 @pytest.fixture(scope="module", params=["at a confirmation", "later"])
 def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Stopped:
     keys: dict[int, Sequence[bytes]] = {}
-    add = Stream.add
+    add = KeyStream.add
 
-    def noted(self: Stream, block: int, new: Sequence[bytes]) -> tuple[Keys, ...]:
+    def noted(self: KeyStream, block: int, new: Sequence[bytes]) -> tuple[Keys, ...]:
         assert keys.setdefault(block, new) == new
         return add(self, block, new)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stream, "add", noted)
+        patch.setattr(KeyStream, "add", noted)
         loop = RecordedPair(tmp_path_factory.mktemp("erased") / "run", b"a message", name="sealed")
         loop.run(lambda: confirmed(loop) >= 2)
         if request.param == "later":

@@ -56,7 +56,7 @@ Name = Literal["plant", "controller", "rival"]
 
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
 OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
-HEARS: Final = {"controller": ControllerCore.hears, "plant": PlantCore.hears}
+HEARS: Final = {"controller": ControllerCore.receives, "plant": PlantCore.receives}
 Performer = Callable[[Effects, Ports], None]
 
 MEMORY: Final = 12

@@ -70,7 +70,7 @@ def law_of(name: str) -> tuple[Scenario, CandidateLaw]:
 def reported(core: ControllerCore) -> int:
     """Transitions that the plant has reported, the one that waits to be counted included."""
     record, step = core.state.record, core.state.step
-    counts = isinstance(step, Answered) and reports(record, step.measurement)
+    counts = isinstance(step, Answered) and reports(record.link, record.offer, step.measurement)
     return record.link.transitions + counts
 
 
@@ -194,7 +194,7 @@ class RecordedPair(Pair):
                 **more,
             )
             core, files = open_controller(made)
-        publishers = {kind: _Publisher(self, side, kind) for kind in core.says}
+        publishers = {kind: _Publisher(self, side, kind) for kind in core.sends}
         closed = deque[ClosedBlock]()
         health = HealthFiles(files.health, log)
         ports = _Ports(
