@@ -25,10 +25,10 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.pair import SIDES
+from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import BEYOND, first_held
 from tests.support.traces import read_trace
-from tests.support.two_ends import SIDES
 
 RUN = 16
 """Digits in a row that are looked for: 32 bits, so that none is found by chance."""
@@ -43,7 +43,7 @@ class Stopped(NamedTuple):
     keys: dict[int, Sequence[bytes]]
 
 
-def confirmed(loop: RecordedLoop) -> int:
+def confirmed(loop: RecordedPair) -> int:
     """The newest block that both ends have confirmed."""
     return min(loop.plant.state.keys.record.confirmed, loop.controller.state.keys.record.confirmed)
 
@@ -59,10 +59,10 @@ def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(KeyStream, "add", noted)
-        loop = RecordedLoop(tmp_path_factory.mktemp("erased") / "run", b"a message", "sealed")
+        loop = RecordedPair(tmp_path_factory.mktemp("erased") / "run", b"a message", name="sealed")
         loop.run(lambda: confirmed(loop) >= 2)
         if request.param == "later":
-            loop.advance(100)
+            loop.steps(100)
         over = confirmed(loop)
         loop.stop()
     return Stopped(loop.folder, {block: keys[block] for block in range(over + 1)})

@@ -17,10 +17,10 @@ from protocol.secret import key_digits, stream
 from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Keys, KeyStream, Position
 from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.broken import broken
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
+from tests.support.pair import SIDES, Name
 from tests.support.safety import BEYOND, first_held
 from tests.support.size import size
-from tests.support.two_ends import SIDES, Name
 
 COINS = keyed_rules(keyed=True)
 SEALED = keyed_rules(keyed=True, scheme=Sealed(2))
@@ -35,7 +35,7 @@ def short_keys() -> Iterator[None]:
         yield
 
 
-class SealedEnds(KeyedEnds):
+class SealedEnds(KeyedPair):
     """Ends that send messages under the key stream: each arrives once, in order."""
 
     def __init__(self) -> None:
@@ -56,13 +56,13 @@ class SealedEnds(KeyedEnds):
 
 class KeyedCoinLink(KeyedLink):
     @staticmethod
-    def begun() -> KeyedEnds:
-        return KeyedEnds(COINS)
+    def begun() -> KeyedPair:
+        return KeyedPair(COINS)
 
 
 class SealedLink(KeyedLink):
     @staticmethod
-    def begun() -> KeyedEnds:
+    def begun() -> KeyedPair:
         return SealedEnds()
 
 
@@ -79,7 +79,7 @@ TestSealedLink.settings = LIMITS
 
 
 @pytest.mark.parametrize("begun", [KeyedCoinLink.begun, SealedEnds])
-def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedEnds]) -> None:
+def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedPair]) -> None:
     world = shaken(begun(), 3)
     served = world.digits.served
     assert len(served) > 50
