@@ -24,6 +24,15 @@ HEAD: Final = """\
 
 What `wyner COMMAND --help` prints. This page is made from the commands themselves
 (`python -m tools.command_reference --write`).
+
+Every command ends with one of these exit codes:
+
+- **0**: done.
+- **1**: done, and something was found (a broken rule, a warning, an eavesdropper that failed, a loop that carries
+  nothing); or it could not be done (no answer, a full disk, a service that died).
+- **2**: wrong use: an option, or a file that the command line names and that is missing, malformed or cannot be written.
+  Nothing was started.
+- **130**: Ctrl-C.
 """
 
 

@@ -28,7 +28,7 @@ PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-refere
 HEAD: Final = """# The scenario file
 
 A scenario is a TOML file: a plant, its sets, its control law, and what each side knows.
-`wyner design --list` lists the shipped scenarios, `wyner new NAME` writes a commented one, and
+`wyner design` lists the shipped scenarios, `wyner new NAME` writes a commented one, and
 `wyner design FILE` computes its sets and rate. Unknown fields are refused, each in one line.
 
 Vectors are lists of numbers, matrices lists of rows. n is the number of states, m of inputs, M of

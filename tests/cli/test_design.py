@@ -9,6 +9,7 @@ import pytest
 
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
+from protocol.scenario import Scenario
 from wyner.advice import rate
 from wyner.cli.main import main
 
@@ -156,17 +157,6 @@ def test_the_second_time_is_from_the_cache(tmp_path: Path, capsys: Any) -> None:
     assert "read from the cache, computed once in" in capsys.readouterr().out
 
 
-def test_without_the_cache_nothing_is_read_or_stored(tmp_path: Path, capsys: Any) -> None:
-    for _ in range(2):
-        assert main(["design", scenario(tmp_path), "--no-cache", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["cached"] is False
-    assert designs(tmp_path) == []
-    assert main(["design", scenario(tmp_path)]) == 0  # stores one
-    capsys.readouterr()
-    assert main(["design", scenario(tmp_path), "--no-cache", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["cached"] is False
-
-
 def test_one_state(tmp_path: Path, capsys: Any) -> None:
     path = scenario(tmp_path, ONE_STATE)
     assert main(["design", path]) == 0
@@ -193,7 +183,7 @@ def test_a_start_outside_every_set_is_said(tmp_path: Path, capsys: Any) -> None:
     assert "outside" in r["start"]
 
 
-@pytest.mark.parametrize("option", [[], ["--json"], ["--no-cache"]])
+@pytest.mark.parametrize("option", [[], ["--json"]])
 @pytest.mark.parametrize(
     ("gain", "words"),
     [
@@ -258,3 +248,39 @@ def test_a_message_under_distilled_keys_has_a_rate_and_no_settled_one(capsys: An
     out = capsys.readouterr().out
     assert "message rate: 20 bit/s at most, from step 48 on at the earliest" in out
     assert "settled rate" not in out
+
+
+# --- knowledge ------------------------------------------------------------------------------------
+
+
+def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
+    tmp_path: Path, sustained: Scenario, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "knowledge.json"
+    assert main(["design", "sustained", "--knowledge", str(path)]) == 0
+    assert main(["design", "sustained", "--knowledge"]) == 0
+    assert capsys.readouterr().out == path.read_text()
+    written = json.loads(path.read_text())
+    assert written["alpha"] is None
+    assert set(written["policy"]) == {
+        "law",
+        "costs",
+        "gain",
+        "together",
+        "certain",
+        "regulator",
+        "spacing",
+    }  # no set of the design
+    D_c, D_e = sustained.defender.disturbance.half_widths, written["disturbance_h"]
+    assert D_c is not None
+    assert D_e == [sustained.secrecy.alpha * w for w in D_c for _ in range(2)]
+
+
+def test_knowledge_that_cannot_be_written_is_one_line(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "file").touch()
+    assert main(["design", "sustained", "--knowledge", str(tmp_path / "file/k.json")]) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "cannot be written" in line
+    assert main(["design", "nowhere.toml", "--knowledge"]) == 2

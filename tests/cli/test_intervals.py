@@ -62,7 +62,7 @@ def said(capsys: pytest.CaptureFixture[str], *argv: str) -> Any:
         ("design", "packed"),
         ("design", "paper"),
         ("design", "network"),
-        ("design", "--list"),
+        ("design",),
     ],
     ids=" ".join,
 )

@@ -16,10 +16,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def test_the_shipped_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "--list", "--json"]) == 0
+    assert main(["design", "--json"]) == 0
     listed = json.loads(capsys.readouterr().out)
     assert set(listed) == {load_scenario(path).name for path in SCENARIOS.glob("*.toml")}
-    assert main(["design", "--list"]) == 0
+    assert main(["design"]) == 0
     out = capsys.readouterr().out
     assert all(name in out and about["description"] in out for name, about in listed.items())
 
@@ -344,7 +344,7 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
     assert "0 of them new" in capsys.readouterr().out
     for arguments in (
         [str(rows), "--plot"],
-        [str(tmp_path / "s-rates.csv"), "--plot", str(tmp_path / "rates.pdf"), "--log"],
+        [str(tmp_path / "s-rates.csv"), "--plot", str(tmp_path / "rates.pdf")],
         [str(rows), "--plot", "--y", "mine keys known", "--y", "oracle messages read"],
     ):
         assert main(["sweep", *arguments]) == 0

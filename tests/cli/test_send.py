@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from protocol.messages import SendCommand, SendReply
-from runtime.bus_options import BusOptions
+from runtime.bus_options import JoinOptions
 from runtime.errors import Failure, UsageError
 from tests.support.bare_figures import bare_figures
 from tests.support.patience import PATIENCE_S
@@ -77,12 +77,12 @@ def test_a_run_that_is_only_being_started_is_waited_for(
     with ExitStack() as note:
         later = threading.Timer(0.3, lambda: note.enter_context(announced(RUN)))
         later.start()
-        assert joined(BusOptions(), name, "operator", 30.0)[0] == RUN
+        assert joined(JoinOptions(), name, "operator", 30.0)[0] == RUN
         later.join()
         which = "no run" if name is None else "no run 'a/run'"
         said = f"wyner: {which} on this machine yet; waiting 30 s for it\n"
         assert capsys.readouterr().err == said
-        assert joined(BusOptions(), name, "operator", 30.0)[0] == RUN
+        assert joined(JoinOptions(), name, "operator", 30.0)[0] == RUN
         assert capsys.readouterr().err == ""
 
 
@@ -90,9 +90,9 @@ def test_a_run_that_is_only_being_started_is_waited_for(
 def test_the_wait_for_a_run_is_bounded_and_says_what_to_do() -> None:
     begun = time.monotonic()
     with pytest.raises(Failure, match=r"no run on this machine within 0.2 s: start one \(wyner up"):
-        joined(BusOptions(), None, "operator", 0.2)
+        joined(JoinOptions(), None, "operator", 0.2)
     with pytest.raises(UsageError, match="no run 'b' on this machine, running now: none"):
-        joined(BusOptions(), "b", "operator", 0.2)
+        joined(JoinOptions(), "b", "operator", 0.2)
     assert 0.4 <= time.monotonic() - begun < 10
 
 

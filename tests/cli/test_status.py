@@ -2,6 +2,8 @@
 
 import json
 import shutil
+import socket
+import time
 from pathlib import Path
 
 import pytest
@@ -50,7 +52,7 @@ def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]
     ("file", "fields", "warning"),
     [
         (PLANT_STATUS, {"outside": 3}, "d was outside D_c in 3 steps"),
-        (PLANT_STATUS, {"symbol_errors": 1}, "1 agreed keys are not the selection bit"),
+        (PLANT_STATUS, {"symbol_errors": 1}, "1 agreed keys are not the input that was applied"),
         (
             PLANT_STATUS,
             {"detail": "D_c is left more often than its calibration promised"},
@@ -67,7 +69,7 @@ def test_a_run_without_trouble(run_dir: Path, capsys: pytest.CaptureFixture[str]
         (
             PLANT_STATUS,
             {"phase": "running", "t_ns": 1},
-            "plant last spoke ",
+            "plant last reported ",
         ),
     ],
 )
@@ -148,7 +150,7 @@ def test_the_claim_is_that_of_the_runs_scenario(
     folder = changed(run_dir, tmp_path, PLANT_STATUS)
     shutil.copy(SCENARIOS / "keys.toml", folder / SCENARIO)
     assert main(["status", str(folder)]) == 0
-    assert "0 at the controller; secret only from a tap that misses" in capsys.readouterr().out
+    assert "0 distilled; secret only from a tap that misses" in capsys.readouterr().out
     assert main(["status", str(folder), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["claim"].startswith("secret only from a tap")
     (folder / SCENARIO).write_text("name = 1")
@@ -156,20 +158,39 @@ def test_the_claim_is_that_of_the_runs_scenario(
     assert len(capsys.readouterr().err.splitlines()) == 1
 
 
-@pytest.mark.parametrize(
-    ("alone", "lacks"), [(PLANT_STATUS, CONTROLLER_STATUS), (CONTROLLER_STATUS, PLANT_STATUS)]
-)
-def test_a_folder_with_one_end_is_told_as_that(
-    alone: Path, lacks: Path, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("alone", "lacks"), [("plant", "controller"), ("controller", "plant")])
+def test_an_end_on_a_machine_of_its_own_has_a_status_alone(
+    alone: str, lacks: str, run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = changed(run_dir, tmp_path, PLANT_STATUS)
-    (folder / lacks).unlink()
-    assert main(["status", str(folder)]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert (
-        f"has the status of the {alone.parent} alone, expected that of the {lacks.parent}" in line
+    shutil.rmtree(folder / lacks)
+    assert main(["status", str(folder)]) == 0
+    assert capsys.readouterr().out.startswith(f"{alone:<12}stopped")
+
+
+def test_of_a_fleet_the_loops_that_are_not_well_are_named(
+    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, health in (("a", "ok: 0 % missed lately"), ("b", "bad: no step for 10 s")):
+        told = {"health": health, "phase": "running", "t_ns": time.time_ns()}
+        (tmp_path / name).mkdir()
+        changed(run_dir, tmp_path / name, PLANT_STATUS, **told)
+        (tmp_path / name / SCENARIO).write_text((SCENARIOS / "packed.toml").read_text())
+    assert main(["status", str(tmp_path)]) == 1
+    assert capsys.readouterr().out == (
+        "1 of 2 loops without a warning\nwarning: b: plant: no step for 10 s\n"
     )
-    assert f"`wyner status {folder} --healthy {alone.parent}` looks at one" in line
+
+
+def test_a_router_is_well_when_it_takes_a_connection(capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        endpoint = f"tcp/127.0.0.1:{server.getsockname()[1]}"
+        assert main(["status", "--endpoint", endpoint]) == 0
+    assert main(["status", "--endpoint", endpoint]) == 1
+    assert f"{endpoint}: no answer" in capsys.readouterr().err
+    assert main(["status", "--endpoint", "tcp/nowhere"]) == 2
 
 
 def test_what_cannot_be_read_is_one_line(

@@ -26,16 +26,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
         "them, and estimate the rate at which the link settles by seeded simulations of the loop. "
-        "With --list, list the shipped scenarios. With --knowledge, write as JSON what the paper's "
+        "Without SCENARIO, list the shipped ones. With --knowledge, write as JSON what the paper's "
         "eavesdropper knows of SCENARIO: f_c and D_e, and neither D_c nor alpha. A tap on a "
         "machine of its own needs this file and no scenario (wyner tap --knowledge FILE)."
     )
     parser.add_argument(
         "scenario", nargs="?", metavar="SCENARIO", help="a TOML file or a shipped name"
     )
-    what = parser.add_mutually_exclusive_group()
-    what.add_argument("--list", action="store_true", help="list the shipped scenarios")
-    what.add_argument(
+    parser.add_argument(
         "--knowledge",
         nargs="?",
         const="",
@@ -43,7 +41,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write what the eavesdropper of SCENARIO is told (default: standard output)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
-    parser.add_argument("--no-cache", action="store_true", help="compute, and store nothing")
     parser.add_argument(
         "--patience",
         type=float,
@@ -58,12 +55,8 @@ def run(args: argparse.Namespace) -> int:
     """Show the design, or what else was asked for."""
     from wyner.cli.scenarios import list_scenarios, write_knowledge
 
-    if args.list:
-        if args.scenario is not None:
-            raise UsageError(f"--list: got SCENARIO {args.scenario!r} as well, expected none")
-        return list_scenarios(as_json=args.json)
     if args.scenario is None:
-        raise UsageError("SCENARIO: expected a TOML file or a shipped name (--list shows them)")
+        return list_scenarios(as_json=args.json)
     if args.knowledge is not None:
         return write_knowledge(args.scenario, args.knowledge)
     return _show_design(args)
@@ -73,7 +66,7 @@ def _show_design(args: argparse.Namespace) -> int:
     import time
 
     from controller_service.laws.online import ProgramError
-    from controller_service.laws.registry import cached_design, make_law, synthesise
+    from controller_service.laws.registry import cached_design, make_law
     from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
     from runtime.scenario_file import scenario_of
@@ -85,7 +78,7 @@ def _show_design(args: argparse.Namespace) -> int:
     begin = time.perf_counter()
     try:
         with shown_progress(args.patience) as progress:
-            design = (synthesise if args.no_cache else cached_design)(scenario, progress)
+            design = cached_design(scenario, progress)
         law = make_law(scenario, design)
     except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{args.scenario}: {error}") from None

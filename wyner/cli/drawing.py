@@ -18,8 +18,8 @@ FILE: Final = "file"
 """The column of `wyner.sweeps.grid.FILE`, which takes long to load."""
 
 RATE: Final = "bits_per_second"
-LARGEST_INCHES: Final = 40.0
-"""Inches of a figure's side."""
+LOGARITHMIC_FROM: Final = 1000.0
+"""An x axis whose last value is so many times the first is logarithmic."""
 
 AIR: Final = 0.06
 """Share of the vertical axis beyond what is drawn, so that no curve lies on the frame."""
@@ -57,11 +57,6 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         action="append",
         help=f"default: {RATE}; or 'NAME keys known', 'NAME messages read' (repeatable)",
     )
-    group.add_argument("--log", action="store_true", help="a logarithmic x axis")
-    group.add_argument("--title", default="", metavar="T", help="above the figure (default: none)")
-    group.add_argument(
-        "--size", default="6.4x4.2", metavar="WxH", help="in inches (default: 6.4x4.2)"
-    )
 
 
 def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
@@ -73,26 +68,8 @@ def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
         if name not in rows[0]:
             known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
             raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
-    size = _size(args.size)
     output = args.plot or str(path.with_suffix(".png"))
-
-    def draw(figure: "Figure") -> str:
-        note = draw_rows(figure, rows, fields, x, ys, logarithmic=args.log)
-        figure.suptitle(args.title)
-        return note
-
-    return drawn_to("--plot", output, size, draw)
-
-
-def _size(text: str) -> tuple[float, float]:
-    try:
-        width, height = (float(part) for part in text.split("x"))
-    except ValueError:
-        width = height = 0.0
-    if not (1 <= width <= LARGEST_INCHES and 1 <= height <= LARGEST_INCHES):
-        wanted = f"expected WxH in inches, each from 1 to {LARGEST_INCHES:g}"
-        raise UsageError(f"--size: got {text!r}, {wanted}")
-    return width, height
+    return drawn_to("--plot", output, (6.4, 4.2), lambda f: draw_rows(f, rows, fields, x, ys))
 
 
 def in_words(column: str) -> str:
@@ -151,8 +128,6 @@ def draw_rows(
     fields: Sequence[str],
     x: str,
     ys: Sequence[str],
-    *,
-    logarithmic: bool,
 ) -> str:
     """A curve for each column and each setting of the other fields; returns the note."""
     from wyner.drawing.style import COLOURS, MARKERS
@@ -192,7 +167,8 @@ def draw_rows(
         axes.plot(columns[0], columns[1], color=colour, marker=marker, lw=1, label=label or None)
     if any(curves):
         axes.legend()
-    if logarithmic:
+    places = [point[0] for points in curves.values() for point in points]
+    if places and min(places) > 0 and max(places) >= LOGARITHMIC_FROM * min(places):
         axes.set_xscale("log")
     axes.set_xlabel(in_words(x))
     axes.set_ylabel(in_words(ys[0]) if len(ys) == 1 else "share")

@@ -1,7 +1,6 @@
 """``wyner score``: what each eavesdropper got, beside what the paper's rule counts."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -17,8 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
-        "of them failed: nobody knows what it would have had. Of a capture alone, or with "
-        "--decode, show what each makes of it."
+        "of them failed: nobody knows what it would have had. Of a capture "
+        "alone, show what each makes of it."
     )
     parser.add_argument(
         "runs", metavar="RUN", nargs="+", help="a run's folder, or one of several; or a capture"
@@ -35,22 +34,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--scenario", metavar="S", help="tell the replayed ones this scenario's model"
     )
     parser.add_argument("--plot", metavar="FILE", help="draw the report as SVG or PNG")
-    parser.add_argument(
-        "--decode", action="store_true", help="feed the capture to them, and show what they read"
-    )
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     """Score, pool and print."""
-    from runtime.errors import reading
+    from runtime.errors import UsageError, reading
     from wyner.cli.decode import decode
 
     with reading(", ".join(args.runs)):
-        if args.decode:
-            return decode(args, Path(_only(args.runs, "--decode")))
         if any(Path(one).is_file() for one in args.runs):
-            return decode(args, Path(_only(args.runs, "a capture")))
+            if len(args.runs) > 1:
+                raise UsageError(f"RUN: got {len(args.runs)} of them, expected a capture alone")
+            return decode(args, Path(args.runs[0]))
         return _run(args)
 
 
@@ -124,14 +120,6 @@ def _run(args: argparse.Namespace) -> int:
     for name, audit in audits.items():
         _print_keys(name, audit, color=sys.stdout.isatty())
     return ending
-
-
-def _only(runs: Sequence[str], option: str) -> str:
-    from runtime.errors import UsageError
-
-    if len(runs) > 1:
-        raise UsageError(f"RUN: got {len(runs)} of them, expected one with {option}")
-    return runs[0]
 
 
 def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from protocol.messages import SendCommand, SendReply
 from protocol.text import printable
 from protocol.topics import key_of
-from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
+from runtime.bus_options import JoinOptions, add_service_arguments, endpoints_of, loop_of
 from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
@@ -34,15 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "text",
-        nargs="?",
         metavar="TEXT",
-        help="the message; - reads standard input, without its last newline",
-    )
-    parser.add_argument(
-        "--file",
-        metavar="F",
-        help="a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
-        "- as above",
+        help="the message; - reads it from standard input, @FILE from a file",
     )
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument(
@@ -64,11 +57,9 @@ def run(args: argparse.Namespace) -> int:
     from runtime.bus import TransportError
     from runtime.zenoh_bus import open_bus
 
-    if (args.text is None) == (args.file is None):
-        raise UsageError("expected TEXT or --file F, and one of them only")
     if not args.timeout > 0:
         raise UsageError(f"--timeout: got {args.timeout}, expected more than 0")
-    payload = message_of(args.text, args.file)
+    payload = message_of(args.text)
     assert payload is not None
     try:
         command = SendCommand(id=args.id or new_id(), payload=payload)
@@ -76,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
-    told = picked(BusOptions, vars(args))
+    told = picked(JoinOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout)
     _check_own(run, told, args.run_name)
     loop = loop_of(buses.loop)
@@ -106,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _check_own(run: "RunningLoop | None", told: BusOptions, run_name: str | None) -> None:
+def _check_own(run: "RunningLoop | None", told: JoinOptions, run_name: str | None) -> None:
     """Refuse a loop that nobody named and that is not of this folder: it may be a stranger's.
 
     Raises

@@ -40,9 +40,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes or Dask workers (default: one a core)"
     )
-    parser.add_argument("--executor", choices=("process", "dask"), default="process")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="a running Dask scheduler instead of a local one"
+        "--dask",
+        nargs="?",
+        const="",
+        metavar="ADDRESS",
+        help="run on Dask workers: those of the scheduler at ADDRESS, or local ones",
     )
     parser.add_argument("--resume", action="store_true", help="go on with the rows that are there")
     parser.add_argument("--quick", action="store_true", help="few runs of each point, to look")
@@ -67,11 +70,11 @@ def _end_after(parent: "BaseProcess") -> None:
 
 
 @contextmanager
-def _executor(kind: str, jobs: int, scheduler: str | None) -> "Iterator[Executor]":
+def _executor(jobs: int, dask: str | None) -> "Iterator[Executor]":
     """The executor asked for; what is not yet running is dropped when it closes early."""
     executor: Executor
-    if kind == "dask":
-        with _dask_executor(jobs, scheduler) as executor:
+    if dask is not None:
+        with _dask_executor(jobs, dask) as executor:
             yield executor
         return
     if jobs == 1:
@@ -95,16 +98,16 @@ def _executor(kind: str, jobs: int, scheduler: str | None) -> "Iterator[Executor
 
 
 @contextmanager
-def _dask_executor(jobs: int, scheduler: str | None) -> "Iterator[Executor]":
-    """Workers of a running scheduler, or ``jobs`` processes of a local cluster."""
+def _dask_executor(jobs: int, scheduler: str) -> "Iterator[Executor]":
+    """Workers of the scheduler at an address, or ``jobs`` processes of a local cluster."""
     import importlib
 
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
-        raise UsageError(needs("--executor dask", "distributed")) from None
+        raise UsageError(needs("--dask", "distributed")) from None
     with ExitStack() as stack:
-        if scheduler is None:
+        if not scheduler:
             # Worker processes take over that Ctrl-C is ignored, and leave it to this one.
             before = signal.signal(signal.SIGINT, signal.SIG_IGN)
             try:
@@ -124,7 +127,7 @@ def _dask_executor(jobs: int, scheduler: str | None) -> "Iterator[Executor]":
                 client = distributed.Client(scheduler, timeout="10s")
             except (OSError, ValueError) as error:
                 reason = str(error).splitlines()[0]
-                raise Failure(f"--scheduler: {scheduler}: {reason}") from None
+                raise Failure(f"--dask: {scheduler}: {reason}") from None
         stack.enter_context(client)
         executor = client.get_executor()
         try:
@@ -173,8 +176,6 @@ def run(args: argparse.Namespace) -> int:
     at_least("--jobs", jobs, 1)
     if args.plot is not None:
         drawable("--plot", args.plot or "rows.png")
-    if args.scheduler is not None and args.executor != "dask":
-        raise UsageError("--scheduler: expected together with --executor dask")
     shipped = SWEEPS / f"{args.file}.toml"
     path = shipped if not Path(args.file).is_file() and shipped.is_file() else Path(args.file)
     try:
@@ -197,10 +198,10 @@ def run(args: argparse.Namespace) -> int:
     before = len(results.rows)
     try:
         with (
-            _executor(args.executor, jobs, args.scheduler) as executor,
+            _executor(jobs, args.dask) as executor,
             _progress(sweep.name) as progress,
         ):
-            ahead = 1 if args.executor == "process" and jobs == 1 else AHEAD
+            ahead = 1 if args.dask is None and jobs == 1 else AHEAD
             failures = run_sweep(sweep, points, results, executor, progress, ahead=ahead)
     except KeyboardInterrupt:
         print(

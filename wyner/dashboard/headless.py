@@ -3,7 +3,7 @@
 import sys
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import IO, Final
 
 from protocol.messages import PlantModel, PlantStatus
@@ -11,14 +11,16 @@ from protocol.text import printable
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import State, TapState, reduce_all
 from wyner.dashboard.score import (
+    attacker,
     characters_right,
+    contradictions,
     rate_in_words,
     score,
     secrecy,
     time_left_s,
     truth_for,
 )
-from wyner.dashboard.secrecy_panel import attacker, contradictions, held, keys_right
+from wyner.dashboard.secrecy_panel import held, keys_right
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
 from wyner.dashboard.text import component, duration, in_words, letters
@@ -27,7 +29,7 @@ PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
 
 COUNTED: Final = (
-    "bit/s and % are counts of this run; [low,high] are 95 % limits, however often one looks"
+    "bit/s and % are counts of this run; [low, high] are 95 % limits, however often one looks"
 )
 """Said once, before the first figure."""
 
@@ -35,27 +37,26 @@ LINES_AT_ONCE: Final = 12
 """Lines printed for one look at the messages; what is beyond is counted in a line."""
 
 
-@dataclass(frozen=True, slots=True)
 class Reporter:
-    """What was said already; `report` gives the next lines and the next reporter.
+    """Lines for what is new since the last call."""
 
-    ``told`` is the session and the step k that the last line of progress was about.
-    """
+    def __init__(self) -> None:
+        self._before = State()
+        self._next_ns = 0
+        self._told: tuple[str, int] | None = None
 
-    before: State = field(default_factory=State)
-    next_progress_ns: int = 0
-    told: tuple[str, int] | None = None
-
-    def report(self, state: State, now_ns: int) -> tuple[list[str], "Reporter"]:
-        """Lines for what is new since the last call, at most `LINES_AT_ONCE` and one more."""
-        lines = list(_events(self.before, state))
+    def report(self, state: State, now_ns: int) -> list[str]:
+        """At most `LINES_AT_ONCE` lines of events and one more, then progress if it is due."""
+        lines = list(_events(self._before, state))
         if len(lines) > LINES_AT_ONCE:
             more = len(lines) - LINES_AT_ONCE
             lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
+        self._before = state
         now = (state.plant.session, state.plant.k) if state.plant is not None else None
-        if now is None or now == self.told or now_ns < self.next_progress_ns:
-            return lines, replace(self, before=state)
-        return [*lines, progress(state)], Reporter(state, now_ns + PROGRESS_NS, now)
+        if now is None or now == self._told or now_ns < self._next_ns:
+            return lines
+        self._told, self._next_ns = now, now_ns + PROGRESS_NS
+        return [*lines, progress(state)]
 
 
 def progress(state: State) -> str:
@@ -73,6 +74,8 @@ def progress(state: State) -> str:
     ]
     if state.model is not None and state.model.keys_claim:
         parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
+    if state.attacked:
+        parts.append(f"x as reported, truly {component(state.away)} away")
     if state.alarms:
         parts.append(state.alarms)
     left = time_left_s(state)
@@ -133,12 +136,12 @@ def run_headless(
         while True:
             finished = until()
             state = replace(reduce_all(state, source.drain()), unreadable=source.malformed)
-            lines, reporter = reporter.report(state, source.now_ns())
+            lines = reporter.report(state, source.now_ns())
             say(lines)
             said = lines[-1:] or said
             while story and (found := next_moment(state, told)) is not None:
                 told.add(found[0])
-                title, *captions = found[1].caption
+                title, *captions = found[1]
                 say([f"* {title}", *(f"  {line}" for line in captions)])
             if finished:
                 break
@@ -164,7 +167,8 @@ def _events(before: State, state: State) -> Iterator[str]:
         if was is not None and plant.symbol_errors > was.symbol_errors:
             more = plant.symbol_errors - was.symbol_errors
             keys = "key" if more == 1 else "keys"
-            yield f"{more} wrong {keys} at step {plant.k}: not the input that the plant applied"
+            why = " (its sensor is being attacked)" if plant.attack else ""
+            yield f"step {plant.k}: {more} wrong {keys}, not the plant's input{why}"
         if was is not None and plant.frames_refused > was.frames_refused:
             more = plant.frames_refused - was.frames_refused
             frames = "frame" if more == 1 else "frames"
@@ -219,7 +223,7 @@ def _tap_events(name: str, before: State, tap: TapState, state: State) -> Iterat
     solved = tap.status.solved_k
     newly_sure = solved >= 0 and (was is None or was.status.solved_k != solved)
     if tap.exact and (was is None or not (was.exact or newly_sure)):
-        # Where the truth is what came last, she may have held the message for long.
+        # Where the truth is what came last, Eve may have held the message for long.
         new = state.plant is not None and was is not None and text in before.texts
         at = f" by step {state.plant.k}" if state.plant is not None and new else ""
         unsure = ", and is not sure yet" if at and solved < 0 else ""
@@ -228,13 +232,13 @@ def _tap_events(name: str, before: State, tap: TapState, state: State) -> Iterat
         judged = ", and it is the true one" if tap.exact else ", but it is not a true one"
         if not state.texts:  # a replay: nobody here knows the truth
             judged = f": {_quoted(text)}"
-        elif not tap.watched:  # it may have been another message than the one that she holds now
+        elif not tap.watched:  # it may have been another message than the one that Eve holds now
             judged = ""
         yield f"tap {name} was sure of a message at step {solved}{judged}"
 
 
 def _key_events(before: State, state: State) -> Iterator[str]:
-    """The first bits that she holds, and what has come up against the claim."""
+    """The first bits that Eve holds, and what was found against the claim."""
     was, now = attacker(before), attacker(state)
     if now is None:
         return

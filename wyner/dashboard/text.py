@@ -99,11 +99,11 @@ def _changes_width(c: str) -> bool:
     return "\ufe00" <= c <= "\ufe0f" or "\U0001f3fb" <= c <= "\U0001f3ff"
 
 
-def sparkline(values: Sequence[float], levels: str, among: Sequence[float] = ()) -> str:
-    """Values as bars between the smallest and the largest of them, or of those ``among`` which."""
+def sparkline(values: Sequence[float], levels: str) -> str:
+    """Values as bars between the smallest and the largest of them."""
     if not values:
         return ""
-    low, high = min(among or values), max(among or values)
+    low, high = min(values), max(values)
     if high == low:
         return levels[len(levels) // 2] * len(values)
     top = len(levels) - 1
@@ -162,12 +162,3 @@ def duration(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h" if seconds < 360_000 else "days"
-
-
-def bars_of(values: Sequence[float | None], top: float, levels: str) -> str:
-    """Values as bars from 0 to ``top``; a blank where there is none."""
-    last = len(levels) - 1
-    return "".join(
-        " " if v is None else levels[min(last, round(v / top * last)) if top > 0 else 0]
-        for v in values
-    )
