@@ -3,7 +3,7 @@
 One runner measures what a data file lacks, in as many processes as it is given; one writer puts the
 tables on their pages. A row has the id of its task and the hash of the code that made it: a row of
 other code than today's is stale, and is measured again where it is asked for. Each page names the
-code of the rows that it quotes.
+code of the rows that it quotes, and says where they are stale.
 """
 
 import csv
@@ -77,7 +77,8 @@ class Study:
 
     def _by_column(self, row: Values) -> Row:
         values = [row[column] for column in self.columns] if isinstance(row, Mapping) else list(row)
-        return dict(zip(self.columns, map(str, values), strict=True))
+        texts = ["" if value is None else str(value) for value in values]
+        return dict(zip(self.columns, texts, strict=True))
 
     def measure(
         self,
@@ -263,6 +264,18 @@ def codes_of(rows: Sequence[Row]) -> str:
     return ", ".join(f"{code} ({count})" for code, count in found.most_common())
 
 
+def origin(rows: Mapping[str, Sequence[Row]]) -> str:
+    """Which code made the rows of some studies, and whether that is today's."""
+    old = any(
+        not same_code(row["version"], _STUDIES[name].version)
+        for name, some in rows.items()
+        for row in some
+    )
+    code = codes_of([row for some in rows.values() for row in some])
+    age = ", measured with an earlier version of the code" if old else ""
+    return f"Rows of code {code}{age}."
+
+
 def between_marks(text: str, name: str, part: str) -> str:
     """The page with ``part`` between the marks of that name.
 
@@ -287,11 +300,9 @@ def pages() -> dict[Path, str]:
         path = ROOT / "docs" / f"{one.page}.md"
         if not all((DATA / f"{name}.csv").exists() for name in one.studies):
             continue  # nothing is on record yet
-        rows = [recorded(name) for name in one.studies]
-        made = one.make(*rows)
-        if not isinstance(made, str):
-            code = codes_of([row for some in rows for row in some])
-            made = f"{markdown_table(made)}\n\nRows of code {code}."
+        rows = {name: recorded(name) for name in one.studies}
+        made = one.make(*rows.values())
+        shown = made if isinstance(made, str) else markdown_table(made)
         text = found.get(path) or path.read_text(encoding="utf-8")
-        found[path] = between_marks(text, mark, made)
+        found[path] = between_marks(text, mark, f"{shown}\n\n{origin(rows)}")
     return found

@@ -1,37 +1,28 @@
-"""The page of every command and its options: ``python -m tools.command_reference --write``.
+"""The reference of every command and its options: ``python -m tools.command_reference`` prints it.
 
-It is what ``wyner COMMAND --help`` prints, of one version of Python: others set it out otherwise.
+The site is built with it (``docs/conf.py``).
 """
 
 import contextlib
 import io
 import os
-import sys
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
-from runtime.errors import DONE, USAGE
-from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.cli.main import build_parser, groups
 
-PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "command-reference.md"
-PYTHON: Final = (3, 11)
-"""The version that the page is made with."""
 COLUMNS: Final = "100"
 HEAD: Final = """\
 # Commands
 
-What `wyner COMMAND --help` prints. This page is made from the commands themselves
-(`python -m tools.command_reference --write`).
+What `wyner COMMAND --help` prints.
 
 Every command ends with one of these exit codes:
 
 - **0**: done.
-- **1**: done, and something was found (a broken rule, a warning, an eavesdropper that failed, a loop that carries
-  nothing); or it could not be done (no answer, a full disk, a service that died).
-- **2**: wrong use: an option, or a file that the command line names and that is missing, malformed or cannot be written.
-  Nothing was started.
+- **1**: done, and something was found (a broken rule, a warning, an eavesdropper that failed, a
+  loop that carries nothing); or it failed (no answer, a full disk, a service that died).
+- **2**: wrong use: an option, or a file that the command line names and that is missing, malformed
+  or cannot be written.
 - **130**: Ctrl-C.
 """
 
@@ -62,17 +53,5 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def main(arguments: Sequence[str] = ()) -> int:
-    """Write the page, or print it."""
-    if list(arguments) == ["--write"]:
-        write_atomically(PAGE, page().encode(), PUBLIC_FILE)
-        return DONE
-    if arguments:
-        print("usage: python -m tools.command_reference [--write]", file=sys.stderr)
-        return USAGE
-    print(page(), end="")
-    return DONE
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    print(page(), end="")

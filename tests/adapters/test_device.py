@@ -2,23 +2,20 @@
 
 import json
 import os
-import random
 import subprocess
 import sys
 import threading
 from functools import partial
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
 from plant_service import opening
-from plant_service.adapters import Operated, PlantError
+from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.opening import open_core
 from plant_service.punctuality import Punctuality, ReachWatch
@@ -39,10 +36,10 @@ from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
-from tests.adapters.plants import Device, PythonLine
+from tests.adapters.plants import Device
 from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
-from tests.support.memory_bus import MemoryBus, MemoryChannel, MemoryHub
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
@@ -197,14 +194,6 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert bench.news.punctuality.actuated_after_s[2] == pytest.approx(0.2)
 
 
-def test_a_second_offer_for_the_same_step_changes_nothing() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    calls = list(bench.device.calls)
-    bench.do(bench.offer(0.3, u=-0.5))
-    assert bench.device.calls == calls
-
-
 def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallback() -> None:
     bench = Bench(Device(), fallback="zero")
     bench.do(bench.offer(0.2))
@@ -220,21 +209,6 @@ def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallba
     bench.do(bench.endpoint.wake(3.0))
     assert bench.device.calls == ["sample", "save"]
     assert [e.u for e in bench.events if isinstance(e, Missed)][1] == (0.0,)
-
-
-def test_a_simulation_makes_a_missed_step_under_the_fallback() -> None:
-    class Line(PythonLine):
-        def __init__(self) -> None:
-            self.calls: list[str] = []
-
-    bench = Bench(Line(), fallback="zero")
-    bench.do(bench.offer(0.2, u=1.0))
-    bench.do(bench.endpoint.wake(1.0))
-    x = bench.record.x
-    bench.do(bench.endpoint.wake(2.0))
-    (missed,) = [e for e in bench.events if isinstance(e, Missed)]
-    assert missed.u == (0.0,)
-    assert missed.x_next == (x[0] + x[1], x[1])
 
 
 # --- what dies in between -------------------------------------------------------------------------
@@ -257,19 +231,6 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     assert record.applied_k == -1  # never reported, so tested by neither end
     again = Bench(Device(), bench.journal)
     assert again.record.k == 2  # whoever is away for a while has missed a step again
-
-
-def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    (save,) = islice(bench.endpoint.wake(1.0), 1)
-    assert isinstance(save, Save)
-    bench.journal.save(save)  # and then the process dies
-    back = Bench(Device(), bench.journal)
-    assert back.record.transitions == 1
-    (event,) = [e for e in back.events if isinstance(e, Interrupted)]
-    assert (event.k, event.coin, event.candidates) == (1, -1, ())
-    assert back.record.k == 2
 
 
 @pytest.mark.long
@@ -599,21 +560,6 @@ def test_a_service_that_cannot_start_leaves_its_device_safe(
     assert device.calls == ["start", "safe", "close"]
 
 
-def test_a_service_that_ends_lets_go_of_its_device_whatever_else_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(_self: object) -> None:
-        raise TransportError("the channel is gone")
-
-    device, stopping = Device(), threading.Event()
-    service = device_service(device, tmp_path, monkeypatch, stopping)
-    monkeypatch.setattr(MemoryChannel, "close", fails)
-    stopping.set()
-    with pytest.raises(TransportError, match="the channel is gone"):
-        service.run()
-    assert device.calls[-2:] == ["safe", "close"]
-
-
 # --- punctuality and doubt ------------------------------------------------------------------------
 
 
@@ -626,16 +572,6 @@ def test_percentiles_are_of_the_newest_steps() -> None:
     event = p.as_event(7)
     assert event is not None
     assert (event.k, event.steps, event.actuated_after_s) == (7, 1000, ())
-
-
-@given(st.lists(st.sampled_from([0.0, 1e-4, 3e-3, 0.2]) | st.floats(0, 1), max_size=40))
-def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None:
-    p, known = Punctuality(), [random.Random(len(values)).random() for _ in range(990)]
-    for value in (*known, *values):
-        p.acted(value)
-    ordered = sorted([*known, *values][-1000:])
-    last = len(ordered) - 1
-    assert p.actuated_after_s == (ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last])
 
 
 def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
@@ -661,26 +597,3 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     for step in range(2000):
         kept.counted(AgreementResult((1.5, 0.5) if step == 700 else (0.5, 2.0), -1), 0)
     assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")
-
-
-def test_operated_devices_are_told_from_simulations() -> None:
-    device: Operated = open_plant(line(), own=Device())
-    assert device.device
-    assert not open_plant(line(), own=PythonLine()).device
-
-
-def test_both_ends_see_what_no_candidate_explains() -> None:
-    """d is up to four times what D_c allows: the verdict says so, at the plant and elsewhere."""
-    base = load("sustained")
-    widths = [4 * w for w in base.plant.disturbance.half_widths]
-    spec = {"half_widths": widths, "may_leave_defender_set": True}
-    scenario = vary(base, {"plant.disturbance": spec, "secrecy.alpha": 30.0})
-    law = make_law(scenario, synthesise(scenario))
-    world = Simulation(scenario, law, seed=1)
-    world.run(steps=40)
-    plant, controller = world.history.plant, world.history.controller
-    unexplained = {at for at, t in plant.items() if t.verdict.unexplained}
-    assert len(unexplained) > 5
-    assert {at for at in unexplained if at in controller} == {
-        at for at, t in controller.items() if t.verdict.unexplained
-    }

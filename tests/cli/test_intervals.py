@@ -101,7 +101,6 @@ def test_of_a_live_run_and_of_what_looks_at_it(
         said(capsys, "score", *again),
         said(capsys, "check", run),
         said(capsys, "status", run),
-        said(capsys, "report", run),
     ):
         assert list(bare_figures(told)) == []
 
@@ -118,7 +117,7 @@ def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:
     told: list[str] = []
     for step, batch in enumerate(Rehearsal().arrivals(400)):
         state = reduce_all(state, batch)
-        lines, reporter = reporter.report(state, step * 1_000_000_000)
+        lines = reporter.report(state, step * 1_000_000_000)
         told += lines
     figures = [line for line in told if "bit/s" in line and line != COUNTED]
     assert len(figures) > 2

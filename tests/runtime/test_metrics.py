@@ -94,15 +94,6 @@ def test_an_address_that_is_none_is_told(address: str) -> None:
         pass
 
 
-def test_an_address_in_use_is_told() -> None:
-    with (
-        served("127.0.0.1:0", {}) as port,
-        pytest.raises(UsageError, match=f"--metrics: 127.0.0.1:{port}: "),
-        served(f"127.0.0.1:{port}", {}),
-    ):
-        pass
-
-
 def test_nothing_is_told_of_a_loop_that_has_left(
     sustained: Scenario, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -1,4 +1,4 @@
-"""What would refute theorem 1 of docs/attacks.md, and the attacked engine beside a plain loop."""
+"""What would refute theorem 1 of docs/findings.md, and the attacked engine beside a plain loop."""
 
 import math
 from pathlib import Path

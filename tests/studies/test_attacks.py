@@ -19,7 +19,7 @@ from studies.signalling import changed
 from tests.house.test_docs import ROOT
 
 RARE = 1e-6
-PAGE = ROOT / "docs" / "attacks.md"
+PAGE = ROOT / "docs" / "findings.md"
 
 
 @pytest.fixture(scope="module")

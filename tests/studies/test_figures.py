@@ -23,7 +23,7 @@ from studies.figures import FIGURES, FigureError, draw
 from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
 from studies.loops import centre_distances, closed_form, gauges_of, system, tap_rows
-from studies.registry import pages, recorded, stale, studies
+from studies.registry import origin, pages, recorded, stale, studies
 from tests.support.patience import PATIENCE_S
 from tests.support.size import size
 from wyner.advice.rate import long_runs, settled_rate
@@ -36,10 +36,10 @@ from wyner.sweeps.results import SUMS, read_rows, read_table
 PAGE = ROOT / "docs" / "findings.md"
 PAGES = {
     "idea": ROOT / "README.md",
-    "network": ROOT / "docs" / "control.md",
+    "network": ROOT / "docs" / "concepts.md",
     "key-controls": ROOT / "docs" / "keys.md",
-    "undetected": ROOT / "docs" / "attacks.md",
-    "dither-price": ROOT / "docs" / "attacks.md",
+    "undetected": ROOT / "docs" / "findings.md",
+    "dither-price": ROOT / "docs" / "findings.md",
 }
 """Where a figure stands that is not among the findings."""
 CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
@@ -211,6 +211,18 @@ def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
     assert list(stale(tmp_path)) == [told + one.version]
 
 
+def test_a_page_says_that_its_rows_are_of_other_code() -> None:
+    one = studies()["widths"]
+    rows = [row | {"version": one.version} for row in recorded("widths")]
+    hash_ = one.version.partition("+")[2]
+    assert origin({"widths": rows}) == f"Rows of code {hash_}."
+    rows[3]["version"] = "1.0.0+00000001"
+    assert origin({"widths": rows}) == (
+        f"Rows of code {hash_} ({len(rows) - 1}), 00000001 (1), measured with an earlier version "
+        "of the code."
+    )
+
+
 def test_every_page_has_its_tables_as_the_data_have_them() -> None:
     for path, text in pages().items():
         assert path.read_text(encoding="utf-8") == text, "run: python -m studies tables"
@@ -254,7 +266,7 @@ def row_with(text: str, *cells: str) -> str:
 
 
 def test_the_documents_numbers_are_the_datas() -> None:
-    text = PAGE.read_text(encoding="utf-8")
+    text = PAGE.read_text(encoding="utf-8").partition("\n## Attacks\n")[0]
     for s in summaries(DATA, "fig7-paper"):
         if alpha_of(s) in (1.5, 3.0, 8.0):
             cell = "{:.3f} [{:.3f}, {:.3f}]".format(*s.rate)

@@ -1,4 +1,4 @@
-"""What would refute theorem 2 of docs/attacks.md: a linear program, a search, and closed forms."""
+"""What would refute theorem 2 of docs/findings.md: a linear program, a search, and closed forms."""
 
 import itertools
 

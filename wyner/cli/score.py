@@ -97,8 +97,13 @@ def _run(args: argparse.Namespace) -> int:
             raise UsageError(f"--plot: got {args.plot!r}, expected a name in .svg or .png")
         try:
             from wyner.drawing.secrecy import draw_report
+            from wyner.drawing.style import drawing, save
 
-            draw_report(report, Path(args.plot))
+            with drawing((7.0, 3.6)) as figure:
+                axes = figure.subplots()
+                draw_report(axes, report)
+                axes.set_title(report.verdict(), fontsize=9, loc="left")
+                save(figure, Path(args.plot))
         except ImportError:
             raise Failure(needs("--plot", "matplotlib")) from None
         except OSError as error:
