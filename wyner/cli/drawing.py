@@ -25,7 +25,10 @@ AIR: Final = 0.06
 """Share of the vertical axis beyond what is drawn, so that no curve lies on the frame."""
 
 WORDS: Final = {
-    RATE: "message rate (bit/s)",
+    RATE: "message rate (bit/s), which is not secrecy",
+    "secret_bits_per_second_at_most": "secret at most (bit/s)",
+    "state_cost": "state cost: mean of x'x a step",
+    "input_effort": "input effort: mean of u'u a step",
     "agreed": "agreements, share of tested steps",
     "secrecy.alpha": "alpha, size of D_e in D_c",
     "runs": "runs",
@@ -55,7 +58,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--y",
         metavar="COLUMN",
         action="append",
-        help=f"default: {RATE}; or 'NAME keys known', 'NAME messages read' (repeatable)",
+        help=f"default: {RATE}; or state_cost, input_effort, 'NAME keys known', 'NAME messages "
+        "read' (repeatable)",
     )
 
 
@@ -173,7 +177,8 @@ def draw_rows(
     axes.set_xlabel(in_words(x))
     axes.set_ylabel(in_words(ys[0]) if len(ys) == 1 else "share")
     drawn = [v for points in curves.values() for point in points for v in point[1:]]
-    top = 1.0 if all(y != RATE for y in ys) else max(drawn, default=0.0)
+    shares = all(y == "agreed" or y.endswith((" keys known", " messages read")) for y in ys)
+    top = 1.0 if shares else max(drawn, default=0.0)
     top = max([top, *drawn]) or 1.0
     axes.set_ylim(-AIR * top, (1 + AIR) * top)
     runs = sorted({int(row["runs"]) for row in rows})

@@ -12,6 +12,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
+from protocol.statistics import STATED
 from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
 from wyner.cli.drawing import add_options, draw_sweep, drawable
 from wyner.sweeps import SWEEPS
@@ -258,6 +259,11 @@ def _as_object(
                 "bits_per_second": rate["value"],
                 "interval_95": [rate["low"], rate["high"]],
                 **({"no_interval": rate["no_interval"]} if "no_interval" in rate else {}),
+                "secret": {
+                    "bits_per_second_at_most": s.secret,
+                    "no_interval": {"bits_per_second_at_most": STATED},
+                },
+                "costs": {name: cost.as_json() for name, cost in s.costs.items()},
                 "shares": {name: share.as_json() for name, share in s.shares.items()},
                 **s.counts,
             }
@@ -275,7 +281,8 @@ def _render(grid: list[str], summaries: "list[Summary]", *, stopped: bool) -> st
     """A table: the fields of each point, its runs, its rate with the interval."""
     taps = list(summaries[0].taps) if summaries else []
     interval = "95 % at every look" if stopped else "95 % interval"
-    head = ["scenario", "variant", *grid, "runs", "bit/s", interval, "mistaken"]
+    head = ["scenario", "variant", *grid, "runs", "bit/s", interval, "secret at most"]
+    head += ["x'x", "u'u", "mistaken"]
     head += [f"{name} keys, messages" for name in taps]
     rows = [head]
     for s in summaries:
@@ -288,6 +295,8 @@ def _render(grid: list[str], summaries: "list[Summary]", *, stopped: bool) -> st
                 str(s.runs),
                 f"{rate.value:.4g}",
                 f"[{rate.low:.4g}, {rate.high:.4g}]" if rate.known else "none",
+                "no eavesdropper" if s.secret is None else f"{s.secret:.2g}",
+                *(f"{cost.value:.3g}" for cost in s.costs.values()),
                 str(s.counts["mistaken"]),
                 *(_share(s, name) for name in taps),
             ]
