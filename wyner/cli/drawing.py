@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from runtime.errors import Failure, UsageError, needs
+from runtime.errors import UsageError, needs, writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -216,16 +216,13 @@ def drawn_to(
     ------
     UsageError
         When matplotlib is missing, or the file's kind is none that can be drawn.
-    Failure
-        When the file cannot be written.
+        When it cannot be written.
     """
     path = drawable(option, text)
     from wyner.drawing.style import drawing, save
 
     with drawing(size) as figure:
         figure.supxlabel(draw(figure), fontsize=6.5, color="0.35")
-        try:
+        with writing(f"{option}: {path}"):
             save(figure, path)
-        except OSError as error:
-            raise Failure(f"{path}: cannot be written: {error.strerror}") from None
     return path

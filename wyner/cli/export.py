@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs, writing
 from runtime.files import PUBLIC_FILE, replacing
 from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
 from tap_service.capture.reading import CaptureError, CaptureReader
@@ -39,22 +39,23 @@ def export(capture: Path, kind: str, output: Path | None, *, steps: bool) -> int
     if output is None and kind != "csv":
         output = Path(f"{'steps' if steps else 'capture'}.{kind}")
     try:
-        if steps:
-            said = f"{_write_steps(capture, kind, output)} steps"
-        else:
-            said = _write_messages(capture, kind, output)
+        with writing(f"--output: {output or kind}"):
+            said = _written(capture, kind, output, steps=steps)
     except (CaptureError, RunError) as error:
         raise UsageError(str(error)) from None
     except ExportError as error:
         raise Failure(str(error)) from None
     except ImportError:
         raise Failure(needs("parquet", "pyarrow")) from None
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        raise Failure(f"{output or kind}: cannot be written: {error.strerror}") from None
     print(said, file=sys.stderr)
     return DONE
+
+
+def _written(capture: Path, kind: str, output: Path | None, *, steps: bool) -> str:
+    """Write the steps or the messages; return what is said of it."""
+    if steps:
+        return f"{_write_steps(capture, kind, output)} steps"
+    return _write_messages(capture, kind, output)
 
 
 def _write_messages(capture: Path, kind: str, output: Path | None) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.statistics import STATED
-from runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, Failure, UsageError, writing
 from runtime.files import write_atomically
 
 if TYPE_CHECKING:
@@ -115,6 +115,9 @@ def _fit_recording(args: argparse.Namespace) -> int:
     path = Path(args.scenario)
     try:
         recording = read_recording(path, states, inputs)
+    except FitError as error:
+        raise UsageError(str(error)) from None
+    try:
         found = fit_recording(recording, violation=violation, confidence=confidence)
     except FitError as error:
         raise Failure(str(error)) from None
@@ -137,10 +140,8 @@ def _fit_recording(args: argparse.Namespace) -> int:
         widths.tolist(),
         origin,
     ).text()
-    try:
+    with writing(f"--output: {args.output}"):
         write_atomically(args.output, text.encode())
-    except OSError as error:
-        raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
     warnings = found.warnings()
     if not starts:
         warnings.append(f"there is no terminal set yet: `wyner design {args.output}` says why")
@@ -220,10 +221,8 @@ def _fit_plant(args: argparse.Namespace) -> int:
     if N is not None:
         promise += f"; D_c itself rests on N, {'stated' if plan.noise is None else 'fitted'}"
     head = f"Written by wyner fit, seed {plan.seed}.\n{promise[0].upper()}{promise[1:]}."
-    try:
+    with writing(f"--output: {args.output}"):
         write_atomically(args.output, as_toml(found.tables, head).encode())
-    except OSError as error:
-        raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
     widths = found.scenario.defender.disturbance.half_widths
     assert widths is not None
     if args.json:

@@ -7,8 +7,11 @@ from typing import TYPE_CHECKING
 from protocol.statistics import COUNTED
 
 if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
     from wyner.runs.run import Run
     from wyner.runs.score.keys import KeyAudit
+    from wyner.runs.score.report import Report
     from wyner.runs.score.score import RunScore
 
 
@@ -33,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenario", metavar="S", help="tell the replayed ones this scenario's model"
     )
-    parser.add_argument("--plot", metavar="FILE", help="draw the report as SVG or PNG")
+    parser.add_argument("--plot", metavar="F", help="draw the report, as F.png, F.pdf or F.svg")
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
@@ -55,9 +58,10 @@ def _run(args: argparse.Namespace) -> int:
     import sys
     from collections import Counter
 
-    from runtime.errors import DONE, FAILED, Failure, UsageError, needs
+    from runtime.errors import DONE, FAILED, UsageError
     from runtime.run_folder import loops_below
     from tap_service.command import names_of
+    from wyner.cli.drawing import drawn_to
     from wyner.runs.run import Run, RunError
     from wyner.runs.score import report as reporting
     from wyner.runs.score.counts import cost_of
@@ -93,21 +97,7 @@ def _run(args: argparse.Namespace) -> int:
         runs.append(run)
     report = reporting.report(scores)
     if args.plot is not None:
-        if Path(args.plot).suffix not in (".svg", ".png"):
-            raise UsageError(f"--plot: got {args.plot!r}, expected a name in .svg or .png")
-        try:
-            from wyner.drawing.secrecy import draw_report
-            from wyner.drawing.style import drawing, save
-
-            with drawing((7.0, 3.6)) as figure:
-                axes = figure.subplots()
-                draw_report(axes, report)
-                axes.set_title(report.verdict(), fontsize=9, loc="left")
-                save(figure, Path(args.plot))
-        except ImportError:
-            raise Failure(needs("--plot", "matplotlib")) from None
-        except OSError as error:
-            raise Failure(f"{args.plot}: cannot be written: {error.strerror}") from None
+        drawn_to("--plot", args.plot, (7.0, 3.6), lambda figure: _draw(figure, report))
     audits = _audits(runs)
     ending = FAILED if any(tap.failed for score in scores for tap in score.taps) else DONE
     if args.json:
@@ -125,6 +115,15 @@ def _run(args: argparse.Namespace) -> int:
     for name, audit in audits.items():
         _print_keys(name, audit, color=sys.stdout.isatty())
     return ending
+
+
+def _draw(figure: "Figure", report: "Report") -> str:
+    from wyner.drawing.secrecy import draw_report
+
+    axes = figure.subplots()
+    draw_report(axes, report)
+    axes.set_title(report.verdict(), fontsize=9, loc="left")
+    return ""
 
 
 def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":

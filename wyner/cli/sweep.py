@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.statistics import STATED
-from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
+from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs, writing
 from wyner.cli.drawing import add_options, draw_sweep, drawable
 from wyner.sweeps import SWEEPS
 
@@ -191,11 +191,10 @@ def run(args: argparse.Namespace) -> int:
         name = sweep.name + ("-quick" if args.quick else "")
         output = Path(args.output or f"runs/sweeps/{name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
-        results = Results(output, sweep.columns, args.resume, taps)
+        with writing(f"--output: {output}"):
+            results = Results(output, sweep.columns, args.resume, taps)
     except SweepError as error:
         raise UsageError(error.problems) from None
-    except OSError as error:
-        raise UsageError(f"--output: {output}: cannot be written: {error.strerror}") from None
     before = len(results.rows)
     try:
         with (

@@ -13,7 +13,7 @@ from protocol.messages.adversary import deaf_share
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED, PROVED
 from protocol.text import printable
-from runtime.errors import Failure
+from runtime.errors import UsageError
 from runtime.health import Look, look_at_status, read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
 from runtime.scenario_file import load_scenario
@@ -100,7 +100,7 @@ def status_of(run_dir: Path) -> RunStatus | FleetStatus:
 
     Raises
     ------
-    Failure
+    UsageError
         When there is none, or one cannot be read.
     """
     if loops := loops_below(run_dir):
@@ -113,7 +113,7 @@ def _status_of(run_dir: Path) -> RunStatus:
     there = [name for name in reporting if (run_dir / name / "status.json").exists()]
     if not there:
         expected = f"expected a run's folder, with {PLANT_STATUS} or {CONTROLLER_STATUS}"
-        raise Failure(f"{run_dir}: no service has reported there; {expected}")
+        raise UsageError(f"{run_dir}: no service has reported there; {expected}")
     now_s = time.time()
     looks = {name: look_at_status(run_dir / name, now_s) for name in there}
     plant = controller = None
@@ -123,9 +123,9 @@ def _status_of(run_dir: Path) -> RunStatus:
         if "controller" in there:
             controller = read_status(run_dir / CONTROLLER_STATUS, ControllerStatus)
     except OSError as error:
-        raise Failure(f"{error.filename}: cannot be read: {error.strerror}") from None
+        raise UsageError(f"{error.filename}: cannot be read: {error.strerror}") from None
     except ValidationError as error:
-        raise Failure(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
+        raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
     claim, distance = _claim(run_dir)
     distance *= 0 if plant is None else plant.key_blocks_begun
     over = all(end is None or end.phase == "stopped" for end in (plant, controller))
@@ -157,7 +157,7 @@ def _claim(run_dir: Path) -> tuple[str, float]:
     try:
         keys = load_scenario(path).keys if path.exists() else None
     except ScenarioError as error:
-        raise Failure(error.problems[0]) from None
+        raise UsageError(error.problems[0]) from None
     return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
 
 
