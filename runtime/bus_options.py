@@ -26,7 +26,7 @@ ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that b
 
 
 @dataclass(frozen=True, kw_only=True)
-class JoinOptions:
+class BusOptions:
     """Where a program that joins a running loop finds its buses."""
 
     loop: str = option("id of the control loop", "ID", DEFAULT_LOOP, group=ENDPOINTS)
@@ -54,7 +54,7 @@ class JoinOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ServiceOptions(JoinOptions):
+class ServiceOptions(BusOptions):
     """Options that each of the three services has."""
 
     listen: Sequence[str] = option(
@@ -79,7 +79,7 @@ class ServiceOptions(JoinOptions):
 
 
 def add_service_arguments(
-    parser: argparse.ArgumentParser, service: str, kind: type[JoinOptions] = JoinOptions
+    parser: argparse.ArgumentParser, service: str, kind: type[BusOptions] = BusOptions
 ) -> None:
     """Add the options of a dataclass that has those of the buses of a service."""
     add_arguments(parser, kind, buses=", ".join(SERVICES[service].ends))
@@ -104,7 +104,7 @@ def loop_of(loop: str) -> str:
         raise UsageError(f"--{error}") from None
 
 
-def endpoints_of(options: JoinOptions, service: str, bus: str) -> "Addresses":
+def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
     """The endpoints of one bus of a service, after the defaults and the options.
 
     Raises

@@ -11,11 +11,10 @@ from typing import Any
 
 import pytest
 
-from runtime.run_folder import BELIEFS, SUMMARY
+from runtime.run_folder import SUMMARY
 from tests.support.bare_figures import bare_figures
 from tests.support.checked_runs import keyed_run
 from tests.support.rehearsal import Rehearsal
-from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
 from wyner.dashboard.model import State, reduce_all
@@ -123,17 +122,3 @@ def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:
     assert len(figures) > 2
     assert told.count(COUNTED) == 1
     assert told.index(COUNTED) < told.index(figures[0])
-
-
-def test_of_the_summary_of_a_run_without_taps(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    small = SmallRun(tmp_path / "run")
-    small.steps(40)
-    small.close()
-    assert not (tmp_path / "run" / BELIEFS).exists()
-    assert list(bare_figures(said(capsys, "check", str(tmp_path / "run")))) == []
-    from wyner.runs.run import Run
-    from wyner.runs.score.summary import summarise
-
-    assert list(bare_figures(summarise(Run.load(tmp_path / "run"), b"hi"))) == []

@@ -85,18 +85,6 @@ def test_each_contradiction_is_a_line_and_an_exit_code(
     assert f"warning: {warning}" in capsys.readouterr().out
 
 
-def test_the_blocks_that_were_begun_and_their_distance_are_said(
-    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = changed(run_dir, tmp_path, PLANT_STATUS, key_blocks_begun=7)
-    shutil.copy(SCENARIOS / "keys.toml", folder / SCENARIO)
-    assert main(["status", str(folder)]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert any(line.startswith("blocks ") and "7 begun" in line for line in lines)
-    assert main(["status", str(folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["distance"] == pytest.approx(7e-12)
-
-
 @pytest.mark.parametrize(
     ("found", "warning"),
     [
@@ -124,38 +112,6 @@ def test_what_the_tap_found_against_the_claim_is_a_warning(
     assert capsys.readouterr().out.count("warning: ") == 1
     assert main(["status", str(folder), "--json"]) == 1
     assert json.loads(capsys.readouterr().out)["warnings"] == [warning]
-
-
-def test_a_tap_that_could_not_use_what_it_heard_is_a_warning(
-    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = changed(run_dir, tmp_path, PLANT_STATUS)
-    (folder / BELIEFS).parent.mkdir()
-    counts = {"foreign": 1, "late": 0, "dropped": 0, "jumped": 0, "malformed": 0, "restarts": 0}
-    record = {"keys": None, "steps": 500, "unused": counts}
-    (folder / BELIEFS).write_text(json.dumps({"text": record}))
-    assert main(["status", str(folder)]) == 0, "one stray message is no trouble"
-    capsys.readouterr()
-    counts["foreign"] = 600
-    (folder / BELIEFS).write_text(json.dumps({"text": record}))
-    assert main(["status", str(folder), "--json"]) == 1
-    assert json.loads(capsys.readouterr().out)["warnings"] == [
-        "eavesdropper text: not used of what the tap heard: 600 messages of other sessions"
-    ]
-
-
-def test_the_claim_is_that_of_the_runs_scenario(
-    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    folder = changed(run_dir, tmp_path, PLANT_STATUS)
-    shutil.copy(SCENARIOS / "keys.toml", folder / SCENARIO)
-    assert main(["status", str(folder)]) == 0
-    assert "0 distilled; secret only from a tap that misses" in capsys.readouterr().out
-    assert main(["status", str(folder), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["claim"].startswith("secret only from a tap")
-    (folder / SCENARIO).write_text("name = 1")
-    assert main(["status", str(folder)]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 @pytest.mark.parametrize(("alone", "lacks"), [("plant", "controller"), ("controller", "plant")])
@@ -191,14 +147,3 @@ def test_a_router_is_well_when_it_takes_a_connection(capsys: pytest.CaptureFixtu
     assert main(["status", "--endpoint", endpoint]) == 1
     assert f"{endpoint}: no answer" in capsys.readouterr().err
     assert main(["status", "--endpoint", "tcp/nowhere"]) == 2
-
-
-def test_what_cannot_be_read_is_one_line(
-    run_dir: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["status", str(tmp_path / "none")]) == 1
-    assert len(capsys.readouterr().err.splitlines()) == 1
-    broken = changed(run_dir, tmp_path, PLANT_STATUS, k="many")
-    assert main(["status", str(broken)]) == 1
-    assert "1 fields of a status are wrong" in capsys.readouterr().err
-    assert main(["status"]) == 2

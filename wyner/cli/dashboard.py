@@ -6,7 +6,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from runtime.bus_options import JoinOptions, add_service_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
 from runtime.options import picked
 from runtime.services import CONTROLLER_MANAGEMENT, PLANT_MANAGEMENT
 from wyner.cli.options import add_run_argument, joined
@@ -43,7 +43,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.dashboard.source import BusSource
     from wyner.deployment.running import listens
 
-    run, buses = joined(picked(JoinOptions, vars(args)), args.run_name, "dashboard")
+    run, buses = joined(picked(BusOptions, vars(args)), args.run_name, "dashboard")
     if run is not None:
         told = printable(f"joining the run {run.seen_from(Path.cwd())} ({run.scenario})")
         print(f"wyner: {told}", file=sys.stderr)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from protocol.topics import DEFAULT_LOOP
-from runtime.bus_options import JoinOptions
+from runtime.bus_options import BusOptions
 from runtime.errors import Failure
 from runtime.services import CONTROLLER_MANAGEMENT, SERVICES
 
@@ -29,19 +29,19 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def is_told(buses: JoinOptions) -> bool:
+def is_told(buses: BusOptions) -> bool:
     """Whether an option says where the loop is, or which one is meant."""
     return bool(buses.connect or buses.client) or buses.loop != DEFAULT_LOOP
 
 
 def joined(
-    buses: JoinOptions, run_name: str | None, service: str, wait_s: float = 0.0
-) -> "tuple[RunningLoop | None, JoinOptions]":
+    buses: BusOptions, run_name: str | None, service: str, wait_s: float = 0.0
+) -> "tuple[RunningLoop | None, BusOptions]":
     """The loop on this machine that is meant where no option says where to connect.
 
     Parameters
     ----------
-    buses : JoinOptions
+    buses : BusOptions
     run_name : str, optional
         The run that ``--run`` names.
     service : str
@@ -52,7 +52,7 @@ def joined(
     Returns
     -------
     RunningLoop or None
-    JoinOptions
+    BusOptions
         With its endpoints in place of the defaults.
 
     Raises

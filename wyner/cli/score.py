@@ -82,6 +82,8 @@ def _run(args: argparse.Namespace) -> int:
     for run_dir in run_dirs:
         try:
             run = Run.load(run_dir)
+            if not run.has("plant"):
+                raise UsageError(f"{run_dir}: no run here, expected a run's folder")
             if names:
                 scores.append(_replayed(run, names, args.scenario))
             else:

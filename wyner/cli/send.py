@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from protocol.messages import SendCommand, SendReply
 from protocol.text import printable
 from protocol.topics import key_of
-from runtime.bus_options import JoinOptions, add_service_arguments, endpoints_of, loop_of
+from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
 from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
 from runtime.inbox import Inbox
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(
             f"--id: got {args.id!r}, expected 1 to 64 letters, digits, dots, dashes or underscores"
         ) from None
-    told = picked(JoinOptions, vars(args))
+    told = picked(BusOptions, vars(args))
     run, buses = joined(told, args.run_name, "operator", args.timeout)
     _check_own(run, told, args.run_name)
     loop = loop_of(buses.loop)
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
     )
 
 
-def _check_own(run: "RunningLoop | None", told: JoinOptions, run_name: str | None) -> None:
+def _check_own(run: "RunningLoop | None", told: BusOptions, run_name: str | None) -> None:
     """Refuse a loop that nobody named and that is not of this folder: it may be a stranger's.
 
     Raises

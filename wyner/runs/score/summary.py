@@ -39,7 +39,7 @@ GUESS_LENGTH: Final = 72
 
 NAME_WIDTH: Final = 16
 
-AGAIN: Final = "wyner score RUN --eavesdropper NAME"
+AGAIN: Final = "wyner score --eavesdropper"
 """The command that reads the recording of a run again, at leisure."""
 
 MOST_PAIRS: Final = 1000
@@ -231,12 +231,12 @@ def render(summary: dict[str, Any]) -> str:
         if told := unused_in_words(tap["unused"]):
             lines += _folded(f"Eve        {name:<{NAME_WIDTH}}", f"not used: {told}")
         if tap["steps_not_looked_at"]:
-            late = f"{tap['steps_not_looked_at']} steps were not looked at: {AGAIN}"
+            late = f"{tap['steps_not_looked_at']} steps not looked at: {AGAIN}"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
     if summary["taps"]:
         lines.append(f"           {ONE_RUN}")
     if summary["unguessed"]:
-        left = f"{summary['unguessed']} messages waited too long to be guessed at live"
+        left = f"{summary['unguessed']} messages were not guessed at live"
         lines.append(f"Eve        {left}: {AGAIN}")
     lines.append(f"run        {summary['run_dir']}")
     return "\n".join([*lines, *verdict_lines(summary)])
