@@ -181,7 +181,7 @@ class ControllerCore:
                 said.tag,
                 read.confirmed,
                 loaded.rows,
-                loaded.parts,
+                loaded.held,
                 Position(named.block, named.at + rules.digits),
             )
         if read.refuted:

@@ -151,7 +151,7 @@ class PlantCore:
         self.keys = Distiller(rules.schedule, rules.size, nonces)
         said = step.report if isinstance(step, Read) else record
         self.keys.begin(
-            record.session, said.block, said.tag, record.confirmed, loaded.rows, loaded.parts
+            record.session, said.block, said.tag, record.confirmed, loaded.rows, loaded.held
         )
         self.record = record._replace(
             state=rules.scheme.restore(record.state),

@@ -11,8 +11,9 @@ import hashlib
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -21,6 +22,7 @@ from runtime.files import PUBLIC_FILE, write_atomically
 from studies import DATA
 from wyner.sweeps.code import ROOT, code_version, same_code
 from wyner.sweeps.results import read_table
+from wyner.sweeps.workers import SerialExecutor, in_order
 
 Row = dict[str, str]
 Lines = Sequence[Sequence[str]]
@@ -94,7 +96,7 @@ class Study:
         path : Path
             A CSV file; a task that a kill has torn is measured again.
         executor : Executor, optional
-            A pool of processes, or a cluster's; this process by default.
+            Of :func:`wyner.sweeps.workers.workers`; this process by default.
         only : str
             Tasks whose text contains this.
         say : callable
@@ -111,20 +113,15 @@ class Study:
         path.parent.mkdir(parents=True, exist_ok=True)
         _write(path, self.head, kept)
         with path.open("a", encoding="utf-8", newline="") as file:
-            for number, rows in enumerate(self._made(todo, executor), 1):
+            work = self.measured if executor is None else partial(_measured, self.name)
+            made = in_order(executor or SerialExecutor(), work, todo, lambda task: (task,))
+            for number, (_, rows) in enumerate(made, 1):
                 file.write(_text(self.head, rows))
                 file.flush()
                 say(f"{self.name}: {number} of {len(todo)} tasks")
         order = {id: place for place, id in enumerate(wanted)}
         rows = sorted(_whole_rows(path, self.head), key=lambda row: order.get(row["task"], -1))
         _write(path, self.head, rows)
-
-    def _made(self, todo: Sequence[Any], executor: Executor | None) -> Iterator[list[Row]]:
-        if executor is None:
-            yield from map(self.measured, todo)
-            return
-        for done in as_completed([executor.submit(_measured, self.name, task) for task in todo]):
-            yield done.result()
 
     @property
     def head(self) -> tuple[str, ...]:

@@ -23,7 +23,16 @@ from protocol.secret.nonces import (
     NonceSource,
     contribution_of,
 )
-from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from protocol.secret.stream import (
+    NO_PART,
+    NOTHING_HELD,
+    NOWHERE,
+    Held,
+    Keys,
+    Part,
+    Position,
+    Stream,
+)
 
 UNCONFIRMED: Final = 2
 """Most blocks that are extracted and not confirmed: the one announced, and the next, whose tag is
@@ -56,13 +65,16 @@ class KeyRows(NamedTuple):
         Of transitions that were counted since the last save.
     obsolete_rows : tuple of range
         Transitions whose rows no block needs any more.
-    parts : tuple of Part
-        Digits of the stream; a part without any is to be erased.
+    keys : tuple of Keys
+        Of blocks whose row in the stream changes; one without any is to be erased.
+    part : Part
+        The stream's key in use, as it is now.
     """
 
     contributions: tuple[Contribution, ...] = ()
     obsolete_rows: tuple[range, ...] = ()
-    parts: tuple[Part, ...] = ()
+    keys: tuple[Keys, ...] = ()
+    part: Part = NO_PART
 
 
 NO_ROWS: Final = KeyRows()
@@ -117,7 +129,7 @@ class Distiller:
         tag: str = "",
         confirmed: int = -1,
         rows: Iterable[Contribution] = (),
-        parts: Iterable[Part] = (),
+        held: Held = NOTHING_HELD,
         after: Position = NOWHERE,
     ) -> None:
         """Begin a session, or go on with it from what was read back.
@@ -129,14 +141,14 @@ class Distiller:
             As the attributes.
         rows : iterable of Contribution
             Of transitions whose block is open, not confirmed or not announced.
-        parts : iterable of Part
-            Digits of the stream that are left.
+        held : Held
+            What is left of the stream.
         after : Position
             Digits before it may have served.
         """
         self.session = session
         self.block, self.tag, self.confirmed = block, tag or self.no_tag, confirmed
-        self.stream = Stream(self._size, parts, after)
+        self.stream = Stream(self._size, held, after)
         self.began = False
         """Whether the transition counted last was the first one of a block."""
         self._newest = -1
@@ -146,7 +158,7 @@ class Distiller:
         self._unequal = False
         self._over: set[int] = set()
         self._ended: list[BlockEnded] = []
-        self._parts: list[Part] = []
+        self._keys: list[Keys] = []
         self._rows: list[Contribution] = []
         self.stopped = ""
         if self.schedule is not None:
@@ -299,7 +311,7 @@ class Distiller:
         assert self.schedule is not None
         self.confirmed = block.number
         self._over.add(block.number)
-        self._parts += self.stream.add(block.number, block.keys)
+        self._keys += self.stream.add(block.number, block.keys)
         self.made += len(block.keys)
         self.last = (len(block.keys), self.schedule.length(block.number))
         self._end(BlockEnded(self.session, block.number, "confirmed", len(block.keys)))
@@ -314,7 +326,7 @@ class Distiller:
     def used(self, position: Position, count: int) -> None:
         """``count`` digits at a position have served: they and all before them are erased."""
         if position != NOWHERE:
-            self._parts += self.stream.drop_before(Position(position.block, position.at + count))
+            self._keys += self.stream.drop_before(Position(position.block, position.at + count))
 
     # --- what is to be done -----------------------------------------------------------------------
 
@@ -344,8 +356,8 @@ class Distiller:
             self._wanted.discard(number)
         begins = self.schedule.begins
         obsolete = tuple(range(begins(n), begins(n + 1)) for n in sorted(over))
-        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._parts))
-        self._rows, self._parts = [], []
+        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._keys), self.stream.part)
+        self._rows, self._keys = [], []
         return rows
 
     def status_fields(self) -> dict[str, Any]:

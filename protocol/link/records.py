@@ -8,7 +8,7 @@ from protocol.defence.watch import NEVER
 from protocol.link.step import IDLE, Step
 from protocol.messages import Offer
 from protocol.secret.nonces import Contribution, Copy
-from protocol.secret.stream import Part
+from protocol.secret.stream import NOTHING_HELD, Held
 from protocol.vectors import Vector
 
 INITIAL_ID: Final = "initial"
@@ -127,8 +127,8 @@ class Loaded(NamedTuple, Generic[R]):
     """What a journal holds; a new one holds nothing.
 
     ``step`` follows the record and is to be counted again, or at the plant was begun and not read.
-    ``rows`` are those of key blocks that are still needed, ``parts`` the digits of the key stream
-    that are left, ``symbols`` those of the frame under way that have left the plant's record.
+    ``rows`` are those of key blocks that are still needed, ``held`` is what is left of the key
+    stream, ``symbols`` are those of the frame under way that have left the plant's record.
     ``fell_back``: the machine was started again since the last save, and the newest saves may be
     missing.
     """
@@ -136,6 +136,6 @@ class Loaded(NamedTuple, Generic[R]):
     record: R | None = None
     step: Step = IDLE
     rows: tuple[Contribution, ...] = ()
-    parts: tuple[Part, ...] = ()
+    held: Held = NOTHING_HELD
     symbols: str = ""
     fell_back: bool = False

@@ -4,9 +4,9 @@ from collections.abc import Sequence
 from typing import Final
 
 from protocol.statistics import wilson
+from studies.attacks.attacked import ONSET
 from studies.attacks.study import SETTLED, Task, attacked
 from studies.registry import Lines, Row, table
-from wyner.simulate.engine.attacks import ONSET
 
 SHOWN: Final = (1, 2, 3, 5)
 GROUPS: Final = ("limit", "key", "size", "eye", "bus")

@@ -4,7 +4,7 @@ import hashlib
 import random
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
@@ -178,7 +178,8 @@ def measure(task: Task) -> dict[str, object]:
         session = next(iter(run.truth.symbols))[0]
         said = TapOutput(tap.name, session, {}, {}, Belief())
     scored = score(run.truth, said)
-    early = score(run.truth.between(None, EARLY - 1), said).keys_reviewed
+    first = {at: key for at, key in run.truth.keys.items() if at[1] < EARLY}
+    early = score(replace(run.truth, keys=first), said).keys_reviewed
     exact, messages = scored.messages.right, scored.messages.of
     if task.raw:
         text = b" ".join(run.payloads)[: len(run.stream) // 8]

@@ -27,7 +27,7 @@ from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.stream import NOWHERE, Part, Position
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Position
 from runtime import perform as shell
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint
@@ -42,6 +42,7 @@ from tests.support.line_ends import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
+from tests.support.safety import first_held
 
 Side = Literal["plant", "controller"]
 
@@ -108,7 +109,7 @@ class View(NamedTuple):
     session: str | None = None
     announced: int = -1
     confirmed: int = -1
-    parts: tuple[Part, ...] = ()
+    held: Held = NOTHING_HELD
     received: int = 0
     forgot: bool = False
 
@@ -414,10 +415,10 @@ class End:
             elif isinstance(loaded.step, Answered):
                 said = loaded.step.offer
             announced = said.block
-            held = View((), record.session, announced, record.confirmed, loaded.parts)
+            held = View((), record.session, announced, record.confirmed, loaded.held)
             served = self._taken[1 if self.side == "plant" else 0]  # with the save after the count
             over = served.end(self.rules.digits)
-            if served.session == record.session and any(p.begins < over for p in loaded.parts):
+            if served.session == record.session and first_held(loaded.held) < over:
                 raise Broken(f"a digit that served step {served.k} is still in the journal")
         self.view = held._replace(
             counted=self.view.counted, received=self.view.received, forgot=self.view.forgot

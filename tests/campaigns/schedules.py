@@ -314,7 +314,7 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
         return Outcome(0, link.cut, 0, tuple(lines))
     mine, theirs = (link.ends[side].journal.load() for side in ("controller", "plant"))
     if mine.record and theirs.record and mine.record.session == theirs.record.session:
-        lines += filter(None, [differing_key(mine.parts, theirs.parts)])
+        lines += filter(None, [differing_key(scenario.secrecy.candidates, mine.held, theirs.held)])
     return Outcome(sum(link.blocks.values()), link.cut, len(link.digits.watched), tuple(lines))
 
 

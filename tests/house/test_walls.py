@@ -166,7 +166,7 @@ def compared_in_haste(source: str) -> list[int]:
 
 
 def test_a_tag_is_compared_in_constant_time() -> None:
-    """But for whole arrays of the engine, and for who listens or reads a run: no forger asks."""
+    """But for who listens or reads a run: no forger asks."""
     assert compared_in_haste("tag != self._tag(k)") == [1]
     assert compared_in_haste("if int(mac[1], 16) != key._tag(said): ...") == [1]
     assert compared_in_haste("wire.tag == b.tag") == [1]
@@ -176,8 +176,7 @@ def test_a_tag_is_compared_in_constant_time() -> None:
         for path in MODULES
         if compared_in_haste(path.read_text(encoding="utf-8"))
     }
-    asked = {name for name in found if not name.startswith(("wyner/runs/check/", "tap_service/"))}
-    assert asked == {"wyner/simulate/engine/defences.py"}
+    assert all(name.startswith(("wyner/runs/check/", "tap_service/")) for name in found)
 
 
 def test_the_protocol_is_pure() -> None:

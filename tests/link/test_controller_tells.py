@@ -38,7 +38,7 @@ from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part
+from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
@@ -99,7 +99,7 @@ class Told(EndInHand[ControllerCore]):
         payloads: tuple[bytes, ...] = (),
         step: Step = IDLE,
         contributions: Sequence[Contribution] = (),
-        parts: Sequence[Part] = (),
+        held: Held = NOTHING_HELD,
         fell_back: bool = False,
         **more: Any,
     ) -> None:
@@ -108,7 +108,7 @@ class Told(EndInHand[ControllerCore]):
             command = SendCommand(id=f"m{number}", payload=payload)
             self.journal.save(Save(SenderRecord(), queued=command))
         law: Any = Law()
-        loaded = Loaded(record, step, tuple(contributions), tuple(parts), fell_back=fell_back)
+        loaded = Loaded(record, step, tuple(contributions), held, fell_back=fell_back)
         self.telemetry = ControllerTelemetry(law)
         super().__init__(
             ControllerCore(
@@ -477,7 +477,7 @@ def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() ->
 
 COIN = replace(RULES, schedule=SCHEDULE, keyed=True)
 DIGITS = digits(bytes(range(32)), 2)
-PART = Part(0, 0, 0, bytes(DIGITS))
+HELD = Held(Part(0, 0, bytes(DIGITS)))
 CONFIRMED = AT_WORK._replace(transitions=3, block=0, tag="a" * 32, confirmed=0)
 """Block 0 is confirmed, and its digits are held."""
 NAMED = OFFER.model_copy(update={"stream_block": 0, "stream_at": 0, "block": 0, "tag": "a" * 32})
@@ -485,11 +485,11 @@ NAMED = OFFER.model_copy(update={"stream_block": 0, "stream_at": 0, "block": 0, 
 
 def keyed(
     record: SenderRecord = CONFIRMED,
-    parts: tuple[Part, ...] = (PART,),
+    held: Held = HELD,
     rules: Rules = COIN,
     **step: Any,
 ) -> Told:
-    end = Told(rules, record, parts=parts, **step)
+    end = Told(rules, record, held=held, **step)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=3, applied_k=1), 0.0)
     end.all.clear()
@@ -529,7 +529,7 @@ def test_a_process_names_digits_behind_those_that_were_named(counted: bool) -> N
 
 
 def test_an_offer_names_nothing_where_no_digit_is_left() -> None:
-    end = keyed(CONFIRMED._replace(offer=None, k=2), parts=())
+    end = keyed(CONFIRMED._replace(offer=None, k=2), held=NOTHING_HELD)
     answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 1.0)
     assert named(answer) == (-1, 0)
 
@@ -566,7 +566,7 @@ def test_a_plant_that_denies_digits_that_it_has_makes_an_alarm() -> None:
 def test_too_many_unwatched_steps_make_an_alarm_through_a_restart(share: float) -> None:
     rules = replace(COIN, watch=Watch(share, 1))
     record = CONFIRMED._replace(unwatched=0.75)
-    end = keyed(record, parts=(), rules=rules)
+    end = keyed(record, held=NOTHING_HELD, rules=rules)
     end.hears(keyed_measurement(), 1.0)
     alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
     assert [alarm.reason for alarm in alarms] == ["unwatched"]
@@ -598,7 +598,7 @@ def test_a_sealed_symbol_without_a_digit_is_a_cover_and_comes_again() -> None:
     record = CONFIRMED._replace(state=SEALED.scheme.initial, offer=None, k=2)
     ciphers = set()
     for payload in (b"a", b"\xff"):
-        end = keyed(record, parts=(), rules=SEALED, payloads=(payload,))
+        end = keyed(record, held=NOTHING_HELD, rules=SEALED, payloads=(payload,))
         k, applied = 3, 1
         for _ in range(4):
             x_after = () if applied == 1 else (1.5,)
@@ -624,7 +624,7 @@ def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again:
     if again:  # another process, as the journal has it
         loaded = end.journal.load()
         assert loaded.record is not None
-        end = keyed(loaded.record, loaded.parts or (PART,), rules)
+        end = keyed(loaded.record, HELD if loaded.held == NOTHING_HELD else loaded.held, rules)
     assert end.core.status().keys_refused == "Eve missed nothing"
     answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 2.0)
     assert named(answer) == (-1, 0)
@@ -820,9 +820,9 @@ def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits()
     assert saved.record is not None
     assert saved.record.confirmed == 0
     assert saved.saved.rows.obsolete_rows == (range(1, 3),), "rows of a block that is confirmed go"
-    assert [(part.block, part.number) for part in saved.saved.rows.parts] == [(0, 0), (0, 1)]
+    assert saved.saved.rows.keys == (Keys(0, 0, b"".join(MADE.keys)),)
     again = end.hears(measurement(k=6, applied_k=5), 3.0)
-    assert (again.saved.rows.obsolete_rows, again.saved.rows.parts) == ((), ()), "once"
+    assert (again.saved.rows.obsolete_rows, again.saved.rows.keys) == ((), ()), "once"
 
 
 def test_a_block_that_differs_gives_no_key_and_ends_the_session() -> None:

@@ -47,7 +47,7 @@ from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part, Position
+from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part, Position
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
@@ -117,7 +117,7 @@ class Told(EndInHand[PlantCore]):
         step_s: float | None = 1.0,
         step: Step = IDLE,
         contributions: Sequence[Contribution] = (),
-        parts: Sequence[Part] = (),
+        held: Held = NOTHING_HELD,
         symbols: str = "",
         fresh: bool = False,
         fell_back: bool = False,
@@ -125,9 +125,7 @@ class Told(EndInHand[PlantCore]):
     ) -> None:
         self.machine = machine or Machine()
         coin: Any = self.machine
-        loaded = Loaded(
-            record, step, tuple(contributions), tuple(parts), symbols, fell_back=fell_back
-        )
+        loaded = Loaded(record, step, tuple(contributions), held, symbols, fell_back=fell_back)
         super().__init__(
             PlantCore(
                 rules,
@@ -909,7 +907,7 @@ def test_without_a_watchdog_a_plant_waits_for_ever() -> None:
 # --- the keyed coin -------------------------------------------------------------------------------
 
 DIGITS = digits(bytes(range(32)), 2)
-PART = Part(0, 0, 0, bytes(DIGITS))
+HELD = Held(Part(0, 0, bytes(DIGITS)))
 CONFIRMED = RECORD._replace(transitions=3, block=0, tag="a" * 32, confirmed=0)
 """Block 0 is confirmed, and its digits are held."""
 
@@ -922,7 +920,7 @@ def keyed(block: int, at: int, **fields: object) -> Offer:
 def test_a_measurement_says_whether_a_digit_chose_the_coin(named: bool) -> None:
     machine = Machine()
     machine.coin = 1 - DIGITS[0]
-    end = Told(COIN, CONFIRMED, machine=machine, parts=(PART,)).met()
+    end = Told(COIN, CONFIRMED, machine=machine, held=HELD).met()
     chosen = DIGITS[0] if named else 1 - DIGITS[0]
     machine.x_next = CANDIDATES[chosen]
     end.hears(keyed(*((0, 0) if named else (-1, 0))), 0.25)
@@ -938,7 +936,7 @@ def test_a_measurement_says_whether_a_digit_chose_the_coin(named: bool) -> None:
 
 
 def test_digits_that_have_served_serve_no_second_step() -> None:
-    end = Told(COIN, CONFIRMED, parts=(PART,)).met()
+    end = Told(COIN, CONFIRMED, held=HELD).met()
     keyed_steps = []
     for k, at in ((3, 4), (4, 4), (5, 2), (6, 5)):
         end.hears(keyed(0, at, k=k), k - 2.75)
@@ -950,7 +948,7 @@ def test_digits_that_have_served_serve_no_second_step() -> None:
 @pytest.mark.parametrize("served", [True, False])
 def test_a_process_goes_on_with_the_digits_of_the_step_under_way(served: bool) -> None:
     report = REPORT.model_copy(update={"keyed": served, "block": 0, "tag": "a" * 32})
-    end = Told(COIN, CONFIRMED, step=Read(keyed(0, 0), 0, report), parts=(PART,))
+    end = Told(COIN, CONFIRMED, step=Read(keyed(0, 0), 0, report), held=HELD)
     end.does(end.core.start(0.0))
     (counted,) = [e for a in end.all for e in a.events if isinstance(e, CountedTransition)]
     assert counted.keyed == served
@@ -1017,7 +1015,7 @@ def test_rows_of_a_confirmed_block_go_with_the_step_that_announces_it_and_digits
     end.wakes(1.0)
     later = end.hears(offer(k=6, nonce=NONCE, block=0, tag="a" * 32), 1.25)
     rows = [one.saved.rows for one in (step, later)]
-    assert [part.number for one in rows for part in one.parts] == [0, 1], "once"
+    assert [one for row in rows for one in row.keys] == [Keys(0, 0, b"".join(MADE.keys))], "once"
     assert [gone for one in rows for gone in one.obsolete_rows] == [range(1, 3)]
 
 

@@ -20,9 +20,10 @@ from protocol.link.records import INITIAL_ID, Loaded, ReceiverRecord, SenderReco
 from protocol.link.step import Answered, Begun, Read
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part
+from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
 from runtime import journal as journals
 from runtime.journal import (
+    BATCH,
     JOURNAL_VERSION,
     REMEMBERED,
     ControllerJournal,
@@ -58,7 +59,8 @@ SENDER = SenderRecord(
 
 MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4, x_after=(1.0, 2.0))
 OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
-PART = Part(block=3, number=1, first=4, digits=bytes(range(7)))
+PART = Part(block=3, first=4, digits=bytes(range(7)))
+KEYS = Keys(block=3, first=11, keys=bytes(range(64)))
 
 
 def row(j: int) -> Contribution:
@@ -71,11 +73,11 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     plant = PlantJournal(None if in_memory else tmp_path / "p", SCENARIO)
     assert controller.load() == Loaded()
     assert plant.load() == Loaded()
-    controller.save(Save(SENDER, rows=KeyRows((row(5), row(4)), parts=(PART,))))
+    controller.save(Save(SENDER, rows=KeyRows((row(4), row(5)), keys=(KEYS,), part=PART)))
     plant.save(Save(RECEIVER._replace(stored=3), symbols="100"))
     plant.save(Save(RECEIVER._replace(stored=5), symbols="11", step=Begun(OFFER, 1)))
     assert plant.load() == Loaded(RECEIVER._replace(stored=5), Begun(OFFER, 1), symbols="10011")
-    controller.save(Save(SENDER, step=Answered(MEASUREMENT, OFFER)))
+    controller.save(Save(SENDER, step=Answered(MEASUREMENT, OFFER), rows=KeyRows(part=PART)))
     step = Save(RECEIVER, step=Read(OFFER, 1, MEASUREMENT))
     plant.save(step)
     if not in_memory:
@@ -84,7 +86,8 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
         controller = ControllerJournal(controller.path, SCENARIO)
         plant = PlantJournal(plant.path, SCENARIO)
     rows = (row(4), row(5))
-    assert controller.load() == Loaded(SENDER, Answered(MEASUREMENT, OFFER), rows, (PART,))
+    held = Held(PART, (KEYS,))
+    assert controller.load() == Loaded(SENDER, Answered(MEASUREMENT, OFFER), rows, held)
     assert plant.load() == Loaded(RECEIVER, Read(OFFER, 1, MEASUREMENT)), "the frame is over"
     plant.save(Save(RECEIVER._replace(k=5)))
     assert plant.load() == Loaded(RECEIVER._replace(k=5)), "a record takes the step's place"
@@ -92,34 +95,46 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     plant.close()
 
 
-def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [3, BATCH, 3 * BATCH + 2])
+def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path, count: int) -> None:
+    """Those that stand in the step's row, and those that have left it; each alone or together."""
+    rows = [row(j) for j in range(1, 1 + count)]
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Save(RECEIVER, rows=KeyRows(tuple(map(row, range(5))))))
-        journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=(range(2), range(3, 4)))))
-        assert journal.load().rows == (row(2), row(4))
+        for one in rows:
+            journal.save(Save(RECEIVER, rows=KeyRows((one,))))
+    for over in (range(1, 2), range(3, 6), range(7, count - 1)):
+        with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+            assert journal.load().rows == tuple(rows)
+            journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=(over,))))
+            rows = [one for one in rows if one.j not in over]
+            assert journal.load().rows == tuple(rows)
+            gone = [bytes([j]) * 32 for j in over]
+        assert not any(nonce in (tmp_path / "p").read_bytes() for nonce in gone)
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
         following = RECEIVER._replace(session="fedcba9876543210")
         journal.save(Save(following, rows=KeyRows((row(0),))))
         assert journal.load().rows == (row(0),)
 
 
-def test_digits_of_the_key_stream_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
+def test_keys_and_digits_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
     """What was erased is in no file of the journal any more."""
-    secret = b"digits that have served"
+    secret, key = b"digits that have served", b"a key that was used" * 2
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        first, second = Part(0, 0, 0, secret), Part(0, 1, len(secret), b"behind them")
-        journal.save(Save(RECEIVER, rows=KeyRows(parts=(first, second))))
-        assert journal.load().parts == (first, second)
-        left = Part(0, 0, 7, secret[7:])
-        journal.save(Save(RECEIVER, rows=KeyRows(parts=(left,))))
-        assert journal.load().parts == (left, second)
-        journal.save(Save(RECEIVER, rows=KeyRows(parts=(left._replace(digits=b""),))))
-        assert journal.load().parts == (second,)
-    assert secret not in path.read_bytes()
+        keys, part = Keys(0, 9, key + bytes(64)), Part(0, 0, secret)
+        other = Keys(1, 0, key[::-1])
+        journal.save(Save(RECEIVER, rows=KeyRows(keys=(keys, other), part=part)))
+        assert journal.load().held == Held(part, (keys, other))
+        part, keys = Part(0, 7, secret[7:]), Keys(0, 20, bytes(64))
+        journal.save(Save(RECEIVER, rows=KeyRows(keys=(keys,), part=part)))
+        assert journal.load().held == Held(part, (keys, other))
+        journal.save(Save(RECEIVER, rows=KeyRows(keys=(other._replace(keys=b""),))))
+        assert journal.load().held == Held(keys=(keys,))
+    for gone in (secret, secret[7:], key, key[::-1]):
+        assert gone not in path.read_bytes()
     with PlantJournal(path, SCENARIO) as journal:
         journal.save(Save(RECEIVER._replace(session="fedcba9876543210")))
-        assert journal.load().parts == ()
+        assert journal.load().held == NOTHING_HELD
 
 
 def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:

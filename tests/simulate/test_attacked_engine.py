@@ -16,11 +16,8 @@ from protocol.arrays import Array
 from protocol.plugins import UnknownError
 from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
-from studies.attacks.learner import rotation_learner
-from studies.signalling import changed
-from tests.support.size import size
-from wyner.simulate.engine.attacks import Attacked, Keys, Kind, attack_runs
-from wyner.simulate.engine.defences import (
+from studies.attacks.attacked import Attacked, Keys, Kind, attack_runs
+from studies.attacks.defences import (
     DEFENCES,
     Coding,
     Defence,
@@ -29,6 +26,9 @@ from wyner.simulate.engine.defences import (
     StaticCoding,
     make_defence,
 )
+from studies.attacks.learner import rotation_learner
+from studies.signalling import changed
+from tests.support.size import size
 from wyner.simulate.engine.loop import SimulationError
 
 pytestmark = pytest.mark.slow
@@ -246,7 +246,7 @@ def test_a_plant_that_the_engine_cannot_step_is_one_line() -> None:
 TOY = '''
 """Alarms where x(k+1) is nearer to the edge of D_c than a disturbance of this plant ever comes."""
 
-from wyner.simulate.engine.defences import Defence
+from studies.attacks.defences import Defence
 
 
 class Suspicious(Defence):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from wyner.simulate.engine.defences import Coding, StaticCoding, matrices, turned, words_of
+from studies.attacks.defences import Coding, StaticCoding, matrices, turned, words_of
 
 DRAWS = 20_000
 

@@ -17,7 +17,7 @@ from protocol.scenario import Disturbance, Scenario
 from protocol.schemes.base import decrypt, encrypt
 from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
-from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream, generator
+from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
 from runtime.scenario_file import load_scenario
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
@@ -32,7 +32,6 @@ from wyner.simulate.engine import (
 )
 from wyner.simulate.engine.draws import SeededDraws, disturbances
 from wyner.simulate.engine.link import carries
-from wyner.simulate.engine.seeding import generator_states
 from wyner.simulate.engine.taps import EavesdropperError, listen
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
@@ -131,21 +130,6 @@ def test_draws_in_blocks_are_the_streams_of_each_run() -> None:
         for k in (0, 1, 6, 7, 255, 256, 307):
             assert tuple(d[k, :, place]) == disturbance(spec, k, stream.at(k))
             assert coins[k, place] == coin.symbol(k, 2)
-
-
-@given(
-    st.one_of(st.integers(0, 5), st.integers(0, 2**200)),
-    st.lists(st.integers(0, 2**32 - 1), min_size=1, max_size=4),
-    st.integers(0, 2),
-)
-def test_states_of_generators_are_numpys(seed: int, runs: list[int], stream: int) -> None:
-    for run, state in zip(runs, generator_states(seed, runs, stream), strict=True):
-        assert state == generator(seed, run, stream).bit_generator.state
-
-
-def test_a_runs_number_is_of_32_bits() -> None:
-    with pytest.raises(ValueError, match="expected 0 to 4294967295"):
-        generator_states(0, [2**32], 0)
 
 
 def test_cipher_symbols_are_the_stream_of_each_run() -> None:

@@ -6,7 +6,7 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from wyner.simulate.engine.defences import TAGS, Field, Mac, forging, tag_of
+from studies.attacks.defences import TAGS, Field, Mac, forging, tag_of
 
 SMALL = Field(4, 0b10011)
 """x^4 + x + 1."""

@@ -27,7 +27,8 @@ from wyner.sweeps.grid import (
     points_of,
 )
 from wyner.sweeps.results import Results, histogram_of, read_rows, summarise
-from wyner.sweeps.running import SerialExecutor, run_sweep, run_task, stages
+from wyner.sweeps.running import run_sweep, run_task, stages
+from wyner.sweeps.workers import SerialExecutor
 
 ROOT = Path(__file__).resolve().parents[2]
 TEXT = """
@@ -57,7 +58,7 @@ def rows_of(
     points = points_of(sweep, path.parent)
     results = Results(output, sweep.columns, resume)
     try:
-        failures = run_sweep(sweep, points, results, executor or SerialExecutor(), ahead=5)
+        failures = run_sweep(sweep, points, results, executor or SerialExecutor())
     finally:
         results.close()
     assert failures == []

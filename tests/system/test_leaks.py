@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from protocol.secret.key_digits import KEY_BYTES
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
@@ -113,12 +114,6 @@ def in_a_row(symbols: list[int]) -> set[bytes]:
     return found
 
 
-def key_of(digits: bytes) -> bytes:
-    """The key whose base-4 digits these are: words of 32 bits, the lowest digit first."""
-    words = [digits[at : at + 16] for at in range(0, len(digits), 16)]
-    return b"".join(sum(d << 2 * i for i, d in enumerate(word)).to_bytes(4) for word in words)
-
-
 def secrets_of(run: Path) -> dict[str, set[bytes]]:
     """Every secret value of a run, by kind, from where it is kept."""
     keys: set[bytes] = set()
@@ -127,9 +122,10 @@ def secrets_of(run: Path) -> dict[str, set[bytes]]:
     fingerprint = load_scenario(run / SCENARIO).fingerprint()
     for kind, path in ((ControllerJournal, CONTROLLER_JOURNAL), (PlantJournal, PLANT_JOURNAL)):
         with kind(run / path, fingerprint) as journal:
-            for part in journal.load().parts:
-                digits |= {part.digits, *in_a_row(list(part.digits))}
-                keys.add(key_of(part.digits))
+            part, blocks = journal.load().held
+            digits |= {part.digits, *in_a_row(list(part.digits))}
+            for _, _, block in blocks:
+                keys |= {block[at : at + KEY_BYTES] for at in range(0, len(block), KEY_BYTES)}
     for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
         message = json.loads(line).get("message") or {}
         contributions |= {message["nonce"].encode()} if message.get("nonce") else set()

@@ -95,7 +95,6 @@ def _show_design(args: argparse.Namespace) -> int:
     result["simulated"] = linear
     result["under_keys"] = carries
     result["network"] = expected_misses(scenario, folder)
-    result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
     drawn = [] if args.plot is None else [str(_plot(args.plot, scenario, design, law))]
     if args.json:
@@ -144,19 +143,6 @@ def _sealed_line(found: dict[str, Any]) -> str:
         f"message rate: {found['bits_per_second_at_most']:.3g} bit/s at most, from step "
         f"{found['first_step']} on at the earliest: each symbol travels under distilled keys"
     )
-
-
-def _output_line(scenario: "Scenario") -> str | None:
-    """Whether what the scenario reads is enough for keys, and why; None where nobody can say."""
-    from wyner.advice.outputs import outputs_of, outputs_verdict
-
-    read, single = outputs_of(scenario)
-    if not single:
-        return None
-    try:
-        return outputs_verdict(scenario, tuple(read), tuple(read.values())).line()
-    except ValueError:
-        return None
 
 
 def _rate(
@@ -350,8 +336,6 @@ def render(r: dict[str, Any]) -> str:
     )
     lines += safety_lines(r)
     lines += network_lines(r["network"])
-    if r["outputs"] is not None:
-        lines.append(r["outputs"])
     return "\n".join(lines)
 
 

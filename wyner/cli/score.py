@@ -105,7 +105,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.json:
         keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
         costs = {str(run.folder): cost_of(run) for run in runs}
-        said = {**reporting.as_json(report), "keys": keys, "control_cost": costs}
+        said = {**report.to_json(), "keys": keys, "control_cost": costs}
         said["no_interval"] = {"control_cost": COUNTED}
         print(json.dumps(said))
         return ending

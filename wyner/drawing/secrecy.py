@@ -11,7 +11,7 @@ from wyner.runs.score.report import Report
 def draw_report(axes: Axes, report: Report) -> None:
     """What counts as secret by the paper's rule, and what each one leaves of it at most."""
     names = ["by the paper's rule", *(t.name for t in report.taps)]
-    left = [t.left.high if t.left is not None else math.nan for t in report.taps]
+    left = [t.left_bits.high if t.left_bits is not None else math.nan for t in report.taps]
     values = [report.claimed_bits, *left]
     bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
     bars[0].set_hatch("//")

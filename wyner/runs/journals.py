@@ -20,7 +20,7 @@ from protocol.messages import Measurement, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import frame_length
 from protocol.secret.nonces import contribution_of
-from protocol.secret.stream import Part, Stream
+from protocol.secret.stream import Held, Stream
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, JournalError, PlantJournal
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
@@ -76,7 +76,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
             loaded = journal.load()
             record, step, t = loaded.record or SenderRecord(), loaded.step, None
             if isinstance(step, Answered) and reports(record, step.measurement):
-                t = _by_controller(rules, record, step.measurement, loaded.parts)
+                t = _by_controller(rules, record, step.measurement, loaded.held)
             delivered = record.message + (t is not None and _ends_frame(t, record, journal))
             for number in range(delivered, journal.queued):
                 journal.identifier(number)  # one that is missing is named
@@ -108,7 +108,7 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
         if record is None:
             return None
         if isinstance(loaded.step, Read):
-            t = _by_plant(rules, record, loaded.step, loaded.parts)
+            t = _by_plant(rules, record, loaded.step, loaded.held)
             if t.message_symbol != NO_SYMBOL:
                 under_way = Incoming(rules.size, loaded.symbols + record.partial)
                 received = under_way.deframer.push(t.message_symbol)
@@ -130,12 +130,12 @@ def _by_controller(
     rules: Rules,
     record: SenderRecord,
     answered: Measurement,
-    parts: tuple[Part, ...],
+    held: Held,
 ) -> CountedTransition:
     """The transition that the measurement it has answered reports."""
     offer = record.offer
     assert offer is not None
-    digits = _digits(rules, offer, answered, parts)
+    digits = _digits(rules, offer, answered, held)
     t = _counted(rules, record, offer, answered.x_after, digits, answered.applied_copy)
     carried = t.role == "message"
     expected = digits[0] if digits and rules.keyed else NO_SYMBOL
@@ -148,23 +148,21 @@ def _by_plant(
     rules: Rules,
     record: ReceiverRecord,
     step: Read,
-    parts: tuple[Part, ...],
+    held: Held,
 ) -> CountedTransition:
     """The transition that it has saved, with what it will report of it."""
     offer, coin, report = step
-    digits = _digits(rules, offer, report, parts)
+    digits = _digits(rules, offer, report, held)
     t = _counted(rules, record, offer, report.x, digits, offer.copy_number)
     symbol = NO_SYMBOL if t.role == "test" else decrypt(offer.cipher, t.key, rules.size)
     return t._replace(message_symbol=symbol, coin=coin, u=offer.candidates[coin])
 
 
-def _digits(
-    rules: Rules, offer: Offer, said: Measurement, parts: tuple[Part, ...]
-) -> tuple[int, ...]:
+def _digits(rules: Rules, offer: Offer, said: Measurement, held: Held) -> tuple[int, ...]:
     """The digits of the key stream that have served, as far as they are held."""
     if not said.keyed:
         return ()
-    return Stream(rules.size, parts).at(offer.position, rules.digits) or ()
+    return Stream(rules.size, held).at(offer.position, rules.digits) or ()
 
 
 def _counted(

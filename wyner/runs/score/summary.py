@@ -3,13 +3,14 @@
 import base64
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
 
 from protocol.link.session import rules_of
 from protocol.relabelling import in_words
-from protocol.statistics import COUNTED
+from protocol.statistics import COUNTED, Interval
 from protocol.text import readable
 from runtime.errors import UsageError
 from runtime.recording import TraceError
@@ -25,7 +26,6 @@ from wyner.runs.score.score import (
     RunScore,
     ScoreError,
     score_run,
-    summary_of,
 )
 from wyner.simulate.missed import missed_steps
 
@@ -131,41 +131,30 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
 
 def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     """What the paper's rule counts, what is left of it at most, and each one's score."""
-    nothing: dict[str, Any] = {
-        "true_bits": None,
-        "true_bits_interval": None,
-        "true_bits_by_keys": None,
-        "true_bits_stated": None,
-        "given": "",
-        "labels": None,
-        "silent_bits": 0.0,
-        "silent_steps": 0,
-        "strongest": "",
-    }
-    try:
-        score: RunScore = score_run(run)
-    except ScoreError:
-        return {"claimed_bits": claimed, **nothing, "unscored": {}, "failed": [], "taps": {}}
-    found = report([score])
-    best = found.strongest
-    if best is not None and (left := best.left) is not None:
-        nothing = {
-            "true_bits": left.high,
-            "true_bits_interval": left.as_json(),
-            "true_bits_by_keys": None if best.by_keys is None else best.by_keys.high,
-            "true_bits_stated": None if best.stated is None else best.stated.high,
-            "given": best.given,
-            "labels": list(best.labels[0]) if best.labels else None,
-            "silent_bits": best.silent_bits,
-            "silent_steps": best.silent,
-            "strongest": best.name,
-        }
+    score: RunScore | None = None
+    with suppress(ScoreError):
+        score = score_run(run)
+    found = None if score is None else report([score])
+    best = None if found is None else found.strongest
+
+    def high(left: Interval | None) -> float | None:
+        return None if left is None else left.high
+
+    left = None if best is None else best.left_bits
     return {
-        "claimed_bits": score.truth.claimed_bits,
-        **nothing,
-        "unscored": found.unscored,
-        "failed": [tap.name for tap in score.taps if tap.failed],
-        "taps": summary_of(score),
+        "claimed_bits": claimed if score is None else score.truth.claimed_bits,
+        "true_bits": high(left),
+        "true_bits_interval": None if left is None else left.as_json(),
+        "true_bits_by_keys": None if best is None else high(best.left_bits_by_keys),
+        "true_bits_stated": None if best is None else high(best.left_bits_stated),
+        "given": "" if best is None else best.given,
+        "labels": list(best.relabelled[0]) if best and best.relabelled else None,
+        "silent_bits": 0.0 if best is None else best.silent_bits,
+        "silent_steps": 0 if best is None else best.silent_steps,
+        "strongest": "" if best is None else best.name,
+        "unscored": {} if found is None else found.unscored,
+        "failed": [] if score is None else [tap.name for tap in score.taps if tap.failed],
+        "taps": {} if score is None else score.to_json(),
     }
 
 
