@@ -67,12 +67,8 @@ def _measure(args: argparse.Namespace, names: Sequence[str], only: str = "") -> 
     with workers(args.jobs, args.dask) as executor:
         for name in names:
             path = (args.data or DATA) / f"{name}.csv"
-            known[name].measure(path, executor, only, _say)
+            known[name].measure(path, executor, only)
             print(path)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _figures(args: argparse.Namespace, data: Path) -> None:

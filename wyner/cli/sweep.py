@@ -4,19 +4,17 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from protocol.statistics import STATED
 from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, writing
+from runtime.progress import shown
 from wyner.cli.drawing import add_options, draw_sweep, drawable
 from wyner.sweeps import SWEEPS
 
 if TYPE_CHECKING:
     from wyner.sweeps.results import Summary
-    from wyner.sweeps.running import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -44,28 +42,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_options(parser)
-
-
-@contextmanager
-def _progress(name: str) -> "Iterator[Progress | None]":
-    """A bar with the time left, on a terminal's standard error."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("runs"))
-    console = Console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-        task = bar.add_task(name, total=None)
-        yield lambda done, foreseen: bar.update(task, completed=done, total=foreseen)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -109,7 +85,7 @@ def run(args: argparse.Namespace) -> int:
     try:
         with (
             workers(jobs, args.dask) as executor,
-            _progress(sweep.name) as progress,
+            shown(f"{sweep.name}, runs") as progress,
         ):
             failures = run_sweep(sweep, points, results, executor, progress)
     except KeyboardInterrupt:

@@ -8,6 +8,7 @@ from typing import IO, Final
 
 from protocol.messages import PlantModel, PlantStatus
 from protocol.text import printable
+from runtime.progress import duration
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import State, TapState, reduce_all
 from wyner.dashboard.score import (
@@ -23,7 +24,7 @@ from wyner.dashboard.score import (
 from wyner.dashboard.secrecy_panel import held, keys_right
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, duration, in_words, letters
+from wyner.dashboard.text import component, in_words, letters
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""

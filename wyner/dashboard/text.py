@@ -153,12 +153,3 @@ def percent(right: int, scored: int) -> str:
 def figure(value: float | None) -> str:
     """A figure with two decimals, or a dash where there is none."""
     return "-" if value is None else f"{value:.2f}"
-
-
-def duration(seconds: float) -> str:
-    """A time to wait, to two figures that matter."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 360_000 else "days"

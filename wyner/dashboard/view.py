@@ -16,6 +16,7 @@ from rich.cells import cell_len, set_cell_size
 from rich.console import Group
 from rich.text import Text
 
+from runtime.progress import duration
 from wyner.dashboard.model import State
 from wyner.dashboard.parts import VALUE_AT, beside, labelled, line, rule
 from wyner.dashboard.picture import agreement
@@ -28,7 +29,6 @@ from wyner.dashboard.text import (
     component,
     count,
     drawn,
-    duration,
     glyph,
     in_words,
     letters,
