@@ -295,13 +295,6 @@ def test_text_is_judged_against_the_true_message_it_fits_best() -> None:
     assert truth_for(state, "") == MESSAGE_TEXT
 
 
-def test_a_character_counts_once_with_its_combining_marks() -> None:
-    text = "e\u0301te\u0301 第"
-    state = with_plant(state_after(20), last_message=text)
-    near = with_tap(state, "list-decoder", message="ete\u0301 第")
-    assert characters_right(near, near.taps["list-decoder"]) == (4, 5)
-
-
 def test_whether_a_tap_was_heard_before_she_was_sure_is_remembered() -> None:
     assert state_after(2000).taps["list-decoder"].watched
     assert state_after(2000).taps["list-decoder"].status.solved_k >= 0

@@ -386,39 +386,6 @@ def under(state: State, label: str, width: int = 80) -> tuple[str, str]:
     return lines[at][16:], lines[at + 1][16:]
 
 
-def test_characters_of_two_cells_are_shown_truth_beside_guess() -> None:
-    state = with_controller(state_after(700), sending=WIDE)
-    state = with_plant(state, partial="第二の手·")
-    state = with_tap(state, "list-decoder", message="第x紙手紙 secomd ✓")
-    state = replace(state, taps={"list-decoder": state.taps["list-decoder"]})
-    assert under(state, "sent")[0] == WIDE
-    assert under(state, "plant has")[0] == "第二の手·"
-    guess, marks = under(state, "list-decoder")
-    assert guess == "第x 紙手紙 secomd ✓"
-    assert marks == "  ^ ^          ^"
-    assert "3 wrong" in shown(state, 80, 24)
-    assert "of 14 characters" in shown(state, 80, 24)
-
-
-def test_combining_marks_stay_with_their_character() -> None:
-    state = with_controller(state_after(700), sending="e\u0301te\u0301 \u0301x")
-    state = with_tap(state, "list-decoder", message="ete\u0301 \u0301y")
-    state = replace(state, taps={"list-decoder": state.taps["list-decoder"]})
-    guess, marks = under(state, "list-decoder")
-    assert guess == "ete\u0301 \u0301y"
-    assert marks == "^   ^"
-
-
-def test_a_long_message_of_wide_characters_is_shown_where_it_grows() -> None:
-    sent = "".join(chr(0x4E00 + i) for i in range(100))
-    state = with_controller(state_after(700), sending=sent)
-    state = with_plant(state, partial=sent[:80])
-    text, recovered = under(state, "sent")
-    assert cell_len(text) == 64
-    assert sent.index(text[0]) == 56
-    assert recovered == sent[56:80]
-
-
 def test_a_long_message_is_shown_where_it_grows() -> None:
     rehearsal = Rehearsal(message="abcdefghij" * 12)
     text = shown(state_after(1500, rehearsal), 80, 24)

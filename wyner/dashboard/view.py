@@ -5,14 +5,12 @@ The screen is whole from 80x24 on; on a smaller one whole panels go, in the orde
 """
 
 import re
-from bisect import bisect_left
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from itertools import accumulate
 from textwrap import wrap
 from typing import Final
 
-from rich.cells import cell_len, set_cell_size
+from rich.cells import cell_len
 from rich.console import Group
 from rich.text import Text
 
@@ -29,7 +27,6 @@ from wyner.dashboard.text import (
     component,
     count,
     drawn,
-    glyph,
     in_words,
     letters,
     longest,
@@ -90,8 +87,6 @@ HELP: Final = (
     "A small screen drops, in turn: eavesdroppers; message; loop and key test.",
     "`wyner report` draws any step of a run that is over.",
 )
-
-Letters = tuple[str, ...]
 
 _NO_TAP: Final = ("no tap heard", "")
 
@@ -403,8 +398,7 @@ class _Page:
         lines = [rule("Message", self.width, "what was sent, what the plant has, what Eve reads")]
         if bar:
             lines.append(labelled("on its way", self._under_way(len(sent), len(recovered))))
-        whole = "".join(cell for _, cell in self._cells(sent, sent, start))
-        lines.append(labelled("sent", line(whole)))
+        lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
         for tap in shown:
             truth = letters(truth_for(state, tap.status.message))
@@ -438,32 +432,19 @@ class _Page:
         bar.append(FAINT * (room - done), STYLES["label"])
         return bar.append(f"  {words}", style="default")
 
-    def _start(self, sent: Letters, grown: int) -> int:
+    def _start(self, sent: str, grown: int) -> int:
         """The first character shown of a message that has grown so far."""
         room = self.width - VALUE_AT
-        at = list(accumulate((cell_len(glyph(c)) for c in sent), initial=0))
-        if at[-1] <= room:
-            return 0
-        wanted = at[min(grown, len(sent))] - room * 3 // 4
-        return bisect_left(at, min(max(0, wanted), at[-1] - room))
+        return min(max(0, grown - room * 3 // 4), max(0, len(sent) - room))
 
-    def _cells(self, text: Letters, truth: Letters, start: int) -> Iterator[tuple[int, str]]:
-        """The characters that there is room for, each as wide as the true one in its place."""
-        room = self.width - VALUE_AT
-        for i in range(start, len(text)):
-            shown = glyph(text[i])
-            width = cell_len(glyph(truth[i]) if i < len(truth) else shown)
-            room -= width
-            if room < 0:
-                break
-            yield i, set_cell_size(shown if cell_len(shown) <= width else "·", width)
-
-    def _marked(self, text: Letters, truth: Letters, start: int) -> tuple[Text, Text]:
+    def _marked(self, text: str, truth: str, start: int) -> tuple[Text, Text]:
+        """The characters that there is room for, and a ^ for each that is wrong."""
         shown, marks = line(), line()
-        for i, cell in self._cells(text, truth, start):
-            right = i < len(truth) and text[i] == truth[i]
-            shown.append(cell, style=STYLES["good" if right else "wrong"])
-            marks.append(("" if right else "^").ljust(cell_len(cell)), style=STYLES["bad"])
+        for i, cell in enumerate(drawn(text)):
+            if start <= i < start + self.width - VALUE_AT:
+                right = i < len(truth) and text[i] == truth[i]
+                shown.append(cell, style=STYLES["good" if right else "wrong"])
+                marks.append(" " if right else "^", style=STYLES["bad"])
         return shown, marks
 
     def help(self) -> list[Text]:
