@@ -35,7 +35,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.effects import Save
-from protocol.link.records import INITIAL_ID, Loaded, R, ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRecord, R
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
@@ -43,7 +43,7 @@ from protocol.secret.stream import Held, Keys, Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
-JOURNAL_VERSION: Final = 13
+JOURNAL_VERSION: Final = 14
 
 REMEMBERED: Final = 1000
 """Delivered messages whose identifiers are remembered, so that none is queued twice."""
@@ -255,7 +255,7 @@ class Journal(ABC, Generic[R]):
 
     def _beside(self, save: Save) -> Iterator[Statement]:
         """What is written of key blocks and of the key stream beside the step's row."""
-        if self._saved is None or save.record.session != self._saved.session:
+        if self._saved is None or save.record.session.id != self._saved.session.id:
             self._rows = {}
             if self._boot_due is not None:
                 yield "UPDATE meta SET value = ? WHERE name = 'boot'", (self._boot_due,)
@@ -310,7 +310,7 @@ class Journal(ABC, Generic[R]):
         self.close()
 
 
-class ControllerJournal(Journal[SenderRecord]):
+class ControllerJournal(Journal[ControllerRecord]):
     """The controller's, with the queue of messages that it has to deliver.
 
     A message that was delivered leaves its number, its identifier and a CRC-32.
@@ -322,7 +322,7 @@ class ControllerJournal(Journal[SenderRecord]):
     """
 
     kind = "controller"
-    adapter = TypeAdapter(SenderRecord)
+    adapter = TypeAdapter(ControllerRecord)
     tables = (
         *Journal.tables,
         "outbox (number INTEGER PRIMARY KEY, id TEXT UNIQUE, crc INTEGER, payload BLOB,"
@@ -331,7 +331,7 @@ class ControllerJournal(Journal[SenderRecord]):
 
     queued: int
 
-    def load(self) -> Loaded[SenderRecord]:
+    def load(self) -> Loaded[ControllerRecord]:
         """What was saved last."""
         last = self._get("outbox", "number = (SELECT MAX(number) FROM outbox)")
         self.queued = last[0][0] + 1 if last else 0
@@ -339,11 +339,11 @@ class ControllerJournal(Journal[SenderRecord]):
 
     def _more(self, save: Save) -> Iterator[Statement]:
         record = save.record
-        assert isinstance(record, SenderRecord)
+        assert isinstance(record, ControllerRecord)
         if save.queued is not None:
             yield self._queue(save.queued)
-        delivered = 0 if self._saved is None else self._saved.message
-        for number in range(delivered, record.message):
+        delivered = 0 if self._saved is None else self._saved.frame.message
+        for number in range(delivered, record.frame.message):
             for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
                 yield self._row("outbox", number, identifier, crc, None)
             old = (number - REMEMBERED, INITIAL_ID)
@@ -386,11 +386,11 @@ class ControllerJournal(Journal[SenderRecord]):
         return [(number, identifier, payload) for number, identifier, _, payload in rows]
 
 
-class PlantJournal(Journal[ReceiverRecord]):
+class PlantJournal(Journal[PlantRecord]):
     """The plant's, with the symbols of the frame under way and the message received last."""
 
     kind = "plant"
-    adapter = TypeAdapter(ReceiverRecord)
+    adapter = TypeAdapter(PlantRecord)
     tables = (
         *Journal.tables,
         "frame (place INTEGER PRIMARY KEY, symbols TEXT, check_ INTEGER)",
@@ -402,11 +402,11 @@ class PlantJournal(Journal[ReceiverRecord]):
 
     def _more(self, save: Save) -> Iterator[Statement]:
         record = save.record
-        assert isinstance(record, ReceiverRecord)
-        if self._saved is not None and record.stored < self._saved.stored:
+        assert isinstance(record, PlantRecord)
+        if self._saved is not None and record.frame.stored < self._saved.frame.stored:
             yield "DELETE FROM frame", ()
         if save.symbols:
-            yield self._row("frame", record.stored, save.symbols)
+            yield self._row("frame", record.frame.stored, save.symbols)
         if save.received is not None:
             yield self._row("inbox", 0, save.received)
 

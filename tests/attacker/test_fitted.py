@@ -42,7 +42,7 @@ law_fingerprint = "{law}"
     )
     scenario = loop.scenario
     assert scenario.defence.rule(scenario.defender.calibration, 0.1, 4) == (2, 6)
-    loop.run(lambda: loop.plant.record.k >= ONSET + 60)
+    loop.run(lambda: loop.plant.state.link.k >= ONSET + 60)
     loop.stop()
     told = read_trace(tmp_path / CONTROLLER_TRACE).events
     steps = [e for e in told if e["event"] == "transition"]

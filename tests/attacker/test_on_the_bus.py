@@ -55,16 +55,16 @@ def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
         """Steps of the next so many that a key chose the input of."""
         watched = 0
         for _ in range(number):
-            loop.run(partial(is_at, loop.plant.record.k + 1))
-            watched += loop.plant.record.keyed
+            loop.run(partial(is_at, loop.plant.state.record.link.k + 1))
+            watched += loop.plant.state.record.applied.keyed
         return watched
 
     def is_at(k: int) -> bool:
-        return loop.plant.record.k >= k
+        return loop.plant.state.record.link.k >= k
 
     while steps(LOOK) < LOOK:
-        assert loop.plant.record.k < 5000, "keys never come"
-    onset = loop.plant.record.k
+        assert loop.plant.state.record.link.k < 5000, "keys never come"
+    onset = loop.plant.state.record.link.k
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
     assert steps(60) == 60
@@ -82,7 +82,7 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
     loop = RecordedLoop(tmp_path, name="network", pace="realtime", attack=attack)
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
-    loop.run(lambda: loop.plant.record.k >= 200)
+    loop.run(lambda: loop.plant.state.record.link.k >= 200)
     assert attacker.failed == ""
     loop.stop()
     found = told(tmp_path)

@@ -3,6 +3,7 @@
 import pytest
 
 from protocol.link.distiller import NO_ROWS, BlockEnded, Distiller
+from protocol.link.records import KeyRecord
 from protocol.messages import Measurement
 from protocol.secret.blocks import ClosedBlock, Schedule
 from protocol.secret.bound import Assumption
@@ -23,7 +24,7 @@ def row(j: int, *, lost: bool = False) -> Contribution:
 
 def begun(until: int, **more: bool) -> Distiller:
     keys = Distiller(SCHEDULE, 2, fresh_nonce)
-    keys.begin(S, rows=[row(j, **more) for j in range(1, until)])
+    keys.resume(S, KeyRecord(), rows=[row(j, **more) for j in range(1, until)])
     return keys
 
 

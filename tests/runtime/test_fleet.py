@@ -19,7 +19,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
 from plant_service.service import run_plants
 from protocol.link.effects import Effects
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from protocol.messages import (
     LATENCY_BOUNDS_S,
     ControllerStatus,
@@ -278,7 +278,7 @@ def test_an_end_that_is_always_due_is_told_of_commands_and_stops() -> None:
     end = Overloaded()
     running = host.Host(MemoryBus(MemoryHub()), MemoryBus(hub), stopping)
     files = SimpleNamespace(health=Path("status.json"), close=lambda: None)
-    running.add("loop", cast("Peer", end), cast("Files", files), logging.getLogger("overload"))
+    running.add("loop", cast("Endpoint", end), cast("Files", files), logging.getLogger("overload"))
     thread = threading.Thread(target=running.run)
     thread.start()
     publisher = MemoryBus(hub).publisher(key_of(SendCommand, "loop"))

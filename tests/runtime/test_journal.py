@@ -16,7 +16,7 @@ import pytest
 
 from protocol.link.distiller import KeyRows
 from protocol.link.effects import Save
-from protocol.link.records import INITIAL_ID, Loaded, ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, Loaded
 from protocol.link.step import Answered, Begun, Read
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
@@ -32,13 +32,14 @@ from runtime.journal import (
 )
 from tests.support.journals import copied, step_of
 from tests.support.patience import PATIENCE_S
+from tests.support.records import changed, controller_record, plant_record
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"
-RECEIVER = ReceiverRecord(
+RECEIVER = plant_record(
     session=SESSION, k=4, x=(0.1, -0.2), u=(3.0,), applied_k=3, x_after=(1e-17, 2.0)
 )
-SENDER = SenderRecord(
+SENDER = controller_record(
     session=SESSION,
     ended=("fedcba9876543210",),
     state=(2, 1),
@@ -74,9 +75,9 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     assert controller.load() == Loaded()
     assert plant.load() == Loaded()
     controller.save(Save(SENDER, rows=KeyRows((row(4), row(5)), keys=(KEYS,), part=PART)))
-    plant.save(Save(RECEIVER._replace(stored=3), symbols="100"))
-    plant.save(Save(RECEIVER._replace(stored=5), symbols="11", step=Begun(OFFER, 1)))
-    assert plant.load() == Loaded(RECEIVER._replace(stored=5), Begun(OFFER, 1), symbols="10011")
+    plant.save(Save(changed(RECEIVER, stored=3), symbols="100"))
+    plant.save(Save(changed(RECEIVER, stored=5), symbols="11", step=Begun(OFFER, 1)))
+    assert plant.load() == Loaded(changed(RECEIVER, stored=5), Begun(OFFER, 1), symbols="10011")
     controller.save(Save(SENDER, step=Answered(MEASUREMENT, OFFER), rows=KeyRows(part=PART)))
     step = Save(RECEIVER, step=Read(OFFER, 1, MEASUREMENT))
     plant.save(step)
@@ -89,8 +90,8 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     held = Held(PART, (KEYS,))
     assert controller.load() == Loaded(SENDER, Answered(MEASUREMENT, OFFER), rows, held)
     assert plant.load() == Loaded(RECEIVER, Read(OFFER, 1, MEASUREMENT)), "the frame is over"
-    plant.save(Save(RECEIVER._replace(k=5)))
-    assert plant.load() == Loaded(RECEIVER._replace(k=5)), "a record takes the step's place"
+    plant.save(Save(changed(RECEIVER, k=5)))
+    assert plant.load() == Loaded(changed(RECEIVER, k=5)), "a record takes the step's place"
     controller.close()
     plant.close()
 
@@ -111,7 +112,7 @@ def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path, c
             gone = [bytes([j]) * 32 for j in over]
         assert not any(nonce in (tmp_path / "p").read_bytes() for nonce in gone)
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        following = RECEIVER._replace(session="fedcba9876543210")
+        following = changed(RECEIVER, session="fedcba9876543210")
         journal.save(Save(following, rows=KeyRows((row(0),))))
         assert journal.load().rows == (row(0),)
 
@@ -133,7 +134,7 @@ def test_keys_and_digits_shrink_and_go_and_with_their_session(tmp_path: Path) ->
     for gone in (secret, secret[7:], key, key[::-1]):
         assert gone not in path.read_bytes()
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(Save(RECEIVER._replace(session="fedcba9876543210")))
+        journal.save(Save(changed(RECEIVER, session="fedcba9876543210")))
         assert journal.load().held == NOTHING_HELD
 
 
@@ -148,7 +149,7 @@ def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
 
 
 def send(journal: ControllerJournal, name: str, payload: bytes, delivered: int = 0) -> None:
-    record = SENDER._replace(message=delivered)
+    record = changed(SENDER, message=delivered)
     journal.save(Save(record, queued=SendCommand(id=name, payload=payload), durable=True))
 
 
@@ -172,7 +173,7 @@ def test_a_message_that_was_delivered_is_gone_and_its_identifier_is_known(tmp_pa
     with ControllerJournal(path, SCENARIO) as journal:
         send(journal, INITIAL_ID, secret)
         send(journal, "next", b"waits")
-        journal.save(Save(SENDER._replace(message=1)))
+        journal.save(Save(changed(SENDER, message=1)))
         assert journal.payload(0) is None
         assert journal.waiting() == [(1, "next", b"waits")]
         assert journal.crc_of(INITIAL_ID) == crc32(secret)
@@ -188,7 +189,7 @@ def test_a_long_run_of_messages_and_steps_takes_no_more_room(tmp_path: Path) -> 
         for number in range(3 * REMEMBERED):
             payload = b"message number %d " % number * 10
             send(journal, f"m{number}", payload, delivered=number)
-            journal.save(Save(SENDER._replace(message=number + 1, k=number)))
+            journal.save(Save(changed(SENDER, message=number + 1, k=number)))
             if number > 2 * REMEMBERED:
                 sizes.add(path.stat().st_size)
         log = path.with_name("c-wal").read_bytes()
@@ -208,11 +209,11 @@ import os, sys
 from pathlib import Path
 from protocol.link.distiller import KeyRows
 from protocol.link.effects import Save
-from protocol.link.records import SenderRecord
+from protocol.link.records import ControllerRecord, LinkRecord
 from runtime.journal import ControllerJournal
 with ControllerJournal(Path(sys.argv[1]), "f" * 64) as journal:
     for k in range(50):
-        journal.save(Save(SenderRecord(k=k), durable=k in (20, 30)))
+        journal.save(Save(ControllerRecord(link=LinkRecord(k=k)), durable=k in (20, 30)))
         os.write(2, b"%d\n" % k)
     os.write(2, b"over\n")
 """
@@ -257,7 +258,7 @@ def test_another_boot_is_told_until_the_session_that_it_cut_has_ended(
     """A process that dies before it has ended the session is followed by one that ends it."""
     boot = tmp_path / "boot"
     monkeypatch.setattr(journals, "BOOT_ID", boot)
-    saves = [Save(RECEIVER), Save(RECEIVER), Save(RECEIVER._replace(session="another")), None]
+    saves = [Save(RECEIVER), Save(RECEIVER), Save(changed(RECEIVER, session="another")), None]
     for name, save, fell_back in zip("1222", saves, (False, True, True, False), strict=True):
         boot.write_text(name)
         journal = PlantJournal(tmp_path / "p", SCENARIO)
@@ -395,32 +396,32 @@ from protocol.link.distiller import KeyRows
 from protocol.link.effects import Save
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
-from protocol.link.records import ReceiverRecord
 from protocol.link.step import IDLE, Read
+from tests.support.records import changed, plant_record
 
 def count(record):
-    record = record._replace(k=record.k + 1, p=record.p + 1)
-    if record.p % 50 == 0:
-        record = record._replace(stored=0, messages=record.messages + 1)
-        journal.save(Save(record, received=b"%d" % record.p))
-    elif record.p % 7 == 0:
-        record = record._replace(stored=record.stored + 1)
+    record = changed(record, k=record.link.k + 1, p=record.link.p + 1)
+    if record.link.p % 50 == 0:
+        record = changed(record, stored=0, messages=record.frame.messages + 1)
+        journal.save(Save(record, received=b"%d" % record.link.p))
+    elif record.link.p % 7 == 0:
+        record = changed(record, stored=record.frame.stored + 1)
         journal.save(Save(record, symbols="1"))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
 record, step, *_ = journal.load()
 if record is None:
-    record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
+    record = plant_record(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
     journal.save(Save(record))
 if step != IDLE:
     record = count(record)
 while True:
-    offer = Offer(session=record.session, k=record.k, candidates=((1.0,), (2.0,)), cipher=0)
-    measurement = Measurement(
-        session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
-    )
-    journal.save(Save(record, step=Read(offer, record.k % 2, measurement)))
+    k = record.link.k
+    offer = Offer(session=record.session.id, k=k, candidates=((1.0,), (2.0,)), cipher=0)
+    x = (0.5,)
+    measurement = Measurement(session=record.session.id, k=k + 1, x=x, applied_k=k, x_after=x)
+    journal.save(Save(record, step=Read(offer, k % 2, measurement)))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -450,16 +451,16 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             record, _, _, _, symbols, _ = journal.load()
             offer, coin, measurement = step_of(journal)
             assert record is not None
-            assert record.k + (offer is not None) in (acknowledged, acknowledged + 1)
+            assert record.link.k + (offer is not None) in (acknowledged, acknowledged + 1)
             if offer is not None:
-                assert offer.k == record.k
+                assert offer.k == record.link.k
                 assert measurement is not None
-                assert measurement.k == record.k + 1
-                assert coin == record.k % 2
+                assert measurement.k == record.link.k + 1
+                assert coin == record.link.k % 2
             # all or nothing: the symbols and messages are those of this very record
-            whole, since = divmod(record.k, 50)
-            assert record.p == record.k
-            assert record.messages == whole
+            whole, since = divmod(record.link.k, 50)
+            assert record.link.p == record.link.k
+            assert record.frame.messages == whole
             assert journal.last_message() == (b"%d" % (50 * whole) if whole else None)
             first = 50 * whole + 1
             assert len(symbols) == sum(p % 7 == 0 for p in range(first, first + since))
@@ -507,7 +508,7 @@ def state(path: Path) -> Any:
         return None
 
 
-def changed(before: bytes, after: bytes) -> range:
+def rewritten(before: bytes, after: bytes) -> range:
     """Where a write was: from the first byte that differs to the last."""
     differs = [i for i in range(len(after)) if before[i : i + 1] != after[i : i + 1]]
     return range(differs[0], differs[-1] + 1)
@@ -525,7 +526,7 @@ def test_a_torn_or_flipped_save_is_not_there_or_told(tmp_path: Path) -> None:
     log = "journal-wal"
     old, new = (path.with_name(log).read_bytes() for path in (before, after))
     assert before.read_bytes() == after.read_bytes()
-    place = changed(old, new)
+    place = rewritten(old, new)
     versions = [new[:end] + old[end:] for end in place[::41]]
     versions += [new[:i] + bytes([new[i] ^ 0x41]) + new[i + 1 :] for i in place[::37]]
     assert len(versions) > 200

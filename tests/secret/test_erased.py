@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from protocol.link.distiller import Distiller
-from protocol.link.records import Loaded, Side
+from protocol.link.records import KeyRecord, Loaded, Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
 from protocol.secret.stream import Keys, Position, Stream
@@ -45,7 +45,7 @@ class Stopped(NamedTuple):
 
 def confirmed(loop: RecordedLoop) -> int:
     """The newest block that both ends have confirmed."""
-    return min(loop.plant.keys.confirmed, loop.controller.keys.confirmed)
+    return min(loop.plant.state.keys.record.confirmed, loop.controller.state.keys.record.confirmed)
 
 
 @pytest.fixture(scope="module", params=["at a confirmation", "later"])
@@ -175,5 +175,5 @@ def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side
     assert loaded.record is not None
     assert loaded.rows
     keys = Distiller(scenario.keys.schedule(), 4, fresh_nonce)
-    keys.begin(loaded.record.session, rows=loaded.rows)
+    keys.resume(loaded.record.session.id, KeyRecord(), rows=loaded.rows)
     assert not [block.number for block in keys.tasks() if block.number in stopped.keys]

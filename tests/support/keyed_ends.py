@@ -83,7 +83,7 @@ class KeyedEnds(LineEnds):
         mine, theirs = (self.journals[side].load() for side in SIDES)
         if mine.record is None or theirs.record is None:
             return
-        if mine.record.session != theirs.record.session:
+        if mine.record.session.id != theirs.record.session.id:
             return
         wrong = differing_key(self.rules.size, mine.held, theirs.held)
         assert not wrong, wrong

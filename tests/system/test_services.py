@@ -48,8 +48,10 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
+from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.records import changed
 from tests.support.told import log_of, told
 from tests.support.traces import Recovered, read_trace
 from wyner.cli.main import main
@@ -134,7 +136,7 @@ class System:
     @property
     def k(self) -> int:
         assert self.plant_service is not None
-        return self.plant_service.endpoint.record.k
+        return self.plant_service.endpoint.state.record.link.k
 
     wait = staticmethod(wait_for)
 
@@ -243,7 +245,7 @@ def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System)
     with ControllerJournal(path, system.scenario.fingerprint()) as journal:
         after, step, *_ = journal.load()
         assert after is not None
-        assert after.k == before.k + 1
+        assert after.link.k == before.link.k + 1
         assert step == IDLE
         assert journal.queued == 1
 
@@ -255,7 +257,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     plant = system.scenario.plant.model_copy(update={"A": ((1e5, 0.0), (0.0, 1.0))})
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
-        record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
+        record = changed(first_record(scenario, "0" * 16), k=1000, x=(1e290, 0.0))
         journal.save(Save(record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
@@ -310,7 +312,7 @@ def test_an_offer_outside_u_is_malformed_and_changes_nothing(system: System, u: 
     forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
     with system.plant() as plant, system.controller(b"one"):
         system.wait(lambda: system.recovered() == [b"one"])
-    assert plant.endpoint.status(time.monotonic()).malformed == len(forged) == 20
+    assert status_of(plant.endpoint, time.monotonic()).malformed == len(forged) == 20
     assert system.errors == {}
 
 
@@ -329,7 +331,7 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
             system.wait(lambda: system.codes == {"stray": USAGE})
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            status = controller.endpoint.status()
+            status = status_of(controller.endpoint)
             assert (status.phase, status.detail) == ("running", "")
     assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
     sessions = read_trace(system.run_dir / PLANT_TRACE).of("session")
@@ -356,13 +358,13 @@ def test_two_controllers_on_one_loop_take_turns(
     ):
         names = {first.endpoint.instance: b"one", second.endpoint.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.endpoint.session.controller
+        mine = plant.endpoint.state.session.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
         running = first if mine == first.endpoint.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.endpoint.session.controller == mine
+        assert plant.endpoint.state.session.controller == mine
         system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
@@ -394,9 +396,9 @@ def test_a_second_plant_does_not_disturb_the_first(
         with system.plant("x20", name="second") as second:
             k = system.k
             system.wait(lambda: system.k > k + 60)
-            assert not second.endpoint.accepted
+            assert not second.endpoint.state.session.accepted
         system.wait(lambda: system.recovered() == [b"one"])
-        assert first.endpoint.record.sessions == 1
+        assert first.endpoint.state.record.session.sessions == 1
     told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
     both = (first.endpoint.instance, second.endpoint.instance)
     assert told

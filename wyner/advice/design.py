@@ -310,6 +310,8 @@ def _rate(
     found = answer(scenario, law.design, runs, rate.settled)
     if scenario.plant.C is not None:
         return rate, None, found
+    if scenario.defender.deviations is not None:  # no set decides there
+        return rate, None, found
     if scenario.network is not None:
         whole = scenario.model_copy(update={"network": None})
         try:

@@ -57,7 +57,7 @@ def _print(report: dict[str, Any]) -> None:
         print(f"not used of what the tap heard: {told}")
     for name, tap in taps.items():
         if tap["failed"]:
-            print(printable(f"{name}: she failed: {tap['failed']}"))
+            print(printable(f"{name}: it failed: {tap['failed']}"))
             continue
         solved = (
             f"first whole message at k {tap['solved_k']}" if tap["solved_k"] >= 0 else "none whole"

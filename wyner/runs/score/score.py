@@ -31,8 +31,8 @@ from wyner.runs.trace import TRANSITION, Trace
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
 
-UNFINISHED: Final = "she did not finish"
-SILENT: Final = "she guesses at no symbol of the loop"
+UNFINISHED: Final = "it did not finish"
+SILENT: Final = "it guesses at no symbol of the loop"
 DEAF: Final = "it could use none of the steps that agreed a key"
 
 
@@ -192,7 +192,7 @@ class EavesdropperScore:
         if self.messages.every:
             return ""
         if self.failed:
-            return f"she failed: {self.failed}"
+            return f"it failed: {self.failed}"
         if self.unfinished:
             return UNFINISHED
         if self.keys_reviewed.of:
@@ -253,16 +253,8 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
     keys: Mapping[Step, int] = {} if said.failed else _used(truth, said)
     pairs = pairs_of((said.reviewed.get(at, said.live[at]), key) for at, key in keys.items())
-    recovered = [payload for _, payload in truth.whole]
     belief = said.belief
-    if belief.whole_count > len(belief.whole):
-        recovered = recovered[-len(belief.whole) :]
-    unclaimed = list(belief.whole)
-    exact = 0
-    for payload in recovered:
-        if payload in unclaimed:
-            unclaimed.remove(payload)
-            exact += 1
+    read, of = belief.read_of([payload for _, payload in truth.whole])
     return EavesdropperScore(
         name=said.name,
         keys=Proportion(sum(said.live.get(at) == key for at, key in keys.items()), len(keys)),
@@ -270,7 +262,7 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
             sum(times for (guess, key), times in pairs.items() if guess == key), len(keys)
         ),
         bits=_bits(truth, said),
-        messages=Proportion(exact, len(recovered)),
+        messages=Proportion(read, of),
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         size=truth.size,

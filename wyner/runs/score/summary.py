@@ -76,7 +76,7 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
     """
     scenario = run.scenario
-    size = scenario.secrecy.candidates
+    size, scheme = scenario.secrecy.candidates, rules_of(scenario).scheme
     counts, behind, errors = PlantCounts(), 0, list[str]()
     try:
         trace = run.columns("plant")
@@ -115,14 +115,16 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "missed_by_network": missed_by_network(run, counts.without, steps, delays),
         "control_cost": counts.mean_cost,
         "agreements": counts.agreements,
-        "symbol_errors": counts.symbol_errors,
+        "symbol_errors": 0
+        if scheme.corrects
+        else counts.symbol_errors,  # a corrected key is no coin
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
         "no_interval": {"bits_per_second": COUNTED, "control_cost": COUNTED},
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
-        "under_keys": rules_of(scenario).scheme.from_stream,
+        "under_keys": scheme.from_stream,
         "attack": attacked(run).as_json(),
         "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
@@ -302,7 +304,7 @@ def true_in_words(summary: dict[str, Any]) -> str:
             of = f" of {summary['claimed_bits'] - summary['silent_bits']:.0f}"
         return f"at most {true:.0f}{of} ({summary['strongest']})"
     if summary["failed"]:
-        return "unknown, she failed"
+        return "unknown, Eve failed"
     if any(tap["unscored"].startswith(UNFINISHED) for tap in summary["taps"].values()):
         return f"unknown, {UNFINISHED}"
     if any(tap["unscored"] == DEAF for tap in summary["taps"].values()):
