@@ -254,7 +254,10 @@ def test_a_failed_export_leaves_what_was_there(
 
     monkeypatch.setattr(CaptureReader, "records", breaks)
     code, _, err = call(capsys, "report", run_dir, "--to", to, "--output", output)
-    assert (code, err) == (1, f"wyner: {output}: cannot be written: No space left on device\n")
+    assert (code, err) == (
+        1,
+        f"wyner: --output: {output}: cannot be written: No space left on device\n",
+    )
     assert [p.name for p in tmp_path.iterdir()] == [output.name]
     assert output.read_text() == "mine"
     monkeypatch.undo()

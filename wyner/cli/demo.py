@@ -34,14 +34,15 @@ SLOWEST: Final = 8
 is made again at half the pace, and those after it begin so."""
 
 TITLES: Final = {
-    "spoken": "1/4 spoken",
-    "keys": "2/4 keys",
-    "control": "3/4 control",
-    "caught": "4/4 attacked, secret key",
-    "unseen": "4/4 attacked, no key",
+    "spoken": "1/5 spoken",
+    "keys": "2/5 keys",
+    "control": "3/5 comparison",
+    "caught": "4/5 attacked, secret key",
+    "unseen": "5/5 attacked, no key",
 }
 ABOUT: Final = {
-    "spoken": "a message that the loop itself carries, beside a tap that hears all",
+    "spoken": "a message that the loop itself carries, a choice of four inputs a step, beside a "
+    "tap that hears all",
     "keys": "keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
     "caught": "a spoofed sensor where Eve misses 30 %, under keys distilled from that",
@@ -216,11 +217,11 @@ def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
     summary = outcome.summary
     made = (summary["keys"] or {}).get("made", 0)
     if made:
-        line = f"3. Control: {made} keys beside a tap that hears all: that must not be."
+        line = f"3. Compare: {made} keys beside a tap that hears all: that must not be."
         return outcome, line, False
     if not summary["delivered"]:
-        return outcome, f"3. Control: nothing is shown, for {_missed(summary)}.", None
-    line = "3. Control: beside a tap that hears all no key is made, and none is promised."
+        return outcome, f"3. Compare: nothing is shown, for {_missed(summary)}.", None
+    line = "3. Compare: where the eavesdropper hears everything, no key is made."
     return outcome, line, True
 
 

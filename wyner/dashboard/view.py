@@ -85,7 +85,7 @@ HELP: Final = (
     "was sure of the text. Eve's probabilities are its own claims: no interval.",
     "reported, true: what the sensor says and what is so, under an attack.",
     "A small screen drops, in turn: eavesdroppers; message; loop and key test.",
-    "`wyner report` draws any step of a run that is over.",
+    "`wyner report` writes the same comparison as a page, once a run is over.",
 )
 
 _NO_TAP: Final = ("no tap heard", "")
