@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from protocol.brief import Brief
-from tests.support.small_run import SmallRun
+from tests.support.recorded_pair import RecordedPair
 from wyner import Simulated, check, design, run
 from wyner.simulate.engine import follow
 
@@ -17,7 +17,7 @@ def runs() -> Simulated:
 
 
 def objects(runs: Simulated, folder: Path) -> list[Brief]:
-    SmallRun(folder).close()
+    RecordedPair(folder, b"hi").stop()
     s = runs.system
     scenario = s.scenario
     found = [s, runs, scenario, s.design, runs.record, runs.link, scenario.knowledge()]

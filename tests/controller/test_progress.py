@@ -59,15 +59,6 @@ def test_sets_that_are_all_made_are_not_refused() -> None:
         advance(8, 8)
 
 
-def test_a_quick_design_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
-    now = 0.0
-    with shown_progress(60.0, lambda: now) as advance:
-        for i in range(10):
-            now += 0.01
-            advance(i, 9)
-    assert capsys.readouterr().err == ""
-
-
 def test_work_that_is_resumed_is_estimated_by_its_own_pace(
     capsys: pytest.CaptureFixture[str],
 ) -> None:

@@ -2,13 +2,11 @@
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from protocol.statistics import COUNTED
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from wyner.runs.run import Run
     from wyner.runs.score.keys import KeyAudit
     from wyner.runs.score.report import Report
@@ -119,7 +117,7 @@ def _run(args: argparse.Namespace) -> int:
     return ending
 
 
-def _draw(figure: "Figure", report: "Report") -> str:
+def _draw(figure: Any, report: "Report") -> str:
     from wyner.drawing.secrecy import draw_report
 
     axes = figure.subplots()
