@@ -180,9 +180,9 @@ class DesignReport:
         extent = next((name for name in ("area", "interval") if name in sets[0]), "")
         yield f"{'index':>7} {'facets':>7}  {extent}".rstrip()
         for one in sets:
-            values = one.get(extent, [])
-            shown = " to ".join(f"{v:.6g}" for v in (values if extent == "interval" else [values]))
-            yield f"{one['index']:>7} {one['facets']:>7}  {shown if extent else ''}".rstrip()
+            values = one["interval"] if extent == "interval" else [one[extent]] if extent else []
+            shown = " to ".join(f"{v:.6g}" for v in values)
+            yield f"{one['index']:>7} {one['facets']:>7}  {shown}".rstrip()
         start = self.start()
         where = f"index {start['index']}" if "index" in start else start["outside"]
         if "outside" in start:
