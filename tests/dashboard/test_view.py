@@ -816,6 +816,8 @@ def test_what_the_paper_claims_is_not_taken_for_a_word_on_distilled_keys() -> No
         "secrecy: PAPER'S RULE EXCEEDS TRUE: 326 bit by the paper's rule"
     )
     assert "  distilled keys 63, Eve holds 0 bits of 7 blocks" in progress(holds)
+    assert "  keys " in progress(holds)
+    assert "  keys " not in progress(with_plant(holds, agreements=0)), "the scheme agrees on none"
 
 
 def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:

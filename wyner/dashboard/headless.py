@@ -63,15 +63,18 @@ def progress(state: State) -> str:
     plant = state.plant
     assert plant is not None
     recovered, sent = len(letters(state.recovered)), len(letters(state.sent))
+    distilled = state.model is not None and bool(state.model.keys_claim)
+    # `sealed` agrees on no key symbol: its message travels under distilled keys
+    agreed = [f"keys {plant.agreements}"] if plant.agreements or not distilled else []
     parts = [
         f"step {plant.k}",
         f"x ({', '.join(component(v) for v in plant.x)})",
-        f"keys {plant.agreements}",
+        *agreed,
         f"missed {plant.missed}",
         rate_in_words(state),
         f"recovered {recovered}/{sent} {_quoted(state.recovered)}",
     ]
-    if state.model is not None and state.model.keys_claim:
+    if distilled:
         parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
     if state.alarms:
         parts.append(state.alarms)
