@@ -27,7 +27,6 @@ LADDER: Final[dict[str, str]] = {
     "fitted-box": "tap_service.eavesdroppers.fitted_box:FittedBox",
     "list-decoder": "tap_service.eavesdroppers.list_decoder:ListDecoder",
     "learning": "tap_service.eavesdroppers.learning:Learning",
-    "smoother": "tap_service.eavesdroppers.smoother:Smoother",
     "text": "tap_service.eavesdroppers.text:Text",
     "oracle": "tap_service.eavesdroppers.oracle:Oracle",
     "key-solver": "tap_service.eavesdroppers.key_solver:KeySolver",
