@@ -26,7 +26,7 @@ help:
 	@echo "make figures       every figure of docs/ from its data"
 	@echo "make paper         paper/paper.pdf from its text and the project's data"
 	@echo "make bench         every benchmark"
-	@echo "make campaign      try to break exactly once, for hours (docs/reliability.md)"
+	@echo "make campaign      try to break exactly once, for hours (docs/protocol.md)"
 	@echo "make lock          pin the dependencies anew, with hashes"
 
 $(VENV)/bin/python:
@@ -117,7 +117,7 @@ figures: $(STAMPS)/dev
 paper: $(STAMPS)/dev
 	$(BIN)/python -m tools.paper
 
-# Hours, and resumable: stop it with Ctrl-C, and it goes on where it was. See docs/reliability.md.
+# Hours. See docs/protocol.md.
 CAMPAIGN := $(BIN)/python -m tests.campaigns
 campaign: $(STAMPS)/dev
 	$(CAMPAIGN).exhaustive --scheme switched --seconds 7200

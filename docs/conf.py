@@ -1,6 +1,7 @@
 """The documents as a site: ``make docs``. Every broken link is an error."""
 
 from importlib.metadata import version as installed
+from pathlib import Path
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
@@ -9,6 +10,7 @@ from sphinx.writers.html5 import HTML5Translator
 
 # autodoc writes annotations into pydantic's base class, after which some models cannot be made
 import protocol.scenario  # noqa: F401
+from tools import command_reference, scenario_reference
 
 project = "wyner"
 copyright = "the wyner maintainers"
@@ -52,6 +54,13 @@ apidoc_modules = [
 ]
 
 
+def write_references(app: Sphinx) -> None:
+    """The pages of all commands and of all scenario fields are made from the code."""
+    pages = {"command": command_reference.page(), "scenario": scenario_reference.page()}
+    for name, text in pages.items():
+        (Path(app.srcdir) / f"{name}-reference.md").write_text(text, encoding="utf-8")
+
+
 def show_diagrams(_app: object, doctree: nodes.document) -> None:
     """Mermaid's sources, which the forges draw, stand on the site as they are: no script is run."""
     for block in list(doctree.findall(nodes.literal_block)):
@@ -74,4 +83,5 @@ def displayed_formula(self: HTML5Translator, node: nodes.math_block) -> None:
 def setup(app: Sphinx) -> None:
     """Called by Sphinx."""
     app.add_html_math_renderer("mathml", (inline_formula, None), (displayed_formula, None))
+    app.connect("builder-inited", write_references)
     app.connect("doctree-read", show_diagrams)

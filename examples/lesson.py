@@ -1,4 +1,4 @@
-"""The lesson of docs/lesson.md with its solutions: what a class may have at the end."""
+"""The lesson of docs/tutorial.md with its solutions: what a class may have at the end."""
 
 import numpy as np
 

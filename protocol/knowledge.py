@@ -93,6 +93,9 @@ class Knowledge(Brief, BaseModel):
         the defender knows, is told.
     defender_H, defender_h : tuple, shapes (rows, n) and (rows,), optional
         D_c, where D_e has a shape of its own. Only the oracle is told.
+    deviations : tuple of float, shape (n,), optional
+        Of a Gaussian d as Eve takes it, alpha times the ends'; both ends take the likeliest
+        candidate.
     noisy : bool
         The plant's sensors are noisy, which is public; how much they are is not.
     C : tuple of tuple of float, shape (r, n), optional
@@ -119,6 +122,7 @@ class Knowledge(Brief, BaseModel):
     alpha: float | None = None
     defender_H: Matrix | None = None
     defender_h: Vector | None = None
+    deviations: Vector | None = None
     noisy: bool = False
     C: Matrix | None = None
     keys: Assumption | None = None

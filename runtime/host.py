@@ -19,7 +19,7 @@ from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from protocol.link.effects import Effects, Notice, Save
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
@@ -68,12 +68,13 @@ class _Extracted(NamedTuple):
 
 @dataclass(slots=True)
 class _Loop:
-    endpoint: Peer
+    endpoint: Endpoint
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
     failed: bool = False  # what it has done last may be carried out in part
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
+    look: bool = False  # whether its links are to be counted before it acts
 
 
 class Sparing:
@@ -168,7 +169,7 @@ class Host:
         """The loops that run."""
         return tuple(self._loops)
 
-    def add(self, loop: str, endpoint: Peer, files: Files, log: logging.Logger) -> None:
+    def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
         with self.turns:
             publishers = {
@@ -189,7 +190,8 @@ class Host:
                     tell=lambda block: self._inbox.put(_Extracted(loop, block), None),
                 )
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
-            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, extract))
+            ports = LoopPorts(files, publishers, log, told, extract)
+            self._loops[loop] = _Loop(endpoint, ports, look=endpoint.makes_keys)
             for kind in endpoint.hears:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.hears:
@@ -291,6 +293,7 @@ class Host:
                     continue
                 loop.wakes_at = inf
                 if loop.endpoint.wake_at() <= now:
+                    loop.look = loop.endpoint.makes_keys
                     self._do(name, loop.endpoint.wake)
                 else:
                     self._schedule(name, loop)
@@ -321,15 +324,23 @@ class Host:
 
     def _look_at_links(self, loop: _Loop) -> None:
         """Tell an end how often its messages leave, where that has changed."""
+        loop.look = False
         count = self._field.appearances()
         if count != loop.appearances:
             loop.appearances = count
             perform(loop.endpoint.appear(count), loop.ports)
 
     def _crowding(self, name: str) -> bool:
-        """Whether messages leave more often than the loop knew when it made its last one."""
+        """Whether messages leave more often than the loop knew when it made its last one.
+
+        It is asked before each message leaves; the loop is told before it acts again.
+        """
         loop = self._loops.get(name)
-        return loop is not None and self._field.appearances() > loop.appearances
+        if loop is None:
+            return False
+        count = self._field.appearances()
+        loop.look |= count != loop.appearances
+        return count > loop.appearances
 
     def _hear(self, key: str, payload: bytes) -> None:
         name, kind = self._by_key.get(key, ("", Message))
@@ -340,9 +351,9 @@ class Host:
     def _do(self, name: str, act: Callable[[float], Effects]) -> None:
         loop = self._loops[name]
         try:
-            if loop.started and loop.endpoint.makes_keys:
-                self._look_at_links(loop)
             if loop.started:  # a device may take its time to be found
+                if loop.look:
+                    self._look_at_links(loop)
                 self._turn.begin()
             perform(act(self._clock()), loop.ports)
             loop.started = True
@@ -421,6 +432,6 @@ class Host:
                 ends.callback(self._end, name)
 
 
-def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
+def _told(endpoint: Endpoint, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
     """Tell an end of its block."""
     return endpoint.extracted(block)

@@ -332,7 +332,7 @@ class ZenohBus(Bus):
         self.received = 0
         until = time.monotonic() + patience_s if client else -inf
         self._session = _open(self._settings, self._endpoints, retry_until=until)
-        self._links: tuple[tuple[str, str], ...] = ()
+        self._links: list[zenoh.Link] = []
         self._appearances = self._count()
 
     @property
@@ -368,7 +368,8 @@ class ZenohBus(Bus):
         )
 
     def _count(self) -> int:
-        return appearances(self._links, self._groups, routed=self._client)
+        pairs = [(link.src, link.dst) for link in self._links if link.group is None]
+        return appearances(pairs, self._groups, routed=self._client)
 
     def appearances(self) -> int:
         """How often a message that is put now leaves, by the links that are open; 1 at least.
@@ -379,7 +380,7 @@ class ZenohBus(Bus):
         message that has left by a link.
         """
         try:
-            links = tuple((x.src, x.dst) for x in self._session.info.links() if x.group is None)
+            links = self._session.info.links()
         except self._refused:  # closed
             return self._appearances
         if links != self._links:

@@ -1,10 +1,8 @@
 """``python -m studies``: what is measured for the documents, their tables and their figures."""
 
 import argparse
-import multiprocessing
 import sys
 from collections.abc import Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
 from runtime.command import Parser, carry_out
@@ -25,7 +23,8 @@ def build_parser() -> argparse.ArgumentParser:
     draw.add_argument("--output", type=Path, metavar="D", help="folder (default: docs/figures)")
     for one in (measure, draw):
         one.add_argument("--data", type=Path, metavar="D", help="folder (default: docs/data)")
-        one.add_argument("--jobs", type=int, default=1, metavar="N", help="processes (1)")
+        one.add_argument("--jobs", type=int, default=1, metavar="N", help="workers (1)")
+        one.add_argument("--executor", choices=("process", "dask"), default="process")
     commands.add_parser("stale", help="list files with rows of other code")
     own = commands.add_parser("defence", help="try a defence of your own against every attack")
     own.add_argument("defence", metavar="FILE.py:NAME")
@@ -39,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
 
     match args.command:
         case "measure":
-            _measure(args.name, args.data or DATA, args.jobs, args.only)
+            _measure(args, args.name, args.only)
         case "tables":
             for path, text in pages().items():
                 path.write_text(text, encoding="utf-8")
@@ -54,20 +53,21 @@ def run(args: argparse.Namespace) -> int:
     return DONE
 
 
-def _measure(names: Sequence[str], folder: Path, jobs: int, only: str = "") -> None:
+def _measure(args: argparse.Namespace, names: Sequence[str], only: str = "") -> None:
+    from runtime.options import at_least
+    from studies import DATA
     from studies.registry import studies
+    from wyner.sweeps.workers import workers
 
     known = studies()
     for name in names:
         if name not in known:
             raise UsageError(f"name: got {name!r}, expected one of {', '.join(sorted(known))}")
-    if jobs < 1:
-        raise UsageError(f"--jobs: got {jobs}, expected at least 1")
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(jobs, mp_context=context) as pool:
+    at_least("--jobs", args.jobs, 1)
+    with workers(args.executor, args.jobs) as executor:
         for name in names:
-            path = folder / f"{name}.csv"
-            known[name].measure(path, pool if jobs > 1 else None, only, _say)
+            path = (args.data or DATA) / f"{name}.csv"
+            known[name].measure(path, executor, only, _say)
             print(path)
 
 
@@ -89,7 +89,7 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
     names = args.name or list(FIGURES)
     if args.measure:
         files = dict.fromkeys(file for name in names for file in FIGURES[name].data)
-        _measure(list(files), data, args.jobs)
+        _measure(args, list(files))
     try:
         for name in names:
             for path in draw(name, data, args.output or FIGURES_FOLDER):

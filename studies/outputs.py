@@ -69,9 +69,9 @@ def output_rows(condition: str) -> Iterator[tuple[Any, ...]]:
         )  # fmt: skip
 
 
-@table("outputs", "control", "outputs")
+@table("outputs", "concepts", "outputs")
 def shown(rows: Sequence[Row]) -> Lines:
-    """The table of docs/control.md: eavesdroppers down, conditions across."""
+    """The table of docs/concepts.md: eavesdroppers down, conditions across."""
     cells = {(row["condition"], row["tap"]): row for row in rows}
     of = {row["condition"]: row["keys_of"] for row in rows}
     lines = [("", *(f"{condition}, {of[condition]} keys" for condition in CONDITIONS))]

@@ -86,9 +86,9 @@ def _heard(share: float, run: int) -> list[Counts]:
     return heard(TAPS, made, View())
 
 
-@table("readings", "control", "readings")
+@table("readings", "concepts", "readings")
 def shown(rows: Sequence[Row]) -> Lines:
-    """The table of docs/control.md: a line a share of noise."""
+    """The table of docs/concepts.md: a line a share of noise."""
     lines = [("noise over D_c", "M", "agreed, wrong", *(f"`{tap}`" for tap in SHOWN))]
     for share in SHARES:
         mine = {row["tap"]: row for row in rows if float(row["share"]) == share}

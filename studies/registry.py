@@ -3,7 +3,7 @@
 One runner measures what a data file lacks, in as many processes as it is given; one writer puts the
 tables on their pages. A row has the id of its task and the hash of the code that made it: a row of
 other code than today's is stale, and is measured again where it is asked for. Each page names the
-code of the rows that it quotes.
+code of the rows that it quotes, and says where they are stale.
 """
 
 import csv
@@ -11,8 +11,9 @@ import hashlib
 import io
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor, as_completed
+from concurrent.futures import Executor
 from dataclasses import dataclass
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -21,6 +22,7 @@ from runtime.files import PUBLIC_FILE, write_atomically
 from studies import DATA
 from wyner.sweeps.code import ROOT, code_version, same_code
 from wyner.sweeps.results import read_table
+from wyner.sweeps.workers import SerialExecutor, in_order
 
 Row = dict[str, str]
 Lines = Sequence[Sequence[str]]
@@ -77,7 +79,8 @@ class Study:
 
     def _by_column(self, row: Values) -> Row:
         values = [row[column] for column in self.columns] if isinstance(row, Mapping) else list(row)
-        return dict(zip(self.columns, map(str, values), strict=True))
+        texts = ["" if value is None else str(value) for value in values]
+        return dict(zip(self.columns, texts, strict=True))
 
     def measure(
         self,
@@ -93,7 +96,7 @@ class Study:
         path : Path
             A CSV file; a task that a kill has torn is measured again.
         executor : Executor, optional
-            A pool of processes, or a cluster's; this process by default.
+            Of :func:`wyner.sweeps.workers.workers`; this process by default.
         only : str
             Tasks whose text contains this.
         say : callable
@@ -110,20 +113,15 @@ class Study:
         path.parent.mkdir(parents=True, exist_ok=True)
         _write(path, self.head, kept)
         with path.open("a", encoding="utf-8", newline="") as file:
-            for number, rows in enumerate(self._made(todo, executor), 1):
+            work = self.measured if executor is None else partial(_measured, self.name)
+            made = in_order(executor or SerialExecutor(), work, todo, lambda task: (task,))
+            for number, (_, rows) in enumerate(made, 1):
                 file.write(_text(self.head, rows))
                 file.flush()
                 say(f"{self.name}: {number} of {len(todo)} tasks")
         order = {id: place for place, id in enumerate(wanted)}
         rows = sorted(_whole_rows(path, self.head), key=lambda row: order.get(row["task"], -1))
         _write(path, self.head, rows)
-
-    def _made(self, todo: Sequence[Any], executor: Executor | None) -> Iterator[list[Row]]:
-        if executor is None:
-            yield from map(self.measured, todo)
-            return
-        for done in as_completed([executor.submit(_measured, self.name, task) for task in todo]):
-            yield done.result()
 
     @property
     def head(self) -> tuple[str, ...]:
@@ -263,6 +261,18 @@ def codes_of(rows: Sequence[Row]) -> str:
     return ", ".join(f"{code} ({count})" for code, count in found.most_common())
 
 
+def origin(rows: Mapping[str, Sequence[Row]]) -> str:
+    """Which code made the rows of some studies, and whether that is today's."""
+    old = any(
+        not same_code(row["version"], _STUDIES[name].version)
+        for name, some in rows.items()
+        for row in some
+    )
+    code = codes_of([row for some in rows.values() for row in some])
+    age = ", measured with an earlier version of the code" if old else ""
+    return f"Rows of code {code}{age}."
+
+
 def between_marks(text: str, name: str, part: str) -> str:
     """The page with ``part`` between the marks of that name.
 
@@ -287,11 +297,9 @@ def pages() -> dict[Path, str]:
         path = ROOT / "docs" / f"{one.page}.md"
         if not all((DATA / f"{name}.csv").exists() for name in one.studies):
             continue  # nothing is on record yet
-        rows = [recorded(name) for name in one.studies]
-        made = one.make(*rows)
-        if not isinstance(made, str):
-            code = codes_of([row for some in rows for row in some])
-            made = f"{markdown_table(made)}\n\nRows of code {code}."
+        rows = {name: recorded(name) for name in one.studies}
+        made = one.make(*rows.values())
+        shown = made if isinstance(made, str) else markdown_table(made)
         text = found.get(path) or path.read_text(encoding="utf-8")
-        found[path] = between_marks(text, mark, made)
+        found[path] = between_marks(text, mark, f"{shown}\n\n{origin(rows)}")
     return found

@@ -10,7 +10,8 @@ from wyner.sweeps import SWEEPS
 from wyner.sweeps.code import loop_version
 from wyner.sweeps.grid import load_sweep, points_of
 from wyner.sweeps.results import Results
-from wyner.sweeps.running import SerialExecutor, run_sweep
+from wyner.sweeps.running import run_sweep
+from wyner.sweeps.workers import SerialExecutor
 
 
 class SweepStudy(Study):

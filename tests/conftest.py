@@ -59,7 +59,6 @@ def pytest_xdist_auto_num_workers() -> int:
 LONGEST = (
     "tap/test_text.py",
     "campaigns/test_campaigns.py",
-    "system/test_medium.py",
     "studies/test_figures.py",
     "system/test_integration.py",
     "campaigns/test_exhaustive.py",

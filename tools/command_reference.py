@@ -1,29 +1,20 @@
-"""The page of every command and its options: ``python -m tools.command_reference --write``.
+"""The reference of every command and its options: ``python -m tools.command_reference`` prints it.
 
-It is what ``wyner COMMAND --help`` prints, of one version of Python: others set it out otherwise.
+The site is built with it (``docs/conf.py``).
 """
 
 import contextlib
 import io
 import os
-import sys
-from collections.abc import Sequence
-from pathlib import Path
 from typing import Final
 
-from runtime.errors import DONE, USAGE
-from runtime.files import PUBLIC_FILE, write_atomically
 from wyner.cli.main import build_parser, groups
 
-PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "command-reference.md"
-PYTHON: Final = (3, 11)
-"""The version that the page is made with."""
 COLUMNS: Final = "100"
 HEAD: Final = """\
 # Commands
 
-What `wyner COMMAND --help` prints. This page is made from the commands themselves
-(`python -m tools.command_reference --write`).
+What `wyner COMMAND --help` prints.
 """
 
 
@@ -53,17 +44,5 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def main(arguments: Sequence[str] = ()) -> int:
-    """Write the page, or print it."""
-    if list(arguments) == ["--write"]:
-        write_atomically(PAGE, page().encode(), PUBLIC_FILE)
-        return DONE
-    if arguments:
-        print("usage: python -m tools.command_reference [--write]", file=sys.stderr)
-        return USAGE
-    print(page(), end="")
-    return DONE
-
-
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    print(page(), end="")

@@ -30,7 +30,7 @@ from protocol.link.key_events import Appearances
 from protocol.link.session import CountedTransition
 from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message, SendCommand
 from protocol.schemes.base import Scheme
-from protocol.schemes.registry import SCHEMES, make_scheme
+from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
@@ -237,9 +237,12 @@ def rooms() -> str:
     return "\n".join([*lines, "```", ""])
 
 
+DRAWN: Final = tuple(name for name in SCHEMES if not scheme_named(name).corrects)
+"""Schemes whose states are few; one that corrects has a state for each word."""
+
 PARTS: Final[dict[str, Callable[[], str]]] = {
     "rooms": rooms,
-    **{name: _drawing(name) for name in SCHEMES},
+    **{name: _drawing(name) for name in DRAWN},
     "field": lambda: wire_table(FIELD),
     "management": lambda: wire_table(MANAGEMENT),
     "adversary": lambda: wire_table(ADVERSARY),

@@ -1,29 +1,23 @@
 """The reference of the scenario file, made from the models that read it.
 
-``python -m tools.scenario_reference --write`` writes ``docs/scenario-reference.md``. A field's line
-is the string that stands below it in its class; a test says where one is missing, or the page is
-stale.
+``python -m tools.scenario_reference`` prints it, and the site is built with it (``docs/conf.py``).
+A field's line is the string that stands below it in its class.
 """
 
-import argparse
 import ast
 import inspect
 import json
-import sys
 import textwrap
 import types
 import typing
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from functools import cache
-from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
 from protocol.scenario import LAWS, PLANTS, Control, PlantTable, Scenario, ScenarioTable
-
-PAGE: Final = Path(__file__).resolve().parent.parent / "docs" / "scenario-reference.md"
 
 HEAD: Final = """# The scenario file
 
@@ -35,8 +29,6 @@ Vectors are lists of numbers, matrices lists of rows. n is the number of states,
 candidates. States, inputs and disturbances are in the units of the plant's model, times in seconds,
 probabilities from 0 to 1. A set is a box or a polytope, always with the origin inside:
 `{ half_widths = [0.12, 0.12] }`, or `{ H = [[0.0, 1.0]], h = [2.0] }`.
-
-This page is made from the models that read the file (`python -m tools.scenario_reference --write`).
 """
 
 
@@ -195,17 +187,5 @@ def page() -> str:
     return "\n".join(parts)
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Write the page, or print it."""
-    parser = argparse.ArgumentParser(prog="python -m tools.scenario_reference")
-    parser.add_argument("--write", action="store_true", help="write docs/scenario-reference.md")
-    args = parser.parse_args(argv)
-    if args.write:
-        PAGE.write_text(page(), encoding="utf-8")
-    else:
-        sys.stdout.write(page())
-    return 0
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    print(page(), end="")

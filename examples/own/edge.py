@@ -1,6 +1,6 @@
 """An alarm where a reading comes near the edge of D_c."""
 
-from wyner.simulate.engine.defences import Defence
+from studies.attacks.defences import Defence
 
 
 class Edge(Defence):

@@ -9,12 +9,15 @@ answer, and the state after it. docs/protocol.md shows the same table, generated
 from math import inf
 from typing import Final, Literal, NamedTuple, get_args
 
-from protocol.link.records import SenderRecord
+from protocol.link.records import ControllerRecord, ControllerSessionRecord
 from protocol.link.session import SILENCE_S
-from protocol.messages import ControllerHello, Measurement, PlantHello
+from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, PlantHello
 
 GREETING_S: Final = 0.1
 """Seconds between greetings while the plant speaks of a session that is not this process's."""
+
+REMEMBERED_SESSIONS: Final = 16
+"""Ended sessions that a controller remembers, so that a delayed hello cannot revive one."""
 
 SILENT_PERIODS: Final = 3
 """Periods of silence before a plant counts as away; :data:`SILENCE_S` at least."""
@@ -161,7 +164,7 @@ second plant while none is served."""
 
 def heard(
     hello: PlantHello,
-    record: SenderRecord,
+    record: ControllerRecord,
     *,
     instance: str,
     fingerprint: str,
@@ -173,8 +176,7 @@ def heard(
     Parameters
     ----------
     hello : PlantHello
-    record : SenderRecord
-        The controller's.
+    record : ControllerRecord
     instance, fingerprint : str
         The controller process's id, and its model's.
     plant : str, optional
@@ -182,29 +184,30 @@ def heard(
     running : bool
         Whether that one was heard just now: another one then has to wait.
     """
+    session, applied_k = record.session, record.link.applied_k
     if hello.fingerprint != fingerprint:
-        met = record.session is not None or bool(record.ended)
+        met = session.id is not None or bool(session.ended)
         return "another model" if met else "another model, never met"
-    in_session = hello.session == record.session
+    in_session = hello.session == session.id
     if running and not in_session and plant not in (None, hello.instance):
         return "second plant"
     if hello.controller is None:
-        later = in_session and hello.incarnation > record.incarnation
+        later = in_session and hello.incarnation > session.incarnation
         return "to anyone, of a later incarnation" if later else "to anyone"
     asked = hello.controller == instance
-    past = in_session and hello.applied_k < record.applied_k
+    past = in_session and hello.applied_k < applied_k
     if past and (not asked or hello.instance == plant):
         return "overtaken"
     if asked and in_session:
-        outstanding = record.applied_k if record.offer is None else record.offer.k
-        fits = hello.applied_k in (record.applied_k, outstanding)
+        outstanding = applied_k if record.offer is None else record.offer.k
+        fits = hello.applied_k in (applied_k, outstanding)
         return "asked, session fits" if fits else "asked, session does not fit"
     if asked:
-        unknown = hello.transitions > 0 or hello.session in record.ended
+        unknown = hello.transitions > 0 or hello.session in session.ended
         return "asked, session unknown" if unknown else "asked, new session"
     if not in_session:
         return "to another"
-    former = hello.incarnation < record.incarnation
+    former = hello.incarnation < session.incarnation
     return "to a former incarnation" if former else "to another, in the session"
 
 
@@ -215,11 +218,14 @@ class ControllerSession:
     ----------
     instance, fingerprint : str
         The process's id, and its model's.
+    record : ControllerSessionRecord
+        As it was read; this process is a later incarnation.
     period_s : float
         The plant's; one that has been silent for several of them is away.
 
     Attributes
     ----------
+    record : ControllerSessionRecord
     state : State
     plant : str or None
         The plant process whose session is taken up, if any.
@@ -229,8 +235,11 @@ class ControllerSession:
         Seconds after which a plant that has not measured is away.
     """
 
-    def __init__(self, instance: str, fingerprint: str, period_s: float) -> None:
+    def __init__(
+        self, instance: str, fingerprint: str, record: ControllerSessionRecord, period_s: float
+    ) -> None:
         self.instance, self.fingerprint = instance, fingerprint
+        self.record = record._replace(incarnation=_after(record.incarnation))
         self.state: State = "greeting"
         self.plant: str | None = None
         self.plant_at = self.greeting_at = -inf
@@ -242,7 +251,9 @@ class ControllerSession:
         answer, self.state = TABLE[self.state, event]
         return answer
 
-    def hears(self, hello: PlantHello, record: SenderRecord, now: float) -> tuple[Heard, Answer]:
+    def hears(
+        self, hello: PlantHello, record: ControllerRecord, now: float
+    ) -> tuple[Heard, Answer]:
         """The plant spoke: what that is, and what is to be answered."""
         what = heard(
             hello,
@@ -253,15 +264,25 @@ class ControllerSession:
             running=now - self.plant_at < self.running_s,
         )
         answer = self.on(what)
+        if answer == "catch up and greet":
+            self.record = self.record._replace(incarnation=_after(hello.incarnation))
         if answer in ("step back", "end and step back"):
             self._elsewhere = hello.session
         elif self.state != "elsewhere":
             self._elsewhere = None
         return what, answer
 
-    def serves(self, measurement: Measurement, record: SenderRecord) -> bool:
+    def begin(self, session: str | None) -> None:
+        """Go on with another session, or with none; the one before is over."""
+        record = self.record
+        ended = record.ended
+        if record.id is not None:
+            ended = (*ended, record.id)[-REMEMBERED_SESSIONS:]
+        self.record = record._replace(id=session, ended=ended)
+
+    def serves(self, measurement: Measurement) -> bool:
         """Whether a measurement is of the session that was taken up."""
-        return self.plant is not None and measurement.session == record.session
+        return self.plant is not None and measurement.session == self.record.id
 
     def stranger(self, measurement: Measurement) -> Answer:
         """What is answered to a measurement of a session that was not taken up."""
@@ -277,7 +298,6 @@ class ControllerSession:
 
     def hello(
         self,
-        record: SenderRecord,
         verdict: Literal["greeting", "accepted", "unknown-session", "other-model"] = "greeting",
         answered: PlantHello | None = None,
     ) -> ControllerHello:
@@ -287,9 +307,13 @@ class ControllerSession:
         """
         return ControllerHello(
             instance=self.instance,
-            incarnation=record.incarnation,
+            incarnation=self.record.incarnation,
             fingerprint=self.fingerprint,
             verdict=verdict,
-            session=answered.session if answered else record.session,
+            session=answered.session if answered else self.record.id,
             answers=answered.instance if answered else None,
         )
+
+
+def _after(incarnation: int) -> int:
+    return min(incarnation + 1, LARGEST_COUNT)

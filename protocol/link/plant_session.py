@@ -9,7 +9,7 @@ and the state after it. docs/protocol.md shows the same table, generated from th
 from math import inf
 from typing import Final, Literal, NamedTuple, get_args
 
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import LinkRecord, PlantRecord
 from protocol.link.session import SILENCE_S
 from protocol.messages import ControllerHello, PlantHello
 
@@ -151,14 +151,14 @@ WORKING: Final = frozenset[State](("accepted", "silent"))
 """States in which the plant publishes measurements."""
 
 
-def first_state(record: ReceiverRecord) -> State:
-    """How a process stands that has just read ``record``, or made it."""
-    return "returned" if record.transitions else "looking"
+def first_state(link: LinkRecord) -> State:
+    """How a process stands that has just read its journal, or made one."""
+    return "returned" if link.transitions else "looking"
 
 
 def heard(
     hello: ControllerHello,
-    record: ReceiverRecord,
+    record: PlantRecord,
     *,
     instance: str,
     fingerprint: str,
@@ -170,8 +170,7 @@ def heard(
     Parameters
     ----------
     hello : ControllerHello
-    record : ReceiverRecord
-        The plant's.
+    record : PlantRecord
     instance, fingerprint : str
         The plant process's id, and its model's.
     asked : str, optional
@@ -181,16 +180,17 @@ def heard(
     """
     if hello.fingerprint != fingerprint:
         return "another model" if met else "another model, never met"
-    in_session = hello.session == record.session
+    session = record.session
+    in_session = hello.session == session.id
     if hello.verdict == "greeting":
-        if in_session and hello.incarnation < record.incarnation:
+        if in_session and hello.incarnation < session.incarnation:
             return "greeting of a former incarnation"
         if hello.instance == asked:
             return "greeting of the one asked"
         if in_session:
             return "greeting in the session"
-        promised = record.controller not in ("", hello.instance)
-        if promised and not record.transitions:
+        promised = session.controller not in ("", hello.instance)
+        if promised and not record.link.transitions:
             return "greeting, session unused"
         return "greeting in another"
     if hello.answers != instance or not in_session:
@@ -207,12 +207,13 @@ class PlantSession:
     ----------
     instance, fingerprint : str
         The process's id, and its model's.
-    record : ReceiverRecord
+    record : PlantRecord
         As it was read, or made.
     now : float
 
     Attributes
     ----------
+    record : PlantSessionRecord
     state : State
     controller : str or None
         The controller process that this process asked last, if any.
@@ -220,13 +221,14 @@ class PlantSession:
         When a hello is due, and when the controller was heard.
     """
 
-    def __init__(self, instance: str, fingerprint: str, record: ReceiverRecord, now: float) -> None:
+    def __init__(self, instance: str, fingerprint: str, record: PlantRecord, now: float) -> None:
         self.instance, self.fingerprint = instance, fingerprint
+        self.record = record.session
         self.controller: str | None = None
-        self.state: State = first_state(record)
+        self.state: State = first_state(record.link)
         self.hello_at = -inf
         self.answered_at = now
-        self._met = record.transitions > 0 or record.sessions > 1
+        self._met = record.link.transitions > 0 or record.session.sessions > 1
         self._taken_up = ("", "")
 
     @property
@@ -239,7 +241,7 @@ class PlantSession:
         answer, self.state = TABLE[self.state, event]
         return answer
 
-    def hears(self, hello: ControllerHello, record: ReceiverRecord, now: float) -> Answer:
+    def hears(self, hello: ControllerHello, record: PlantRecord, now: float) -> Answer:
         """The controller spoke: what is to be answered."""
         what = heard(
             hello,
@@ -252,14 +254,21 @@ class PlantSession:
         answer = self.on(what)
         if answer in ("ask", "begin and ask"):
             self.controller = hello.instance
+            self.record = self.record._replace(
+                controller=hello.instance, incarnation=hello.incarnation
+            )
         if hello.instance == self.controller:
             self.answered_at = now
         return answer
 
-    def took_up(self, session: str) -> bool:
-        """The controller has taken up ``session``; True where that is news."""
+    def begin(self, session: str) -> None:
+        """Begin a session."""
+        self.record = self.record._replace(id=session, sessions=self.record.sessions + 1)
+
+    def took_up(self) -> bool:
+        """The controller has taken up the session; True where that is news."""
         self._met = True
-        before, self._taken_up = self._taken_up, (self.controller or "", session)
+        before, self._taken_up = self._taken_up, (self.controller or "", self.record.id)
         return before != self._taken_up
 
     def due_at(self, *, waiting: bool) -> float:
@@ -281,14 +290,14 @@ class PlantSession:
             self.hello_at = now + HELLO_S
         return due
 
-    def hello(self, record: ReceiverRecord) -> PlantHello:
+    def hello(self, link: LinkRecord) -> PlantHello:
         """Ask the controller to take up this session, or look for one."""
         return PlantHello(
             instance=self.instance,
-            session=record.session,
+            session=self.record.id,
             controller=None if self.state in TO_ANYONE else self.controller,
-            incarnation=record.incarnation,
+            incarnation=self.record.incarnation,
             fingerprint=self.fingerprint,
-            transitions=record.transitions,
-            applied_k=record.applied_k,
+            transitions=link.transitions,
+            applied_k=link.applied_k,
         )

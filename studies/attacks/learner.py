@@ -8,8 +8,8 @@ import numpy as np
 
 from controller_service.laws.base import CandidateLaw
 from protocol.arrays import Array
-from wyner.simulate.engine.attacks import Learner, SentAndOffered
-from wyner.simulate.engine.defences import FULL, Words, turned
+from studies.attacks.attacked import Learner, SentAndOffered
+from studies.attacks.defences import FULL, Words, turned
 
 ANGLES: Final = 720
 KEPT: Final = 6

@@ -20,6 +20,8 @@ from controller_service.laws.registry import cached_design, make_law
 from protocol.arrays import Array, Flags
 from protocol.scenario import Scenario
 from protocol.secret.bound import Assumption
+from studies.attacks.attacked import ONSET, Attacked, Keys, attack_runs
+from studies.attacks.defences import make_defence
 from studies.attacks.learner import rotation_learner
 from studies.attacks.watermark import gaussian_passes, packed
 from studies.registry import study
@@ -27,8 +29,6 @@ from studies.signalling import changed
 from tap_service import eavesdroppers
 from tap_service.inference.key_solver import bits_held
 from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.attacks import ONSET, Attacked, Keys, attack_runs
-from wyner.simulate.engine.defences import make_defence
 from wyner.simulate.engine.taps import transcript
 
 SEED: Final = 7

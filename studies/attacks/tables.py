@@ -1,12 +1,12 @@
-"""The tables of docs/attacks.md, from the study's rows, and the lines of a defence of one's own."""
+"""The tables of attacks in docs/findings.md, and the lines of a defence of one's own."""
 
 from collections.abc import Sequence
 from typing import Final
 
 from protocol.statistics import wilson
+from studies.attacks.attacked import ONSET
 from studies.attacks.study import SETTLED, Task, attacked
 from studies.registry import Lines, Row, table
-from wyner.simulate.engine.attacks import ONSET
 
 SHOWN: Final = (1, 2, 3, 5)
 GROUPS: Final = ("limit", "key", "size", "eye", "bus")
@@ -39,7 +39,7 @@ def share(count: int, runs: int) -> str:
     return f"{found.value:.3f} [{found.low:.3f}, {found.high:.3f}]"
 
 
-@table("attacks", "attacks", "attacks")
+@table("attacks", "findings", "attacks")
 def main_table(rows: Sequence[Row]) -> Lines:
     """Who attacks, what stands against her, who has the key, and what became of it."""
     lines: list[tuple[str, ...]] = [
@@ -68,7 +68,7 @@ def main_table(rows: Sequence[Row]) -> Lines:
     return lines
 
 
-@table("matrix", "attacks", "attacks")
+@table("matrix", "findings", "attacks")
 def matrix_table(rows: Sequence[Row]) -> Lines:
     """Shares unseen after ten steps: attacks down, defences across, key had and not had."""
     mine = [r for r in rows if r["group"] == "matrix"]
@@ -84,7 +84,7 @@ def matrix_table(rows: Sequence[Row]) -> Lines:
     return lines
 
 
-@table("honest", "attacks", "attacks")
+@table("honest", "findings", "attacks")
 def honest_table(rows: Sequence[Row]) -> Lines:
     """False alarms by disturbance."""
     mine = [r for r in rows if r["group"] == "honest"]

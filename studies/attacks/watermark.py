@@ -1,4 +1,4 @@
-"""What a secret dither must cost, if a fabricator is to be caught (docs/attacks.md, theorem 2).
+"""What a secret dither must cost, if a fabricator is to be caught (docs/findings.md, theorem 2).
 
 One input, any D_c, any dither zeta, any test without false alarms. sigma is the longest step along
 the input that D_c explains: the spacing that certainty needs. If one who does not know zeta passes

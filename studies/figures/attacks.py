@@ -1,4 +1,4 @@
-"""The figures of docs/attacks.md."""
+"""The figures of docs/findings.md."""
 
 import math
 from pathlib import Path

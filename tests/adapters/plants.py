@@ -1,9 +1,8 @@
 """The double integrator as every kind of plant, and plants that fail in every way."""
 
 import hashlib
-import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -192,17 +191,3 @@ def through_deaths(scenario: Scenario, own: Callable[[], PlantAdapter]) -> None:
         assert history.crashes > 0
         wrong = [t for t in history.plant.values() if t.symbol not in (NO_SYMBOL, t.coin)]
         assert not wrong
-
-
-def of_each_kind(scenario: Scenario) -> Iterator[dict[str, Any]]:
-    """What a scenario's file says, with ``[plant]`` of each kind that is somebody's own."""
-    more: dict[str, dict[str, Any]] = {
-        "fmu": {"file": "a.fmu", "sha256": "0" * 64, "inputs": ["u"], "outputs": ["a", "b"]},
-        "gymnasium": {"id": "Pendulum-v1", "state": "state"},
-        "ode": {"object": "a.py:f", "initial_state": [0.0, 0.0]},
-        "python": {"object": "a.py:Plant"},
-    }
-    data = json.loads(scenario.model_dump_json(exclude_none=True, exclude_unset=True))
-    plant = {k: v for k, v in data["plant"].items() if k not in ("kind", "object")}
-    for kind, fields in more.items():
-        yield {**data, "plant": {**plant, "kind": kind, **fields}}

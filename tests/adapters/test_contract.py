@@ -43,17 +43,6 @@ def test_it_is_the_double_integrator_to_rounding(plant: Operated) -> None:
         assert got == pytest.approx(x, abs=1e-12)
 
 
-def test_the_reading_is_that_of_the_input_applied_and_not_of_the_one_before(
-    plant: Operated,
-) -> None:
-    plant.start(1)
-    plant.apply((1.0,))
-    fast = plant.sample()
-    plant.start(1)
-    plant.apply((-1.0,))
-    assert fast[1] - plant.sample()[1] == pytest.approx(2.0)
-
-
 def test_what_is_beyond_u_is_clipped_and_said(plant: Operated) -> None:
     plant.start(1)
     assert plant.apply((3.0,)) == (1.0,)
@@ -94,12 +83,6 @@ def test_a_disturbance_is_added_to_the_state_and_stays_there(kind: str, tmp_path
     assert plant.sample((0.5, 0.25)) == (-6.5, -1.75)
     plant.apply((0.0,))
     assert plant.sample() == (-8.25, -1.75)
-
-
-def test_a_plain_object_can_neither_be_resumed_nor_disturbed() -> None:
-    plant = operated(SimulatedPlant(PythonLine(), 1.0))
-    assert not plant.resumable
-    assert not plant.displaceable
 
 
 # --- a device that fails --------------------------------------------------------------------------
@@ -160,18 +143,6 @@ def test_a_safe_that_raises_is_told_and_not_raised() -> None:
     assert plant.fault == "test; and its safe() failed: no answer"
 
 
-def test_a_simulation_that_returns_no_numbers_is_told_what_was_expected() -> None:
-    class Wordy(PythonLine):
-        def step(self, u: object, period_s: float) -> list[float]:
-            return "far"  # type: ignore[return-value]
-
-    plant = operated(SimulatedPlant(Wordy(), 1.0))
-    plant.start(None)
-    plant.apply((0.0,))
-    with pytest.raises(PlantError, match="got the reading 'far', expected a sequence of numbers"):
-        plant.sample()
-
-
 def test_reading_before_the_first_input_is_refused() -> None:
     plant = operated(SimulatedPlant(PythonLine(), 1.0))
     plant.start(None)
@@ -188,15 +159,6 @@ def test_deviations_are_counted_from_the_operating_point_in_units_of_the_scale()
     assert plant.start(None) == (0.5, 0.0)
     plant.apply((5.0,))  # 0.5 + 0.1 * 5 = 1 in physical units
     assert plant.sample() == ((-6.5 + 6.0) / 2.0, (-1.0 + 2.0) / 4.0)
-
-
-def test_a_disturbance_is_a_deviation_too(tmp_path: Path) -> None:
-    point = OperatingPoint((0.0, 0.0), (0.0,), (2.0, 4.0), (1.0,))
-    plant = Operated(line("linear", tmp_path), point, Gauge(half_widths=(1.0,)))
-    plant.start(None)
-    plant.apply((0.0,))
-    free = (-7.0 / 2, -2.0 / 4)
-    assert plant.sample((0.25, -0.5)) == (free[0] + 0.25, free[1] - 0.5)
 
 
 def test_a_plant_that_settles_starts_where_it_came_to_rest() -> None:

@@ -2,23 +2,20 @@
 
 import json
 import os
-import random
 import subprocess
 import sys
 import threading
 from functools import partial
-from itertools import chain, islice
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import make_law, synthesise
 from plant_service import opening
-from plant_service.adapters import Operated, PlantError
+from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.opening import open_core
 from plant_service.punctuality import Punctuality, ReachWatch
@@ -39,10 +36,10 @@ from runtime.errors import UsageError
 from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import PLANT_JOURNAL, PLANT_SAFE, PLANT_TRACE
-from tests.adapters.plants import Device, PythonLine
+from tests.adapters.plants import Device
 from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
-from tests.support.memory_bus import MemoryBus, MemoryChannel, MemoryHub
+from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
@@ -102,7 +99,7 @@ class Bench:
         self.journal = journal or plant_journal()
         self.names = 0
         scenario = line(**link)
-        self.news = PlantTelemetry(scenario, "realtime", seeded=True)
+        self.news = PlantTelemetry.of(scenario, "realtime", seeded=True)
         self.endpoint = open_core(
             scenario,
             self.journal,
@@ -111,7 +108,7 @@ class Bench:
             self.name,
             0.0,
             Pacing(1.0, scenario.link.repeats_per_period, 0.0),
-            telemetry=self.news,
+            news=self.news,
             own=device,
         )
         self.events: list[Any] = []
@@ -123,7 +120,7 @@ class Bench:
 
     @property
     def record(self) -> Any:
-        return self.endpoint.record
+        return self.endpoint.state.record
 
     def name(self) -> str:
         self.names += 1
@@ -141,19 +138,21 @@ class Bench:
 
     def answer(self, now: float, verdict: str) -> None:
         receiver = self.endpoint
-        session = receiver.record.session
+        session = receiver.state.record.session.id
         self.hear(now, verdict=verdict, session=session, answers=receiver.instance)
 
     def hear(self, now: float, **said: Any) -> None:
-        fingerprint = self.endpoint.rules.fingerprint
+        fingerprint = self.endpoint.state.rules.fingerprint
         hello = ControllerHello(instance="2" * 16, incarnation=1, fingerprint=fingerprint, **said)
         self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
     def offer(self, now: float, u: float = 0.5) -> Effects:
         rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
-        size = self.endpoint.rules.size
+        size = self.endpoint.state.rules.size
         candidates = rows[:size]
-        offer = Offer(session=self.record.session, k=self.record.k, candidates=candidates, cipher=0)
+        offer = Offer(
+            session=self.record.session.id, k=self.record.link.k, candidates=candidates, cipher=0
+        )
         return self.endpoint.receive(Offer, offer.wire(), now)
 
     def do(self, effects: Effects) -> None:
@@ -171,7 +170,7 @@ class Bench:
 
 def test_coin_journal_apply_sample_journal_report() -> None:
     bench = Bench(Device())
-    assert bench.endpoint.plant.acts
+    assert bench.endpoint.stepper.plant.acts
     bench.device.calls.clear()
     effects = iter(bench.offer(0.2))
     begun = next(effects)
@@ -192,49 +191,26 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert (measurement.k, measurement.applied_k) == (1, 0)
     assert step_of(bench.journal) == (offer, coin, measurement)
     assert measurement.x == tuple(v / 2 for v in bench.device.y)
-    assert bench.record.transitions == 1
+    assert bench.record.link.transitions == 1
     assert bench.news.punctuality.sampled_late_s[2] == pytest.approx(0.05)
     assert bench.news.punctuality.actuated_after_s[2] == pytest.approx(0.2)
-
-
-def test_a_second_offer_for_the_same_step_changes_nothing() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    calls = list(bench.device.calls)
-    bench.do(bench.offer(0.3, u=-0.5))
-    assert bench.device.calls == calls
 
 
 def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallback() -> None:
     bench = Bench(Device(), fallback="zero")
     bench.do(bench.offer(0.2))
     bench.do(bench.endpoint.wake(1.0))
-    in_force = bench.record.u
+    in_force = bench.record.applied.u
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(2.0))
     assert bench.device.calls == ["sample", "apply", "save"]
     (missed,) = [e for e in bench.events if isinstance(e, Missed)]
     assert missed.u == in_force != (0.0,)
-    assert bench.record.u == (0.0,) == (bench.device.u,)
+    assert bench.record.applied.u == (0.0,) == (bench.device.u,)
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(3.0))
     assert bench.device.calls == ["sample", "save"]
     assert [e.u for e in bench.events if isinstance(e, Missed)][1] == (0.0,)
-
-
-def test_a_simulation_makes_a_missed_step_under_the_fallback() -> None:
-    class Line(PythonLine):
-        def __init__(self) -> None:
-            self.calls: list[str] = []
-
-    bench = Bench(Line(), fallback="zero")
-    bench.do(bench.offer(0.2, u=1.0))
-    bench.do(bench.endpoint.wake(1.0))
-    x = bench.record.x
-    bench.do(bench.endpoint.wake(2.0))
-    (missed,) = [e for e in bench.events if isinstance(e, Missed)]
-    assert missed.u == (0.0,)
-    assert missed.x_next == (x[0] + x[1], x[1])
 
 
 # --- what dies in between -------------------------------------------------------------------------
@@ -246,30 +222,22 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     bench.do(bench.offer(0.2))  # applied, and then the process dies
     offer, coin, _ = step_of(bench.journal)
     assert offer is not None
-    session = bench.record.session
+    session = bench.record.session.id
     back = Bench(Device(), bench.journal)
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
     assert event.coin == coin
     assert event.u == offer.candidates[coin]
     assert (event.k, event.x_next) == (0, tuple(v / 2 for v in back.device.y))
     record = back.record
-    assert (record.session, record.k, record.transitions, record.missed) == (session, 1, 0, 1)
-    assert record.applied_k == -1  # never reported, so tested by neither end
+    assert (record.session.id, record.link.k, record.link.transitions, record.applied.missed) == (
+        session,
+        1,
+        0,
+        1,
+    )
+    assert record.link.applied_k == -1  # never reported, so tested by neither end
     again = Bench(Device(), bench.journal)
-    assert again.record.k == 2  # whoever is away for a while has missed a step again
-
-
-def test_a_death_after_the_sample_was_saved_loses_nothing() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    (save,) = islice(bench.endpoint.wake(1.0), 1)
-    assert isinstance(save, Save)
-    bench.journal.save(save)  # and then the process dies
-    back = Bench(Device(), bench.journal)
-    assert back.record.transitions == 1
-    (event,) = [e for e in back.events if isinstance(e, Interrupted)]
-    assert (event.k, event.coin, event.candidates) == (1, -1, ())
-    assert back.record.k == 2
+    assert again.record.link.k == 2  # whoever is away for a while has missed a step again
 
 
 @pytest.mark.long
@@ -368,11 +336,11 @@ def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None
     bench = Bench(Device())
     bench.do(bench.offer(0.2))
     bench.do(bench.endpoint.wake(1.0))
-    old = bench.record.session
+    old = bench.record.session.id
     bench.do(bench.offer(1.2))
     in_force = bench.device.u / 2
     bench.refuse(1.5)
-    assert (bench.record.session, bench.record.transitions) != (old, 1)
+    assert (bench.record.session.id, bench.record.link.transitions) != (old, 1)
     bench.published.clear()
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(1.9))
@@ -380,19 +348,24 @@ def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None
     bench.do(bench.endpoint.wake(2.0))
     assert bench.device.calls == ["sample", "save"]
     (event,) = [e for e in bench.events if isinstance(e, Interrupted)]
-    assert (event.session, event.k, event.u) == (bench.record.session, 1, (in_force,))
+    assert (event.session, event.k, event.u) == (bench.record.session.id, 1, (in_force,))
     assert event.u == event.candidates[event.coin]
-    assert event.x_next == bench.record.x
+    assert event.x_next == bench.record.link.x
     record = bench.record
-    assert (record.k, record.transitions, record.applied_k, record.missed) == (2, 0, -1, 1)
-    assert record.u == event.u
+    assert (
+        record.link.k,
+        record.link.transitions,
+        record.link.applied_k,
+        record.applied.missed,
+    ) == (2, 0, -1, 1)
+    assert record.applied.u == event.u
     counted = [e for e in bench.events if isinstance(e, CountedTransition)]
     assert [(t.session, t.j) for t in counted] == [(old, 0)]
     bench.accept(2.1)
     bench.do(bench.offer(2.2))
     bench.do(bench.endpoint.wake(3.0))
     counted = [e for e in bench.events if isinstance(e, CountedTransition)]
-    assert [(t.session, t.j) for t in counted] == [(old, 0), (record.session, 0)]
+    assert [(t.session, t.j) for t in counted] == [(old, 0), (record.session.id, 0)]
 
 
 @pytest.mark.parametrize("fallback", ["hold", "zero"])
@@ -410,16 +383,18 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     else:
         bench.greet(0.5)
     assert step_of(bench.journal) == chosen
-    session = bench.record.session
+    session = bench.record.session.id
     back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
     assert (event.session, event.coin) == (session, coin)
     assert event.u == offer.candidates[coin] != (0.0,)
-    assert (back.record.transitions, back.record.missed) == (0, 1)
+    assert (back.record.link.transitions, back.record.applied.missed) == (0, 1)
     assert step_of(back.journal) == NO_STEP
     # whether the input was applied is not known: the plant is told what the step to come is given
     assert back.device.calls[:2] == ["start", "apply"]
-    assert back.record.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
+    assert (
+        back.record.applied.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
+    )
     bench.journal.close()
 
 
@@ -493,7 +468,7 @@ def test_a_slow_reading_costs_ticks_that_are_never_made_up_for() -> None:
     bench.do(bench.offer(0.2))
     bench.do(bench.endpoint.wake(3.4))
     assert bench.news.punctuality.overruns == 2
-    assert bench.record.k == 1
+    assert bench.record.link.k == 1
     assert bench.endpoint.wake_at() > 3.4
 
 
@@ -521,7 +496,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     management = MemoryHub()
     buses = MemoryBus(MemoryHub()), MemoryBus(management)
     service = PlantService(config, *buses, threading.Event())
-    assert service.endpoint.plant.acts
+    assert service.endpoint.stepper.plant.acts
     taken_up(service, management)
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
@@ -536,12 +511,16 @@ def taken_up(service: PlantService, management: MemoryHub) -> None:
     hello = ControllerHello(
         instance="2" * 16,
         incarnation=1,
-        fingerprint=core.rules.fingerprint,
+        fingerprint=core.state.rules.fingerprint,
         verdict="greeting",
     )
     put = MemoryBus(management).publisher(key_of(ControllerHello, "loop")).put
     put(hello.wire())
-    answer = {"verdict": "accepted", "session": core.record.session, "answers": core.instance}
+    answer = {
+        "verdict": "accepted",
+        "session": core.state.record.session.id,
+        "answers": core.instance,
+    }
     put(hello.model_copy(update=answer).wire())
 
 
@@ -599,21 +578,6 @@ def test_a_service_that_cannot_start_leaves_its_device_safe(
     assert device.calls == ["start", "safe", "close"]
 
 
-def test_a_service_that_ends_lets_go_of_its_device_whatever_else_fails(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def fails(_self: object) -> None:
-        raise TransportError("the channel is gone")
-
-    device, stopping = Device(), threading.Event()
-    service = device_service(device, tmp_path, monkeypatch, stopping)
-    monkeypatch.setattr(MemoryChannel, "close", fails)
-    stopping.set()
-    with pytest.raises(TransportError, match="the channel is gone"):
-        service.run()
-    assert device.calls[-2:] == ["safe", "close"]
-
-
 # --- punctuality and doubt ------------------------------------------------------------------------
 
 
@@ -626,16 +590,6 @@ def test_percentiles_are_of_the_newest_steps() -> None:
     event = p.as_event(7)
     assert event is not None
     assert (event.k, event.steps, event.actuated_after_s) == (7, 1000, ())
-
-
-@given(st.lists(st.sampled_from([0.0, 1e-4, 3e-3, 0.2]) | st.floats(0, 1), max_size=40))
-def test_figures_of_punctuality_are_those_of_a_sort(values: list[float]) -> None:
-    p, known = Punctuality(), [random.Random(len(values)).random() for _ in range(990)]
-    for value in (*known, *values):
-        p.acted(value)
-    ordered = sorted([*known, *values][-1000:])
-    last = len(ordered) - 1
-    assert p.actuated_after_s == (ordered[last // 2], ordered[-(-99 * last // 100)], ordered[last])
 
 
 def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
@@ -661,26 +615,3 @@ def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:
     for step in range(2000):
         kept.counted(AgreementResult((1.5, 0.5) if step == 700 else (0.5, 2.0), -1), 0)
     assert (kept.outside, kept.unexplained, kept.doubt) == (1, 0, "")
-
-
-def test_operated_devices_are_told_from_simulations() -> None:
-    device: Operated = open_plant(line(), own=Device())
-    assert device.device
-    assert not open_plant(line(), own=PythonLine()).device
-
-
-def test_both_ends_see_what_no_candidate_explains() -> None:
-    """d is up to four times what D_c allows: the verdict says so, at the plant and elsewhere."""
-    base = load("sustained")
-    widths = [4 * w for w in base.plant.disturbance.half_widths]
-    spec = {"half_widths": widths, "may_leave_defender_set": True}
-    scenario = vary(base, {"plant.disturbance": spec, "secrecy.alpha": 30.0})
-    law = make_law(scenario, synthesise(scenario))
-    world = Simulation(scenario, law, seed=1)
-    world.run(steps=40)
-    plant, controller = world.history.plant, world.history.controller
-    unexplained = {at for at, t in plant.items() if t.verdict.unexplained}
-    assert len(unexplained) > 5
-    assert {at for at in unexplained if at in controller} == {
-        at for at, t in controller.items() if t.verdict.unexplained
-    }

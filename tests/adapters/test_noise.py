@@ -6,8 +6,6 @@ assume a set for it (``defender.noise``).
 
 import json
 import random
-import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 
@@ -16,7 +14,7 @@ import pytest
 from plant_service.adapters import PlantError
 from protocol.scenario import Scenario
 from protocol.vectors import Vector
-from tests.adapters.plants import KINDS, Device, law_of, lives_of, of_each_kind, through_deaths
+from tests.adapters.plants import KINDS, Device, law_of, lives_of, through_deaths
 from tests.adapters.test_device import line as scenario_of_a_line
 from wyner.api import build, run
 from wyner.simulate.engine import SimulationError
@@ -70,20 +68,10 @@ def test_keys_are_agreed_through_noise_and_none_is_wrong(kind: str, tmp_path: Pa
         assert history.plant[at].shared == t.shared
 
 
-@pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium", "device"])
+@pytest.mark.parametrize("kind", ["linear", "python", "device"])
 def test_deaths_lose_nothing_of_what_is_read_through_noise(kind: str, tmp_path: Path) -> None:
     """Exactly once, and no key is wrong in a step whose plant was not put back where it started."""
     through_deaths(noisy(simulated=kind != "device"), lives_of(kind, tmp_path, own_noise))
-
-
-def test_a_scenario_of_each_kind_may_state_noise() -> None:
-    """The tables of FMU, environment and object take ``plant.noise`` as the linear one does."""
-    for data in of_each_kind(noisy(simulated=True)):
-        if data["plant"]["kind"] == "ode":
-            data["plant"].pop("operating_point")
-        scenario = build(data)
-        assert scenario.plant.noise is not None
-        assert scenario.test_set.half_widths != scenario.defender.disturbance.half_widths
 
 
 def test_noise_that_is_simulated_is_refused_of_a_device() -> None:
@@ -95,46 +83,3 @@ def test_noise_that_is_simulated_is_refused_of_a_device() -> None:
     with pytest.raises(SimulationError, match=r"^plant\.noise: expected none of a device"):
         run(scenario, steps=2, plant=device)
     assert "apply" not in device.calls
-
-
-C_PLANT = """
-static double x[2];
-void reset(double *y) { x[0] = -5.0; x[1] = -2.0; y[0] = x[0]; y[1] = x[1]; }
-void step(double u, double *y) {
-    x[0] += x[1] + 0.5 * u; x[1] += u; y[0] = x[0]; y[1] = x[1];
-}
-"""
-C_CLASS = """
-import ctypes, pathlib
-
-class Plant:
-    def __init__(self):
-        self.code = ctypes.CDLL(str(pathlib.Path(__file__).with_name("plant.so")))
-        self.y = (ctypes.c_double * 2)()
-
-    def reset(self, seed):
-        self.code.reset(self.y)
-        return tuple(self.y)
-
-    def step(self, u, period_s):
-        self.code.step(ctypes.c_double(u[0]), self.y)
-        return tuple(self.y)
-"""
-
-
-@pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
-def test_a_plant_in_c_is_read_through_noise(tmp_path: Path) -> None:
-    """A shared object behind a class of the user's, in a process of its own: 200 steps, seed 2."""
-    (tmp_path / "plant.c").write_text(C_PLANT)
-    (tmp_path / "plant.py").write_text(C_CLASS)
-    build_it = ["cc", "-shared", "-fPIC", "-o", "plant.so", "plant.c"]
-    subprocess.run(build_it, cwd=tmp_path, check=True)
-    data = json.loads(noisy(simulated=True).model_dump_json(exclude_none=True, exclude_unset=True))
-    data["plant"] |= {"kind": "python", "object": "plant.py:Plant"}
-    found = run(build(data), steps=200, seed=2, folder=tmp_path)
-    agreed = found.key >= 0
-    assert agreed.sum() > 60
-    assert (found.key == found.coin)[agreed].all()
-    assert found.record.truth is not None
-    off = abs(found.record.truth[:, :, 0] - found.x[0]).max(axis=0)
-    assert off == pytest.approx(NOISE)

@@ -22,7 +22,6 @@ from tests.adapters.plants import (
     law_of,
     line,
     lives_of,
-    of_each_kind,
     through_deaths,
 )
 from tests.adapters.test_device import line as scenario_of_a_line
@@ -90,17 +89,10 @@ def test_keys_are_agreed_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
         assert history.plant[at].shared == t.shared
 
 
-@pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium", "device"])
+@pytest.mark.parametrize("kind", ["linear", "python", "device"])
 def test_deaths_lose_nothing(kind: str, tmp_path: Path) -> None:
     """Exactly once, and no wrong key, over 3 seeds."""
     through_deaths(by_position(device=kind == "device"), lives_of(kind, tmp_path, encoder))
-
-
-def test_a_scenario_of_each_kind_may_state_outputs() -> None:
-    for data in of_each_kind(by_position(device=False)):
-        scenario = build(data)
-        assert scenario.readings == 1
-        assert scenario.observer is not None
 
 
 def test_numbers_that_the_plant_does_not_give_are_one_line(tmp_path: Path) -> None:
@@ -108,16 +100,6 @@ def test_numbers_that_the_plant_does_not_give_are_one_line(tmp_path: Path) -> No
     for device, own in ((True, line("ode", tmp_path)), (False, Device(encoder()))):
         with pytest.raises(PlantError, match="as many as the plant gives"):
             open_plant(by_position(device=device), own=own)
-
-
-@pytest.mark.parametrize("kind", ["linear", "ode", "python", "gymnasium"])
-def test_runs_agree_and_none_is_wrong(kind: str, tmp_path: Path) -> None:
-    """2 runs of 100 steps of :func:`wyner.run`, seed 2."""
-    scenario = by_position(device=False)
-    own = None if kind == "linear" else lives_of(kind, tmp_path, encoder)
-    found = run(scenario, steps=100, runs=2, seed=2, plant=None if own is None else own())
-    assert found.x.shape == (2, 101, 1)
-    assert (found.key[:, 16:] == found.coin[:, 16:]).all()
 
 
 def test_a_device_whose_states_nobody_knows_is_one_line() -> None:

@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from attacker_service.base import BusAttack, Observation, SensorAttack
-from protocol.arrays import Array, Flags
+from attacker_service.base import Observation, SensorAttack
+from protocol.arrays import Array
 
 
 class Frozen(SensorAttack):
@@ -36,15 +36,3 @@ class Nan(SensorAttack):
 
     def sensor(self, observed: Observation) -> Array:
         return observed.shown * np.nan
-
-
-class Deaf(BusAttack):
-    """Toy: the controller never hears of a change."""
-
-    name: ClassVar[str] = "deaf"
-
-    def toward_plant(self, k: int, candidates: Array) -> Array:
-        return candidates
-
-    def toward_controller(self, k: int, x: Array, applied: Flags) -> Array:
-        return x * 0

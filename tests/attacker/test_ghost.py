@@ -25,7 +25,7 @@ def attacked(folder: Path, *, hears_all: bool) -> tuple[list[int], float]:
         attack=attack_of(f"ghost@{ONSET}"),
         change=HEARS_ALL if hears_all else ("", ""),
     )
-    loop.run(lambda: loop.plant.record.k >= ONSET + STEPS)
+    loop.run(lambda: loop.plant.state.record.link.k >= ONSET + STEPS)
     loop.stop()
     alarms = [e["k"] for e in read_trace(folder / CONTROLLER_TRACE).of("alarm")]
     off = [

@@ -13,7 +13,7 @@ from attacker_service.attacker import Attacker
 from attacker_service.relay import Relay
 from plant_service.plant import Disturbances, FilteredPlant, LinearModel
 from protocol.messages import Measurement, Message, Offer
-from protocol.scenario import Attack, Scenario, attack_of
+from protocol.scenario import Attack, Scenario
 from protocol.topics import DEFAULT_LOOP, key_of
 from runtime.chance import noise
 from runtime.errors import UsageError
@@ -138,14 +138,6 @@ def test_a_wrong_option_is_one_line(text: str, expected: str) -> None:
     with pytest.raises(UsageError) as caught:
         attack_option(text, None, 9)
     assert caught.value.lines[0].startswith(expected)
-
-
-def test_an_option_stands_over_the_scenarios_own_table() -> None:
-    stated = Attack.model_validate({"kind": "ghost", "onset": 5, "share": 0.25})
-    assert attack_of("ghost@7", stated).options == {"share": 0.25}
-    assert attack_of('ghost@7,share=0.5,knows=["model","bus"]').knows == ("model", "bus")
-    assert attack_of("replay@7", stated).options == {}
-    assert attack_option(None, stated, None) is stated
 
 
 class Passed:

@@ -7,11 +7,9 @@ from typing import Any
 import pytest
 
 from attacker_service.attacker import Attacker
-from protocol.scenario import attack_of, parse_scenario
-from protocol.scenario.reading import ScenarioError
+from protocol.scenario import attack_of
 from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from runtime.scenario_file import scenario_of
 from tests.support.recorded_loop import RecordedLoop
 from tests.support.traces import Resolved
 
@@ -57,16 +55,16 @@ def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
         """Steps of the next so many that a key chose the input of."""
         watched = 0
         for _ in range(number):
-            loop.run(partial(is_at, loop.plant.record.k + 1))
-            watched += loop.plant.record.keyed
+            loop.run(partial(is_at, loop.plant.state.record.link.k + 1))
+            watched += loop.plant.state.record.applied.keyed
         return watched
 
     def is_at(k: int) -> bool:
-        return loop.plant.record.k >= k
+        return loop.plant.state.record.link.k >= k
 
     while steps(LOOK) < LOOK:
-        assert loop.plant.record.k < 5000, "keys never come"
-    onset = loop.plant.record.k
+        assert loop.plant.state.record.link.k < 5000, "keys never come"
+    onset = loop.plant.state.record.link.k
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
     assert steps(60) == 60
@@ -84,7 +82,7 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
     loop = RecordedLoop(tmp_path, name="network", pace="realtime", attack=attack)
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
-    loop.run(lambda: loop.plant.record.k >= 200)
+    loop.run(lambda: loop.plant.state.record.link.k >= 200)
     assert attacker.failed == ""
     loop.stop()
     found = told(tmp_path)
@@ -96,28 +94,3 @@ def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: P
 
 
 # --- what cannot be -------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("keys", [None, {"eps_E": 0.0}])
-def test_keys_that_cannot_be_made_are_one_line(keys: dict[str, float] | None) -> None:
-    defence = {"defence": {"coin": "keys"}}
-    tables = scenario_of("packed").model_dump(exclude_unset=True) | defence
-    with pytest.raises(ScenarioError) as caught:
-        parse_scenario(tables if keys is None else tables | {"keys": keys}, "x")
-    assert len(caught.value.problems) == 1
-    assert "defence.coin: 'keys' takes distilled keys" in caught.value.problems[0]
-
-
-@pytest.mark.parametrize(
-    ("defence", "line"),
-    [
-        ({"coin": "mac"}, 'defence.coin: got "mac", expected'),
-        ({"kind": "mac"}, 'defence.kind: got "mac", no such field'),
-    ],
-)
-def test_a_defence_that_cannot_be_is_one_line(defence: dict[str, str], line: str) -> None:
-    tables = scenario_of("keys").model_dump(exclude_unset=True)
-    with pytest.raises(ScenarioError) as caught:
-        parse_scenario(tables | {"defence": defence}, "x")
-    assert len(caught.value.problems) == 1
-    assert caught.value.problems[0].removeprefix("x: ").startswith(line), caught.value.problems

@@ -1,29 +1,22 @@
 """Every interleaving, to a depth: ``python -m tests.campaigns.exhaustive --scheme switched``.
 
 Breadth first with states hashed, so that the first counterexample is a shortest one. Every new
-state is then left alone with a network that loses nothing, and must go on. Where it stopped is
-kept on disk; the same command goes on from there.
+state is then left alone with a network that loses nothing, and must go on.
 """
 
 import argparse
 import gc
-import json
-import pickle
 import sys
 import time
 from array import array
 from collections.abc import Callable
-from pathlib import Path
 from typing import Final
 
-from runtime.files import write_atomically
 from tests.campaigns.loop import SCHEMES, short_keys
 from tests.campaigns.space import LONGEST, SIDES, Space
-from wyner.sweeps.code import code_version
 
 TOLD_S: Final = 15.0
-SAVED_S: Final = 900.0
-"""Seconds between two lines of progress, and two savings."""
+"""Seconds between two lines of progress."""
 
 
 BEFORE_A_MESSAGE: Final = slice(-11, -1)
@@ -158,85 +151,45 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--deepest", type=int, default=100)
     parser.add_argument("--states", type=int, default=10**9, help="stop after so many")
     parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--results", type=Path, default=Path("campaign-exhaustive.json"))
     args = parser.parse_args(argv)
     if args.coin and args.no_keys:
         parser.error("--coin: keys choose it, and --no-keys makes none")
-    name = f"{args.scheme}, {'lock-step' if args.lockstep else 'with a deadline'}, "
-    name += "a device, " if args.acts else ""
-    name += f"keys {'off' if args.no_keys else 'on'}, {'coin keyed, ' if args.coin else ''}"
-    name += f"{args.faults} faults"
-    name += ", from the first hello" if args.from_hello else ""
-    name += f", {args.remembered} remembered" if args.remembered != 2 else ""
-    kept = args.results.with_suffix(f".{name.replace(', ', '-').replace(' ', '')}.pickle")
-    version = code_version("tests.campaigns.exhaustive", without=())
-    found: Exploration | None = None
-    if kept.exists():
-        with kept.open("rb") as file:
-            if pickle.load(file) == version:
-                found = pickle.load(file)
-    if found is None:
-        space = Space(
-            args.scheme,
-            timed=not args.lockstep,
-            keys=not args.no_keys,
-            remembered=args.remembered,
-            acts=args.acts,
-            coin=args.coin,
-        )
-        starts = slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
-        with short_keys():
-            found = Exploration(space, args.faults, starts)
-    e = found
-    began, events = time.monotonic(), e.events
-    until = began + args.seconds
-    told_at = saved_at = began
+    space = Space(
+        args.scheme,
+        timed=not args.lockstep,
+        keys=not args.no_keys,
+        remembered=args.remembered,
+        acts=args.acts,
+        coin=args.coin,
+    )
+    until: float = time.monotonic() + args.seconds
+    told_at = 0.0
 
-    def told() -> dict[str, object]:
-        return {
-            "version": version,
-            "depth": round(e.depth + e.share, 3),
-            "states": len(e.seen),
-            "events": e.events,
-            "ends": [len(end) for end in e.space.ends],
-            "messages": len(e.space.messages),
-            "broken": e.why,
-        }
-
-    def save() -> None:
-        results = json.loads(args.results.read_text()) if args.results.exists() else {}
-        results[name] = told()
-        write_atomically(args.results, json.dumps(results, indent=1).encode())
-        part = kept.with_suffix(".part")
-        with part.open("wb") as file:
-            pickle.dump(version, file)
-            pickle.dump(e, file, pickle.HIGHEST_PROTOCOL)
-        part.replace(kept)
+    def told() -> str:
+        depth, ends = found.depth + found.share, [len(end) for end in space.ends]
+        return f"depth {depth:.3f}, {len(found.seen):,} states, {found.events:,} events, {ends}"
 
     def goes_on() -> bool:
-        nonlocal told_at, saved_at
+        nonlocal told_at
         now = time.monotonic()
-        if now - told_at > TOLD_S:
+        if now > told_at + TOLD_S:
             told_at = now
-            rate = (e.events - events) / (now - began)
-            print(f"{name}: {told()}, {rate:,.0f} events/s", file=sys.stderr, flush=True)
-        if now - saved_at > SAVED_S:
-            save()
-            saved_at = time.monotonic()
-        return now < until and len(e.seen) < int(args.states)
+            print(told(), file=sys.stderr, flush=True)
+        return now < until and len(found.seen) < args.states
 
-    going = not e.why
     with short_keys():
-        while going and not e.over and e.depth < args.deepest:
-            going = e.deeper(goes_on)
-    print(f"{name}: {told()}", file=sys.stderr)
-    save()
-    if e.why:
-        print(f"{e.why}, after {len(e.path)} events:")
-        for number, words in enumerate(e.path, start=1):
+        found = Exploration(
+            space, args.faults, slice(0, 1) if args.from_hello else BEFORE_A_MESSAGE
+        )
+        going = not found.why
+        while going and not found.over and found.depth < args.deepest:
+            going = found.deeper(goes_on)
+    print(told())
+    if found.why:
+        print(f"{found.why}, after {len(found.path)} events:")
+        for number, words in enumerate(found.path, start=1):
             print(f"{number:4} {words}")
-        return 1
-    return 0
+    return int(bool(found.why))
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ drops every copy 0, flips each field that no rule protects, strips, replays, and
 sensor is honest, so no test of a reading fails by itself: what alarms is that steps go unwatched.
 Judged by what really happened: a step is watched where the plant's coin was the digit that the
 controller expected. In any steps in a row without an alarm at most s n + h may be unwatched, from
-the first watched one on. ``--honest`` counts alarms where nobody attacks, under losses and kills.
+the first watched one on.
 """
 
 import argparse
@@ -298,20 +298,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seeds", type=int, default=5, help="runs of each strategy")
     parser.add_argument("--steps", type=int, default=1500)
     parser.add_argument("--onset", type=int, default=300)
-    parser.add_argument("--honest", type=int, metavar="STEPS", help="honest steps in all")
     args = parser.parse_args(argv)
-    if args.honest is not None:
-        total: Counter[str] = Counter()
-        seed = 0
-        while total["steps"] < args.honest:
-            found = honest(seed, args.steps)
-            total += Counter(
-                steps=found.steps, watched=found.watched, crashes=found.crashes, runs=1
-            )
-            total.update({f"alarm {reason}": n for reason, n in found.alarms.items()})
-            seed += 1
-        print(dict(total))
-        return int(any(name.startswith("alarm") for name in total))
     watch = rules_of(scenario_of("watched")).watch
     most, wrong = watch.burst + UNDER_WAY, 0
     for name, strategy in (STRATEGIES | MIXED).items():

@@ -11,8 +11,10 @@ travel under the key stream, in lock-step too.
 """
 
 import argparse
+import json
 import os
 import random
+import shutil
 import signal
 import sys
 import tempfile
@@ -21,8 +23,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Final
 
-from tests.campaigns.live import LiveLoop, keep_failed, plain_text
-from tests.campaigns.resumable import Results
+from tests.campaigns.live import LiveLoop, plain_text
 from tests.campaigns.traffic import Traffic
 
 KILLS_A_RUN: Final = 60
@@ -37,13 +38,11 @@ RELAY: Final = (0.02, 0.05, 0.001)
 
 SERVICES: Final = ("controller", "plant", "tap", "router", "relay")
 KINDS: Final = {
-    "kills": "campaign-kills.json",
-    "tls": "campaign-tls.json",
-    "keys": "campaign-kills-keys.json",
-    "watched": "campaign-kills-watched.json",
-    "sealed": "campaign-kills-sealed.json",
+    "tls": "a router that asks for certificates",
+    "keys": "a relay",
+    "watched": "the coin is keyed",
+    "sealed": "messages travel under the key stream",
 }
-"""Kinds of campaign, and where their results go."""
 
 PACES: Final = ("fast", "x100", "x20")
 
@@ -99,7 +98,7 @@ class Reaper:
 def one_run(
     seed: int, folder: Path, kills: int, kind: str = "kills"
 ) -> tuple[Counter[str], list[str]]:
-    """Kill and freeze; how often, and what was wrong. ``kind`` is one of :data:`KINDS`."""
+    """Kill and freeze; how often, and what was wrong. ``kind``: ``kills``, or of :data:`KINDS`."""
     draw = random.Random(seed)
     keys = kind == "keys"
     bytes_a_kill = RELAYED_BYTES_A_KILL if keys else BYTES_A_KILL
@@ -136,39 +135,28 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--kills", type=int, default=1000)
     parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--seed", type=int, help="this run alone, kept in --folder")
-    parser.add_argument("--folder", type=Path)
+    parser.add_argument("--seed", type=int, default=0, help="of the first run")
+    parser.add_argument("--failed", type=Path, default=Path("campaign-failed"), metavar="FOLDER")
     kind = parser.add_mutually_exclusive_group()
-    for name, what in (
-        ("tls", "a router that asks for certificates"),
-        ("keys", "a relay"),
-        ("watched", "the coin is keyed"),
-        ("sealed", "messages travel under the key stream"),
-    ):
+    for name, what in KINDS.items():
         kind.add_argument(f"--{name}", dest="kind", action="store_const", const=name, help=what)
     parser.set_defaults(kind="kills")
-    parser.add_argument("--results", type=Path, help="default: campaign-kills.json, or as its kind")
     args = parser.parse_args(argv)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    args.results = args.results or Path(KINDS[args.kind])
-    if args.seed is not None:
-        args.folder.mkdir()
-        counts, wrong = one_run(args.seed, args.folder, min(args.kills, KILLS_A_RUN), args.kind)
-        print(dict(counts), *wrong, sep="\n")
-        return 1 if wrong else 0
-    results = Results(args.results, {"runs": 0, "killed": 0})
-    done, until = results.done, time.monotonic() + args.seconds
-    while done["killed"] < args.kills and time.monotonic() < until:
-        seed = done["runs"]
+    done, until = Counter[str](), time.monotonic() + args.seconds
+    while (killed := sum(done[name] for name in SERVICES)) < args.kills:
+        seed = args.seed + done["runs"]
         with tempfile.TemporaryDirectory() as folder:
-            counts, wrong = one_run(seed, Path(folder), KILLS_A_RUN, args.kind)
+            kills = min(KILLS_A_RUN, args.kills - killed)
+            counts, wrong = one_run(seed, Path(folder), kills, args.kind)
             if wrong:
-                keep_failed(Path(folder), args.results, str(seed))
-        done["runs"] += 1
-        done["killed"] += sum(counts[name] for name in counts if name in SERVICES)
-        results.add(f"run {seed}", counts, wrong)
-        results.save(f"{done['runs']} runs, {done['killed']} kills")
-    return results.exit_code
+                print(f"run {seed}:", *wrong, sep="\n  ")
+                shutil.copytree(folder, args.failed / f"{args.kind}-{seed}")
+        done.update(counts, runs=1, wrong=int(bool(wrong)))
+        print(json.dumps(done), flush=True)
+        if time.monotonic() > until:
+            break
+    return int(done["wrong"] > 0)
 
 
 if __name__ == "__main__":

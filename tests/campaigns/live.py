@@ -8,7 +8,6 @@ import ctypes
 import json
 import os
 import random
-import shutil
 import signal
 import sys
 import time
@@ -301,11 +300,6 @@ class LiveLoop:
         log = self.processes[name].log
         lines = log.read_text(errors="replace").splitlines() if log.exists() else []
         return lines[-1] if lines else ""
-
-
-def keep_failed(folder: Path, results: Path, name: str) -> None:
-    """Keep what a run left beside the results, to be looked at."""
-    shutil.copytree(folder, results.with_name(f"{results.stem}-failed") / name, dirs_exist_ok=True)
 
 
 def plain_text(draw: random.Random, length: int) -> str:

@@ -17,8 +17,9 @@ from typing import Final
 
 from protocol.link.session import rules_of
 from protocol.messages import Offer
-from protocol.secret.stream import NOWHERE, Position
+from protocol.secret.stream import NOWHERE
 from tests.support.mail import Mail
+from tests.support.once import Digits
 from tests.support.recorded_loop import RecordedLoop
 from tests.support.two_ends import SIDES, Name
 
@@ -39,49 +40,37 @@ class Wire(RecordedLoop):
     def __init__(self, folder: Path) -> None:
         self.counts: Counter[str] = Counter()
         self.doubled: list[str] = []
-        self._step: dict[tuple[str, Position], int] = {}
-        self._newest: dict[str, tuple[int, Position]] = {}
         super().__init__(folder, MESSAGE, "sealed", COINED)
-        self._digits = rules_of(self.scenario).digits
+        self._digits = Digits(rules_of(self.scenario).digits)
 
     def said(self, side: Name, message: Mail) -> None:
         """Look at an offer, and let it go on its way."""
         if message.kind is Offer:
-            self._named(Offer.model_validate_json(message.payload))
+            offer = Offer.model_validate_json(message.payload)
+            self.counts["offers"] += 1
+            self.counts["with digits"] += offer.position != NOWHERE
+            try:
+                self._digits.named(offer)
+            except AssertionError as error:
+                self.doubled.append(f"{offer.position}: {error}")
         super().said(side, message)
 
     def _one_cipher(self, offer: Offer) -> None:
         """Under the key stream each offer has a cipher symbol of its own."""
 
-    def _named(self, offer: Offer) -> None:
-        position = offer.position
-        self.counts["offers"] += 1
-        if position == NOWHERE:
-            return
-        self.counts["with digits"] += 1
-        for at in range(position.at, position.at + self._digits):
-            one = offer.session, Position(position.block, at)
-            if self._step.setdefault(one, offer.k) != offer.k:
-                self.doubled.append(f"{one} is for steps {self._step[one]} and {offer.k}")
-        k, newest = self._newest.get(offer.session, (-1, NOWHERE))
-        if offer.k > k and position <= newest:
-            self.doubled.append(f"{position} at step {offer.k}, {newest} at step {k}")
-        if offer.k > k:
-            self._newest[offer.session] = offer.k, position
-
     def put_back(self, side: Name, since: int, folder: Path) -> None:
         """Copy an end's folder, go on, kill the end, and begin again with the copy."""
         copy = folder / "copy"
         shutil.copytree(self.folder / side, copy)
-        before = self.plant.record.session
-        self.run(lambda target=self.plant.record.k + since: self.plant.record.k >= target)  # type: ignore[misc]
+        before = self.plant.state.record.session.id
+        self.run(lambda target=self.plant.state.link.k + since: self.plant.state.link.k >= target)  # type: ignore[misc]
         self.kill(side)
         shutil.rmtree(self.folder / side)
         copy.rename(self.folder / side)
         self.start(side)
-        self.run(lambda target=self.plant.record.k + 3: self.plant.record.k >= target)  # type: ignore[misc]
+        self.run(lambda target=self.plant.state.link.k + 3: self.plant.state.link.k >= target)  # type: ignore[misc]
         self.counts[f"{side} put back"] += 1
-        self.counts["sessions ended"] += self.plant.record.session != before
+        self.counts["sessions ended"] += self.plant.state.record.session.id != before
 
 
 def restored(count: int, seed: int) -> Wire:
@@ -90,8 +79,8 @@ def restored(count: int, seed: int) -> Wire:
     with tempfile.TemporaryDirectory() as folder:
         loop = Wire(Path(folder) / "run")
         for _ in range(count):
-            target = loop.plant.record.k + draw.randint(*BEFORE)
-            loop.run(lambda target=target: loop.plant.record.k >= target)  # type: ignore[misc]
+            target = loop.plant.state.link.k + draw.randint(*BEFORE)
+            loop.run(lambda target=target: loop.plant.state.link.k >= target)  # type: ignore[misc]
             loop.put_back(draw.choice(SIDES), draw.choice(SINCE), Path(folder))
         loop.stop()
     return loop

@@ -5,7 +5,7 @@ makes keys too. An eighth of these key the coin, and half of those that act seal
 they take ten times as long. In half of all the
 plant acts: a device with a deadline, or a simulation in lock-step that nobody can put back. With
 ``--networks`` each has a network table besides. Both endpoints, their journals and the shell are
-those of the services. Goes on where it stopped.
+those of the services. ``--first`` goes on where another stopped.
 """
 
 import argparse
@@ -14,10 +14,10 @@ import json
 import random
 import sys
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext
 from functools import cache, partial
-from pathlib import Path
 from typing import Any, Final, NamedTuple
 from unittest.mock import patch
 
@@ -34,7 +34,6 @@ from protocol.scenario.defence import DefenceTable
 from protocol.scenario.keys import Keys
 from protocol.secret import key_digits, stream
 from protocol.vectors import Vector
-from runtime.files import write_atomically
 from runtime.perform import CrashPoint
 from tests.support.line_ends import disowned
 from tests.support.once import Copies, Digits
@@ -42,12 +41,10 @@ from tests.support.safety import differing_key, violations
 from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
-from wyner.sweeps.code import code_version
 
-SAVED_S: Final = 60.0
-"""Seconds after which what was found is saved, and told."""
+TOLD_S: Final = 60.0
+"""Seconds between two lines of progress."""
 
-COUNTED: Final = ("schedules", "acting", "cut", "keys", "watched")
 PAYLOADS: Final = (b"", b"x")
 STEPS: Final = (6, 12, 24, 48)
 """Steps of a schedule; an eighth of them have the last two."""
@@ -227,7 +224,7 @@ class Watched(Simulation):
     def _end_the_session(self) -> None:
         """The controller was misled, or holds other keys: it does not know the session any more."""
         end = self.ends["plant"]
-        if end.endpoint is None or self.plant.session.controller is None:
+        if end.endpoint is None or self.plant.state.session.controller is None:
             return
         self.history.amnesias += 1
         self.deliver("plant", disowned(self.plant))
@@ -248,7 +245,7 @@ class Watched(Simulation):
             return
         if isinstance(event, CountedTransition) and event.coin == NO_SYMBOL:
             return  # the controller's
-        assert event.session == self.plant.record.session, "counted in another session"
+        assert event.session == self.plant.state.record.session.id, "counted in another session"
         if device.u is None:  # of a process before, or before an input was known
             return
         assert event.x_next == device.x, "a step led elsewhere than its trace says"
@@ -316,8 +313,8 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
     if not keyed:
         return Outcome(0, link.cut, 0, tuple(lines))
     mine, theirs = (link.ends[side].journal.load() for side in ("controller", "plant"))
-    if mine.record and theirs.record and mine.record.session == theirs.record.session:
-        lines += filter(None, [differing_key(mine.parts, theirs.parts)])
+    if mine.record and theirs.record and mine.record.session.id == theirs.record.session.id:
+        lines += filter(None, [differing_key(scenario.secrecy.candidates, mine.held, theirs.held)])
     return Outcome(sum(link.blocks.values()), link.cut, len(link.digits.watched), tuple(lines))
 
 
@@ -341,42 +338,31 @@ def _placed(plant: Stepped | PlantAdapter) -> Stepped | PlantAdapter:
 def main(argv: list[str] | None = None) -> int:
     """Go through the seeds; 1 when one broke something."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--count", type=int, default=1_000_000)
     parser.add_argument("--seconds", type=float, default=float("inf"))
-    parser.add_argument("--results", type=Path, default=Path("campaign-schedules.json"))
     parser.add_argument("--networks", action="store_true", help="a network table for each seed")
     args = parser.parse_args(argv)
-    done = json.loads(args.results.read_text()) if args.results.exists() else {}
-    done = {**dict.fromkeys(COUNTED, 0), "broken": [], "versions": {}, **done}
-    version = code_version("tests.campaigns.schedules", without=())
-    done["versions"].setdefault(version, [done["schedules"], 0])
-    began, until = time.monotonic(), time.monotonic() + args.seconds
-    saved = began
-    first = done["schedules"]
+    done: Counter[str] = Counter()
+    told_at = time.monotonic()
+    until = told_at + args.seconds
     for made in (False, True):
         loop(keyed=True, acts=made)
     gc.freeze()  # what is loaded stays: searching it for garbage took an eighth of the time
-    for seed in range(first, args.count):
+    for seed in range(args.first, args.first + args.count):
         outcome = outcome_of(seed, networks=args.networks)
-        done["keys"] += outcome.keys
-        done["cut"] += outcome.cut
-        done["watched"] += outcome.watched
-        done["acting"] += acts(seed)
+        done.update(schedules=1, keys=outcome.keys, cut=outcome.cut, watched=outcome.watched)
+        done.update(acting=int(acts(seed)), broken=int(bool(outcome.wrong)))
         if outcome.wrong:
-            done["broken"].append([seed, *outcome.wrong])
             print(f"seed {seed}: {outcome.wrong}")
-        done["schedules"] = done["versions"][version][1] = seed + 1
         now = time.monotonic()
-        over = now > until or seed + 1 == args.count
-        if over or now >= saved + SAVED_S:
-            saved = now
-            write_atomically(args.results, json.dumps(done).encode())
-            rate = (seed + 1 - first) / (now - began)
-            told = f"{seed + 1:,} schedules, {done['keys']:,} keys, {rate:.3g} a second"
-            print(told, file=sys.stderr, flush=True)
-        if over:
+        if now > until:
             break
-    return 1 if done["broken"] else 0
+        if now > told_at + TOLD_S:
+            told_at = now
+            print(dict(done), file=sys.stderr, flush=True)
+    print(json.dumps(done))
+    return int(done["broken"] > 0)
 
 
 if __name__ == "__main__":

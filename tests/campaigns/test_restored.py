@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Position, Stream
 from tests.campaigns.restored import restored
 from tests.support.size import size
 
@@ -26,9 +26,9 @@ def test_a_controller_that_forgets_which_digits_it_has_named_is_caught(
     begin = Stream.__init__
 
     def forgetful(
-        self: Stream, size: int, parts: tuple[Part, ...] = (), _: Position = NOWHERE
+        self: Stream, size: int, held: Held = NOTHING_HELD, _: Position = NOWHERE
     ) -> None:
-        begin(self, size, parts)
+        begin(self, size, held)
 
     monkeypatch.setattr(Stream, "__init__", forgetful)
     assert restored(20, seed=2).doubled

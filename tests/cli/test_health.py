@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from protocol.link.distiller import Distiller
+from protocol.link.records import KeyRecord
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
@@ -59,7 +60,7 @@ def test_a_loop_that_makes_no_keys_any_more_says_so(
     none_counts = [Contribution(j, 1, None, None) for j in (1, 2, 3)]
     told = []
     for rows in (none_counts[:2], none_counts):  # block 0 is open, and then over
-        distiller.begin("0" * 16, rows=rows)
+        distiller.resume("0" * 16, KeyRecord(), rows=rows)
         told.append(distiller.status_fields()["keys_stopped"])
     assert told == ["", "block 0 lost too many copies to make one"]
     why = {"keys_stopped": told[1]}

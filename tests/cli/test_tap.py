@@ -190,11 +190,11 @@ def test_an_eavesdropper_who_fails_ends_with_1_and_is_not_scored(
     name = f"{tmp_path}/mine.py:Mine"
     code, out, _ = call(capsys, "score", run_dir, "--eavesdropper", name)
     assert code == 1
-    assert "mine: not scored: she failed: step 21: ValueError: no idea" in out
-    assert "mine: she failed: step 21: ValueError: no idea, so they stand untested" in out
+    assert "mine: not scored: it failed: step 21: ValueError: no idea" in out
+    assert "mine: it failed: step 21: ValueError: no idea, so they stand untested" in out
     code, out, _ = call(capsys, "score", run_dir, "--decode", "--eavesdropper", name)
     assert code == 1
-    assert "mine: she failed: step 21: ValueError: no idea" in out
+    assert "mine: it failed: step 21: ValueError: no idea" in out
 
 
 def test_export_to_csv(run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]) -> None:

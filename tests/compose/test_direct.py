@@ -8,7 +8,6 @@ import pytest
 
 from tests.compose.composition import (
     FORGE,
-    PATIENCE_S,
     RUN,
     Beside,
     Composition,
@@ -18,17 +17,8 @@ from tests.compose.composition import (
     forged_under_way,
     wait_for,
 )
-from tests.compose.terminal import Terminal
 
 SERVICES = ("controller", "plant", "tap")
-
-
-def test_every_service_becomes_healthy(direct: Composition) -> None:
-    all_healthy(direct, SERVICES)
-
-
-def test_the_message_of_the_start_arrives(direct: Composition) -> None:
-    arrives(direct, "plant", "at noon")
 
 
 def test_an_operators_message_arrives(direct: Composition) -> None:
@@ -187,16 +177,6 @@ def test_the_tap_hears_the_first_message_whole(direct: Composition) -> None:
     wait_for(she_has_it, "the whole first message in the list decoder's beliefs")
 
 
-def test_the_tap_captures_what_it_may_see(direct: Composition) -> None:
-    arrives(direct, "plant", "at noon")
-    lines = direct.execute("tap", "cat", f"{RUN}/tap/capture.jsonl").stdout.splitlines()
-    assert len(lines) > 100
-    text = "\n".join(lines)
-    assert "at noon" not in text
-    assert "coin" not in text
-    assert '"symbol"' not in text
-
-
 def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
     direct: Composition,
 ) -> None:
@@ -210,25 +190,3 @@ def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
 
 
 # --- what people run beside the services ---------------------------------------------------------
-
-
-def test_the_dashboard_fills_a_terminal_and_q_leaves_it(direct: Composition) -> None:
-    all_healthy(direct, SERVICES)
-    command = direct.command("run", "--rm", "--no-deps", "dashboard")
-    with Terminal(command, direct.environment) as terminal:
-        terminal.read_until(
-            "\x1b[?1049h",  # the alternate screen
-            "sustained",  # the plant has been heard, over the management bus
-            "nearest-centre",  # and the tap, over the adversary bus
-        )
-        terminal.press("q")
-        assert terminal.wait(PATIENCE_S) == 0
-
-
-def test_an_operator_without_a_controller_is_told_so(direct: Composition) -> None:
-    said = direct.compose(
-        "run", "--rm", "--no-deps", "operator", "send", "to nobody", "--loop", "another",
-        "--timeout", "2", check=False,
-    )  # fmt: skip
-    assert said.returncode == 1
-    assert "no controller of loop 'another' answered within 2 s" in said.stderr

@@ -66,23 +66,6 @@ def test_a_frozen_tap_holds_nobody_up(direct: Composition) -> None:
         docker("unpause", direct.container("tap"))
 
 
-def test_the_plant_cut_off_its_networks_comes_back(direct: Composition) -> None:
-    advancing(direct)
-    text = "plant cut off"
-    under_way(direct, text)
-    plant = direct.container("plant")
-    missed = direct.status("plant", "plant")["missed"]
-    for bus in ("field", "management"):
-        docker("network", "disconnect", f"{direct.project}_{bus}", plant)
-    time.sleep(4)
-    for bus in ("field", "management"):
-        network = f"{direct.project}_{bus}"
-        docker("network", "connect", "--alias", f"plant.{bus}", network, plant)
-    arrives(direct, "plant", text)
-    # It was cut off: at this pace four seconds are 200 steps.
-    assert direct.status("plant", "plant")["missed"] > missed + 100
-
-
 def test_after_all_that_the_traces_obey_the_paper(direct: Composition, tmp_path: Path) -> None:
     """The run's files, collected from the three volumes, pass the replay of `wyner check`."""
     direct.compose("stop")

@@ -71,13 +71,6 @@ def test_the_message_arrives_through_the_router(secure: Composition) -> None:
     arrives(secure, "secure-plant", "at noon")
 
 
-def test_each_container_holds_one_identity_and_no_authority(secure: Composition) -> None:
-    for service in SERVICES:
-        own = service.removeprefix("secure-")
-        keys = secure.execute(service, "find", "/var/lib/wyner/certs", "-name", "*key.pem")
-        assert keys.stdout.split() == [f"{certificates(own)}/key.pem"]
-
-
 def test_the_router_passes_on_what_names_allow_and_drops_the_rest(secure: Composition) -> None:
     """All three publish everything, on a loop of this test's own; a witness listens."""
     all_healthy(secure, SERVICES)

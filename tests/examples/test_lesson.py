@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-LESSON = ROOT / "docs" / "lesson.md"
+LESSON = ROOT / "docs" / "tutorial.md"
 SOLUTIONS = ROOT / "examples" / "lesson.py"
 
 

@@ -11,19 +11,10 @@ from pathlib import Path
 
 import pytest
 
-from protocol.messages import ADVERSARY, FIELD, MANAGEMENT
-from protocol.schemes.registry import SCHEMES, make_scheme
-from runtime.errors import UsageError
+from tools import command_reference
 from tools.diagrams import DOCUMENTS as GENERATED
-from tools.diagrams import (
-    PARTS,
-    ROOMS,
-    arrows_of,
-    main,
-    refreshed,
-    rooms,
-    state_diagram,
-)
+from tools.diagrams import refreshed
+from tools.scenario_reference import missing, page
 from wyner.cli.main import build_parser, commands
 from wyner.runs.check import RULES
 
@@ -56,47 +47,18 @@ def found(dotted: str) -> object:
     raise AssertionError(f"no such module: {dotted}")
 
 
+def test_every_command_and_field_is_told_in_the_references() -> None:
+    text = command_reference.page()
+    for name in commands():
+        assert f"### wyner {name}\n\n```text\nusage: wyner {name}" in text
+    assert missing() == [], "a string below the field, in its class, is its line"
+    assert "`[plant.disturbance]`" in page()
+
+
 def test_the_generated_parts_are_fresh() -> None:
     for document, parts in GENERATED.items():
         text = document.read_text(encoding="utf-8")
         assert refreshed(text, parts) == text, "run: python -m tools.diagrams --write"
-
-
-def test_the_diagrams_show_every_arrow() -> None:
-    for name in SCHEMES:
-        scheme = make_scheme(name, 2)
-        drawn = state_diagram(scheme)
-        assert len(arrows_of(scheme)) == 2 * len({a.s for a in arrows_of(scheme)})  # two events
-        for a in arrows_of(scheme):
-            arrow = rf"s{a.s} --> s{a.following} : ({a.event}|always)<br/>{re.escape(a.action)}$"
-            assert re.search(arrow, drawn, re.MULTILINE), a
-
-
-def test_the_tables_name_every_message() -> None:
-    text = "".join(part() for part in PARTS.values())
-    for kind in (*FIELD, *MANAGEMENT, *ADVERSARY):
-        assert f"`{kind.__name__}`" in text
-
-
-def test_a_missing_marker_is_noticed() -> None:
-    with pytest.raises(ValueError, match=r"markers.*add <!-- generated: pipelined -->"):
-        refreshed("<!-- generated: switched -->\n<!-- end -->")
-
-
-def test_the_parts_can_be_printed(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main([]) == 0
-    assert "stateDiagram-v2" in capsys.readouterr().out
-    assert main(["--draw"]) == 2
-    assert capsys.readouterr().err.startswith("usage: ")
-
-
-def test_the_table_covers_the_papers_equations() -> None:
-    assert len(ROWS) > 25
-    items = " ".join(item for item, _, _ in ROWS)
-    for number in (5, 6, 10, 11, 12, 13, 14, 15, 20, 21, 22, 23, 24, 25, 26, 27):
-        assert f"({number})" in items
-    for figure in ("Fig. 5", "Fig. 6a", "Fig. 6b"):
-        assert figure in items
 
 
 @pytest.mark.parametrize(("item", "function", "test"), ROWS, ids=[row[0] for row in ROWS])
@@ -106,58 +68,11 @@ def test_a_row_names_things_that_are_there(item: str, function: str, test: str) 
     assert name in names_in(ROOT / path), item
 
 
-def test_the_picture_of_the_rooms_has_every_package_with_what_it_says_of_itself() -> None:
-    drawn = rooms().splitlines()[1:-1]
-    packages = [p for room in ROOMS for p in (ROOT / room).rglob("__init__.py")]
-    assert len(drawn) == len(packages) > 30
-    assert all(len(line.split("/", 1)[1].split()) > 3 for line in drawn)
-
-
 def test_the_protocol_document_names_every_rule_of_a_check() -> None:
     table = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
     first_cells = re.findall(r"^\| ([a-z0, -]+) \|", table, re.MULTILINE)
     named = {name.strip() for cell in first_cells for name in cell.split(",")}
     assert {rule.name for rule in RULES} <= named
-
-
-def test_the_certificates_of_the_deployment_document_hold_what_it_connects_to() -> None:
-    text = (ROOT / "docs" / "deployment.md").read_text(encoding="utf-8")
-    text = text.partition("## Several machines")[2].replace("\\\n", " ")
-    names = dict(re.findall(r"--name (\w+)=(\S+)", text))
-    for service, arguments in re.findall(r"^wyner (\w+) (.*)$", text, re.MULTILINE):
-        for listened in re.findall(r"--listen \w+=tls/([^:]+):", arguments):
-            assert listened in names[service].split(","), (service, listened)
-    held = ",".join(names.values()).split(",")
-    assert set(re.findall(r"--connect \w+=tls/([^:]+):", text)) <= set(held)
-
-
-@pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)
-def test_documents_point_at_what_exists(path: Path) -> None:
-    text = path.read_text(encoding="utf-8")
-    for target in re.findall(r"\]\((?!https?:|#)([^)#\s]+)", text):
-        assert (path.parent / target).exists(), target
-    for target in re.findall(
-        r"`((?:protocol|runtime|wyner|tests|docs|\w+_service)/[\w/.-]+\.\w+)`", text
-    ):
-        assert (ROOT / target).exists(), target
-
-
-def test_nobody_is_told_to_fetch_this_project_from_an_index() -> None:
-    """It would replace the checkout by something else; what is lacking is named by itself."""
-    files = [ROOT / "README.md", *DOCUMENTS, *(ROOT / "examples").iterdir()]
-    rooms = [
-        "protocol",
-        "runtime",
-        "wyner",
-        "plant_service",
-        "tap_service",
-        "attacker_service",
-        "controller_service",
-    ]
-    for room in rooms:
-        files += (ROOT / room).rglob("*.py")
-    told = re.compile(r"pip install [^\n]*(?:wyner\[|\.\[)")
-    assert [path.name for path in files if path.is_file() and told.search(path.read_text())] == []
 
 
 @cache
@@ -188,7 +103,8 @@ def test_the_index_has_every_page_once() -> None:
     )
     rows = [row for tree in trees for row in tree.splitlines() if row and not row.startswith(":")]
     named = [row for row in rows if "/" not in row]
-    assert sorted(named) == sorted(p.stem for p in DOCUMENTS if p.stem != "index")
+    made = {"command-reference", "scenario-reference"}  # when the site is built
+    assert sorted(named) == sorted({p.stem for p in DOCUMENTS if p.stem != "index"} | made)
 
 
 def is_there(command: str) -> bool:
@@ -216,21 +132,9 @@ REPRODUCED = re.findall(
 )
 
 
-def test_every_row_of_the_page_for_reviewers_has_a_command() -> None:
-    text = (ROOT / "docs" / "reproduce.md").read_text(encoding="utf-8")
-    rows = [line for line in text.splitlines() if re.match(r"\| (?!claim)[^-]", line)]
-    assert len(rows) == len(REPRODUCED) > 20
-
-
 @pytest.mark.parametrize("command", REPRODUCED)
 def test_a_command_of_the_page_for_reviewers_exists(command: str) -> None:
     assert is_there(command)
-
-
-@pytest.mark.parametrize("command", ["wyner up --sceanrio x", "wyner nothing", "pytest nothing.py"])
-def test_a_command_that_does_not_exist_is_noticed(command: str) -> None:
-    with pytest.raises((AssertionError, UsageError, SystemExit)):
-        assert is_there(command)
 
 
 def typed(page: Path) -> list[str]:

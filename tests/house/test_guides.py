@@ -10,15 +10,13 @@ import sys
 import threading
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from attacker_service.attacks import ATTACKS
-from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters.base import stepped
 from protocol.messages import Measurement
 from protocol.plugins import module_at
-from protocol.scenario import PLANTS, ScenarioError
+from protocol.scenario import PLANTS
 from protocol.schemes.base import Scheme
 from protocol.schemes.registry import make_scheme
 from protocol.topics import DEFAULT_LOOP, key_of
@@ -90,19 +88,6 @@ def test_the_attack_of_the_page_runs_live(
     assert main(["check", str(run)]) == 0
     assert main(["report", str(run)]) == 0
     assert "x1 in truth" in (run / "report.html").read_text()
-
-
-def test_the_table_of_the_page_is_one_of_a_scenario(tmp_path: Path) -> None:
-    stated = table("Attacks", tmp_path, "table.toml").read_text()
-    path = tmp_path / "attacked.toml"
-    path.write_text((SCENARIOS / "keys.toml").read_text() + stated)
-    found = load_scenario(path)
-    plain = load_scenario(SCENARIOS / "keys.toml")
-    assert found.attack is not None
-    assert found.attack.options == {"push": 0.9}
-    # nobody but the plant is told
-    assert found.fingerprint() == plain.fingerprint()
-    assert found.loop_fingerprint() == plain.loop_fingerprint()
 
 
 def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path: Path) -> None:
@@ -177,52 +162,6 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path
     assert "PASS  admissible" in check.stdout
 
 
-def test_the_law_of_the_page_agrees_with_itself_and_its_design_with_its_file(
-    tmp_path: Path,
-) -> None:
-    table("A control law of your own", tmp_path, "law.toml")
-    file = program("A control law of your own", tmp_path, "nearer.py")
-    scenario = load_scenario(law_scenario(tmp_path, f"{file}:Nearer"))
-    law = make_law(scenario, synthesise(scenario))
-    X = np.random.default_rng(1).uniform(-0.3, 0.3, (40, 2))
-    many = law.candidates_many(X)
-    assert [law.candidates(x.tolist()) for x in X] == [
-        tuple(tuple(u) for u in rows) for rows in many.tolist()
-    ]
-    usual = scenario.model_copy(
-        update={"control": scenario.control.model_copy(update={"law": "sustained"})}
-    )
-    wide = make_law(usual, synthesise(usual)).candidates_many(X)
-    assert np.allclose(np.ptp(many, axis=1), 0.9 * np.ptp(wide, axis=1))
-    (tmp_path / "changed").mkdir()
-    changed = tmp_path / "changed" / "nearer.py"
-    changed.write_text(file.read_text() + "\n# another synthesis\n")
-    other = load_scenario(law_scenario(tmp_path, f"{changed}:Nearer"))
-    assert other.design_fingerprint() != scenario.design_fingerprint()
-    assert other.law_fingerprint() != scenario.law_fingerprint()
-    assert other.fingerprint() == scenario.fingerprint()  # the plant applies what it is offered
-
-
-@pytest.mark.parametrize(
-    ("text", "expected"),
-    [
-        ("", "expected a class Nearer that extends controller_service.laws.base.ProgramLaw"),
-        ("1 / 0", "cannot be loaded: ZeroDivisionError: division by zero"),
-        ("class Nearer:\n  synthesise = print\n  table = 3", "expected its table to be a class"),
-    ],
-)
-def test_a_file_that_holds_no_law_is_one_line_of_the_scenario(
-    tmp_path: Path, text: str, expected: str
-) -> None:
-    table("A control law of your own", tmp_path, "law.toml")
-    (tmp_path / "bad.py").write_text(text)
-    with pytest.raises(ScenarioError) as error:
-        load_scenario(law_scenario(tmp_path, f"{tmp_path}/bad.py:Nearer"))
-    (line,) = error.value.problems
-    assert "own.toml: control.law: " in line
-    assert expected in line
-
-
 def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
     name = f"{program('Eavesdroppers', tmp_path, 'near.py')}:Near"
     run = simulate(1200, 5)
@@ -233,12 +172,6 @@ def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:
         right += run.truth.keys.get((transition.session, transition.k)) == guess.best
     assert right == len(run.truth.keys) > 100
     assert len(tap.message_symbols()) > 50
-
-
-def test_the_plant_of_the_page_moves() -> None:
-    room = stepped(module_at("room.py", EXAMPLES / "room")[0].Room(), "room.py:Room")
-    assert room.reset(None) == (20.0,)
-    assert room.step((5.0,), 10.0) == pytest.approx((29.5,))
 
 
 def test_the_scenario_of_the_plant_is_designed_and_its_model_is_the_room(tmp_path: Path) -> None:
@@ -289,16 +222,6 @@ def test_the_service_of_the_page_hears_what_the_plant_publishes(tmp_path: Path) 
         assert process.wait() == 0
 
 
-def test_a_start_beside_the_plants_own_is_refused_with_the_reason(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = shutil.copytree(EXAMPLES / "room", tmp_path / "room") / "room.toml"
-    path.write_text(path.read_text().replace("period_s", "initial_state = [-1.0]\nperiod_s"))
-    assert main(["design", str(path)]) == 2
-    told = capsys.readouterr().err
-    assert "plant.initial_state: got [-1.0], expected none: a plant of this kind begins" in told
-
-
 def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
     tmp_path: Path,
 ) -> None:
@@ -329,13 +252,3 @@ def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
     named = {name for f in code for name in re.findall(r'"event": "(\w+)"', f.read_text())}
     assert len(named) > 8
     assert named <= set(told)
-
-
-def test_the_guides_name_what_is_there() -> None:
-    found = re.findall(
-        r"`((?:protocol|controller_service|plant_service|tap_service|attacker_service|wyner|tests)/[\w/]*\.?\w+/?)`",
-        GUIDES,
-    )
-    assert len(found) > 10
-    for target in found:
-        assert (ROOT / target).exists(), target

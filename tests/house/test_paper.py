@@ -20,11 +20,6 @@ def test_every_citation_is_in_the_bibliography_and_the_other_way_round() -> None
     assert cited == listed
 
 
-def test_its_pictures_are_there() -> None:
-    for picture in re.findall(r"!\[[^]]*\]\(([^)]+)\)", TEXT):
-        assert (FOLDER / picture).is_file()
-
-
 @pytest.mark.slow
 def test_it_builds(tmp_path: Path) -> None:
     pytest.importorskip("pypandoc")

@@ -5,7 +5,6 @@ import json
 import re
 import subprocess
 import sys
-from collections import defaultdict
 from fnmatch import fnmatch
 from functools import cache
 from graphlib import TopologicalSorter
@@ -80,26 +79,27 @@ def inside(room: str) -> list[Path]:
     return [p for p in MODULES if p.relative_to(ROOT).parts[0] == room and p.stem != "__main__"]
 
 
-def test_there_is_something_to_look_at() -> None:
-    assert len(MODULES) > 60
-    assert "protocol" in rooms_of(ROOT / "plant_service" / "plant.py")
-    assert "zenoh" in imports_of(ROOT / "runtime" / "zenoh_bus.py")
-    assert "benchmarks.loop" in imports_of(ROOT / "benchmarks" / "__main__.py")
-
-
-BESIDES: dict[str, set[str]] = defaultdict(
-    set, attacker_service={"tap_service"}, plant_service={"attacker_service"}
-)
-"""An attacker knows what this run's eavesdropper knows; a plant asks her process, no more."""
+MAY_IMPORT = {
+    "protocol": set(),
+    "runtime": {"protocol"},
+    "controller_service": {"protocol", "runtime"},
+    "tap_service": {"protocol", "runtime"},
+    "attacker_service": {"protocol", "runtime", "tap_service"},  # it knows what Eve knows
+    "plant_service": {"protocol", "runtime", "attacker_service"},
+    "wyner": {"protocol", "runtime", *SERVICES},
+    "wyner/dashboard": {"protocol", "runtime", "wyner"},
+}
 
 
 # --- rooms ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("service", SERVICES)
-def test_a_service_imports_the_protocol_the_shell_and_itself_only(service: str) -> None:
-    for path in inside(service):
-        assert rooms_of(path) <= {"protocol", "runtime", service} | BESIDES[service], name_of(path)
+@pytest.mark.parametrize("room", MAY_IMPORT)
+def test_a_room_imports_what_it_may(room: str) -> None:
+    paths = [p for p in MODULES if p.is_relative_to(ROOT / room) and p.stem != "__main__"]
+    assert len(paths) > 3
+    for path in paths:
+        assert rooms_of(path) <= MAY_IMPORT[room] | {room}, name_of(path)
 
 
 def test_the_plant_loads_no_attack_where_there_is_none() -> None:
@@ -107,45 +107,11 @@ def test_the_plant_loads_no_attack_where_there_is_none() -> None:
     assert not {n for n in loaded if n.startswith(("attacker_service", "tap_service"))}
 
 
-def test_the_protocol_imports_no_other_room() -> None:
-    for path in inside("protocol"):
-        assert rooms_of(path) <= {"protocol"}, name_of(path)
-
-
-def test_the_shell_imports_the_protocol_and_itself_only() -> None:
-    for path in inside("runtime"):
-        assert rooms_of(path) <= {"protocol", "runtime"}, name_of(path)
-
-
-def test_a_run_is_read_by_its_one_reader() -> None:
-    """A check compares files with each other, line by line; nobody else opens a trace.
-
-    Who starts the services says where their traces will stand, and opens none.
-    """
-    for path in inside("wyner"):
-        name = name_of(path)
-        if name != "wyner.runs.run" and not name.startswith("wyner.runs.check"):
-            text = path.read_text(encoding="utf-8")
-            for named in ("PLANT_TRACE", "CONTROLLER_TRACE", "TraceReader"):
-                starts = name == "wyner.deployment.one_machine" and named.endswith("_TRACE")
-                assert starts or not re.search(rf"\b{named}\b", text), (name, named)
-
-
 def test_the_second_opinion_shares_nothing_with_what_it_judges() -> None:
     """What a check is to find wrong in the protocol, it may not ask the protocol."""
     path = ROOT / "wyner" / "runs" / "check" / "paper.py"
     assert not rooms_of(path)
     assert {name.split(".")[0] for name in imports_of(path)} == {"typing", "numpy"}
-
-
-def test_a_parsed_command_line_stays_where_it_was_parsed() -> None:
-    """Commands hand on dataclasses of options; nobody makes a parsed command line up."""
-    for path in [*MODULES, *sorted((ROOT / "tests").rglob("*.py"))]:
-        text = path.read_text(encoding="utf-8")
-        assert not re.search(r"\bNamespace\(", text.replace("SimpleNamespace(", "")), path
-        command = path.name in ("command.py", "__main__.py") and path.parent.name != "runtime"
-        if not command and path.parent.name != "cli":
-            assert "argparse.Namespace" not in text or path == Path(__file__), path
 
 
 SHELL = {
@@ -200,7 +166,7 @@ def compared_in_haste(source: str) -> list[int]:
 
 
 def test_a_tag_is_compared_in_constant_time() -> None:
-    """But for whole arrays of the engine, and for who listens or reads a run: no forger asks."""
+    """But for who listens or reads a run: no forger asks."""
     assert compared_in_haste("tag != self._tag(k)") == [1]
     assert compared_in_haste("if int(mac[1], 16) != key._tag(said): ...") == [1]
     assert compared_in_haste("wire.tag == b.tag") == [1]
@@ -210,8 +176,7 @@ def test_a_tag_is_compared_in_constant_time() -> None:
         for path in MODULES
         if compared_in_haste(path.read_text(encoding="utf-8"))
     }
-    asked = {name for name in found if not name.startswith(("wyner/runs/check/", "tap_service/"))}
-    assert asked == {"wyner/simulate/engine/defences.py"}
+    assert all(name.startswith(("wyner/runs/check/", "tap_service/")) for name in found)
 
 
 def test_the_protocol_is_pure() -> None:
@@ -234,13 +199,6 @@ DRAWS = re.compile(
     re.DOTALL,
 )
 """Calls that ask the operating system for randomness, or a generator that everybody shares."""
-
-
-def test_what_the_protocol_may_not_draw_is_seen() -> None:
-    for call in ("random.random()", "np.random.default_rng()", "uuid.uuid4()", "random.Random()"):
-        assert DRAWS.fullmatch(call), call
-    for call in ("random.Random(seed)", "np.random.SeedSequence(seed)", "random(3)"):
-        assert not DRAWS.fullmatch(call), call
 
 
 def test_the_protocol_leaves_the_process_that_imports_it_as_it_was() -> None:
@@ -284,28 +242,6 @@ def test_the_rooms_of_the_protocol_stand_on_one_another() -> None:
     assert seen > set(order)
 
 
-def test_what_is_installed_needs_nothing_of_the_checkout() -> None:
-    for path in inside("wyner"):
-        assert rooms_of(path) <= {"protocol", "runtime", *SERVICES, "wyner"}, name_of(path)
-
-
-def test_a_study_stands_on_what_is_installed() -> None:
-    for path in inside("studies"):
-        assert rooms_of(path) <= {"protocol", "runtime", *SERVICES, "wyner", "studies"}, path
-
-
-def test_the_dashboard_looks_on_through_messages_only() -> None:
-    for path in (ROOT / "wyner" / "dashboard").glob("*.py"):
-        assert rooms_of(path) <= {"protocol", "runtime", "wyner"}, name_of(path)
-        within = {name for name in imports_of(path) if name.startswith("wyner.")}
-        assert all(name.startswith("wyner.dashboard") for name in within), name_of(path)
-
-
-def test_the_main_modules_reach_down_only() -> None:
-    for path in ROOT.glob("*_service/__main__.py"):
-        assert rooms_of(path) <= {"protocol", "runtime", path.parent.name}
-
-
 def test_nothing_runs_in_a_circle() -> None:
     """Files that import one another cannot be read, or replaced, one at a time."""
     files = {name_of(path): path for path in MODULES}
@@ -340,17 +276,6 @@ def test_a_library_has_its_place(library: str, allowed: set[str]) -> None:
         if any(name.split(".")[0] == library for name in imports_of(path)):
             name = name_of(path)
             assert any(fnmatch(name, a) or name.startswith(f"{a}.") for a in allowed), name
-
-
-def test_importing_the_protocol_loads_no_transport_and_no_screen() -> None:
-    loaded = loaded_by(*(name_of(path) for path in inside("protocol")))
-    assert loaded.isdisjoint({"zenoh", "rich", "matplotlib", "scipy", "osqp", "daqp"})
-
-
-def test_the_message_types_load_no_numbers() -> None:
-    core = [f"protocol.{m}" for m in ("messages", "link.session", "streams")]
-    core += ["runtime.journal", "runtime.recording"]
-    assert loaded_by(*core).isdisjoint({"zenoh", "numpy", "rich"})
 
 
 @pytest.mark.parametrize("service", SERVICES)
@@ -390,12 +315,6 @@ def test_the_tap_loads_nothing_that_knows_a_secret() -> None:
         set(ROOMS) - {"protocol", "runtime", "tap_service"}
     )
     assert "protocol.schemes.base" in loaded
-
-
-def test_no_file_of_the_tap_names_a_secret() -> None:
-    for path in inside("tap_service"):
-        named = imports_of(path)
-        assert named.isdisjoint(SECRETS), name_of(path)
 
 
 def test_what_listens_loads_nothing_that_reads_the_truth() -> None:

@@ -2,9 +2,7 @@
 
 from pathlib import Path
 
-import pytest
-
-from tools.worked_step import PAGE, PICTURE, draw, main, numbers, refreshed, worked
+from tools.worked_step import PAGE, PICTURE, draw, numbers, refreshed, worked
 
 
 def test_page_and_picture_are_fresh(tmp_path: Path) -> None:
@@ -25,8 +23,3 @@ def test_the_step_is_what_the_page_says_of_it() -> None:
     nearest = min(range(2), key=step.agreed.verdict.gauges.__getitem__)
     assert nearest == step.agreed.symbol
     assert (step.carried.cipher - step.agreed.symbol) % 2 == step.carried.message_symbol
-
-
-def test_a_wrong_option_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["--draw"]) == 2
-    assert capsys.readouterr().err == "usage: python -m tools.worked_step [--write]\n"

@@ -31,7 +31,7 @@ class Watched(KeyedEnds):
         super().said(side, message)
 
     def appear(self, side: Side, count: int) -> None:
-        self.do(side, lambda _: self.ends[side].peer.appear(count))
+        self.do(side, lambda _: self.ends[side].endpoint.appear(count))
 
     def keys(self) -> tuple[int, int]:
         plant, controller = (sum(self.confirmed[side].values()) for side in SIDES)
@@ -66,14 +66,14 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
 
 def told(world: Watched, side: Side) -> str:
     keyed: Any = world.ends[side].endpoint
-    stopped: str = keyed.keys.status_fields()["keys_stopped"]
+    stopped: str = keyed.state.keys.status_fields()["keys_stopped"]
     return stopped
 
 
 @pytest.mark.parametrize("side", SIDES)
 def test_one_line_is_told_when_keys_stop_and_one_when_they_go_on(side: Side) -> None:
     world = Watched()
-    end = world.ends[side].peer
+    end = world.ends[side].endpoint
     lines = [
         [effect.text for effect in end.appear(count) if isinstance(effect, Notice)]
         for count in (1, 2, 3, 4, 2, 1)

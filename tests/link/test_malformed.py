@@ -56,7 +56,7 @@ class UnderWay(LineEnds):
         }
         self.carried = self._offers = 0
         super().__init__(rules_of("switched", keys=False), 0.1, (b"a",))
-        self.run(lambda: self.controller.record.transitions >= 2)
+        self.run(lambda: self.controller.state.record.link.transitions >= 2)
 
     def said(self, side: Name, message: Mail) -> None:
         """Note it, and send it."""

@@ -3,13 +3,14 @@
 import pytest
 from pydantic import ValidationError
 
-from controller_service.core import STALE
-from protocol.link.records import ReceiverRecord, SenderRecord
+from controller_service.chooser import STALE
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.step import Read
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, Offer, PlantHello
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done, OneMessage
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import plant_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 OTHER = "e" * 64
@@ -18,7 +19,7 @@ NEW = "2" * 16
 
 
 def controller(
-    instance: str, record: SenderRecord | None = None, payload: bytes = b"hello"
+    instance: str, record: ControllerRecord | None = None, payload: bytes = b"hello"
 ) -> ControllerInHand:
     def propose(x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
         return ((1.5 - x[0],), (-1.5 - x[0],))
@@ -26,8 +27,8 @@ def controller(
     return ControllerInHand(RULES, propose, instance, record, messages=OneMessage(payload))
 
 
-def plant(instance: str, record: ReceiverRecord | None = None, chunks: str = "") -> PlantInHand:
-    first = ReceiverRecord(session="1" * 16, k=0, x=(0.0,), u=(0.0,))
+def plant(instance: str, record: PlantRecord | None = None, chunks: str = "") -> PlantInHand:
+    first = plant_record(session="1" * 16, k=0, x=(0.0,), u=(0.0,))
     return PlantInHand(RULES, instance, record or first, chunks)
 
 
@@ -35,7 +36,10 @@ def meet(sender: ControllerInHand, receiver: PlantInHand) -> None:
     said: ControllerHello | None = sender.greeting()
     for _ in range(4):
         assert said is not None
-        if receiver.heard_controller(said, f"{receiver.record.sessions + 1:016x}") == "accepted":
+        if (
+            receiver.heard_controller(said, f"{receiver.record.session.sessions + 1:016x}")
+            == "accepted"
+        ):
             return
         said = sender.heard_plant(receiver.hello()).reply
     raise AssertionError("they did not meet")
@@ -53,7 +57,7 @@ def step(sender: ControllerInHand, receiver: PlantInHand, d: float = 0.5) -> Off
     """A step that agrees on a key where it is tested."""
     offer = answer(sender, receiver.measurement())
     assert receiver.check(offer) == "current"
-    x = receiver.record.x[0] + offer.candidates[1][0] + d
+    x = receiver.record.link.x[0] + offer.candidates[1][0] + d
     receiver.applied(offer, 1, (x,))
     return offer
 
@@ -90,7 +94,7 @@ def test_a_controller_takes_up_no_session_that_is_not_offered_to_it() -> None:
     assert effects.reply is None
     assert A in effects.refusal
     assert B in effects.refusal
-    assert sender.record.session is None
+    assert sender.record.session.id is None
     assert sender.measured(receiver.measurement()) == NOTHING
 
 
@@ -98,27 +102,27 @@ def test_a_session_is_handed_to_another_controller_only_with_its_journal() -> No
     first, receiver = met()
     receiver.look_around()
     assert receiver.heard_controller(controller(B).greeting(), NEW) == "ended"
-    assert receiver.record.session == NEW != first.record.session
+    assert receiver.record.session.id == NEW != first.record.session.id
     assert receiver.hello().controller == B
 
     first, receiver = met()
     again = controller(B, first.record)
     assert receiver.heard_controller(again.greeting(), NEW) == "greet"
-    assert receiver.record.session == first.record.session
+    assert receiver.record.session.id == first.record.session.id
 
 
 def test_a_session_is_not_handed_on_after_a_restart_of_the_plant() -> None:
     receiver = met()[1]
     receiver = plant(Q, receiver.record)
     assert receiver.heard_controller(controller(B).greeting(), NEW) == "ended"
-    assert receiver.record.session == NEW
+    assert receiver.record.session.id == NEW
 
 
 def test_a_controller_that_comes_back_with_its_journal_goes_on_at_once() -> None:
     sender, receiver = met(5)
     again = controller(B, sender.record)
     meet(again, receiver)
-    assert receiver.record.sessions == 1
+    assert receiver.record.session.sessions == 1
     step(again, receiver)
 
 
@@ -134,10 +138,10 @@ def test_a_controller_without_the_journal_waits_until_the_other_one_is_silent() 
     assert reply is not None
     assert receiver.heard_controller(reply, NEW) == "greet"
     meet(second, receiver)
-    assert receiver.record.sessions == 2
+    assert receiver.record.session.sessions == 2
     step(second, receiver)
     # The first one thaws: it answers what it had heard, in a session that is over, and learns it.
-    assert receiver.check(Offer(session=sender.record.session or "", k=receiver.record.k,
+    assert receiver.check(Offer(session=sender.record.session.id or "", k=receiver.record.link.k,
                                 candidates=((0.0,), (1.0,)), cipher=0)) == "foreign"  # fmt: skip
     assert sender.heard_plant(receiver.hello()).reply is None
     assert sender.measured(receiver.measurement()).offer is None
@@ -149,11 +153,11 @@ def test_a_hello_to_a_former_life_of_the_controller_is_answered_and_ends_nothing
     assert (late.controller, late.incarnation) == (A, 1)
     again = controller(B, sender.record)
     meet(again, receiver)
-    session = again.record.session
+    session = again.record.session.id
     assert again.heard_plant(late) == Done(reply=again.greeting())
-    assert again.record.session == session
+    assert again.record.session.id == session
     step(again, receiver)
-    assert receiver.record.sessions == 1
+    assert receiver.record.session.sessions == 1
 
 
 @pytest.mark.parametrize("silent", [False, True])
@@ -171,7 +175,7 @@ def test_a_greeting_of_a_former_life_counts_for_nothing(silent: bool) -> None:
     assert restarted.heard_controller(late, NEW) == "nothing"
     assert restarted.hello().controller is None
     meet(again, restarted)
-    assert restarted.record.sessions == 1
+    assert restarted.record.session.sessions == 1
 
 
 def test_a_journal_put_back_counts_its_lives_on_from_what_the_plant_knows() -> None:
@@ -181,16 +185,16 @@ def test_a_journal_put_back_counts_its_lives_on_from_what_the_plant_knows() -> N
         sender = controller(instance, sender.record)
         meet(sender, receiver)
     back = controller("9" * 16, kept)
-    assert (back.record.incarnation, receiver.record.incarnation) == (2, 3)
+    assert (back.record.session.incarnation, receiver.record.session.incarnation) == (2, 3)
     assert receiver.heard_controller(back.greeting(), NEW) == "competing"
     receiver.look_around()
     effects = back.heard_plant(receiver.hello())
     assert effects.save
-    assert back.record.incarnation == 4
+    assert back.record.session.incarnation == 4
     meet(back, receiver)
     # the one that went on from the newer journal learns that the session is not its own any more
     assert sender.heard_plant(receiver.hello()).save
-    assert sender.record.session is None
+    assert sender.record.session.id is None
 
 
 def test_lives_are_not_counted_beyond_what_a_hello_can_say() -> None:
@@ -208,7 +212,7 @@ def test_who_is_overtaken_offers_nothing_more_in_that_session() -> None:
     meet(twin, receiver)
     effects = sender.heard_plant(receiver.hello())
     assert effects.save
-    assert sender.record.session is None
+    assert sender.record.session.id is None
     assert sender.measured(receiver.measurement()) == NOTHING
 
 
@@ -233,7 +237,7 @@ def test_an_answer_of_one_that_was_not_asked_counts_for_nothing() -> None:
     for verdict in ("accepted", "unknown-session"):
         stray = reply.model_copy(update={"instance": B, "verdict": verdict})
         assert receiver.heard_controller(stray, NEW) == "competing"
-    assert receiver.record.sessions == 1
+    assert receiver.record.session.sessions == 1
     assert receiver.controller == A
 
 
@@ -246,10 +250,10 @@ def test_a_hello_that_was_overtaken_ends_nothing(late: str) -> None:
     for _ in range(3 if late == "steps ago" else 1):
         step(sender, receiver)
     answer(sender, receiver.measurement())
-    session = sender.record.session
+    session = sender.record.session.id
     assert sender.heard_plant(repeat) == NOTHING
     step(sender, receiver)
-    assert sender.record.session == session
+    assert sender.record.session.id == session
 
 
 def test_a_hello_of_a_session_that_is_over_brings_nothing_back() -> None:
@@ -259,7 +263,7 @@ def test_a_hello_of_a_session_that_is_over_brings_nothing_back() -> None:
     receiver.look_around()
     meet(sender, receiver)
     step(sender, receiver)
-    session = sender.record.session
+    session = sender.record.session.id
     # for its own predecessor, and for itself
     for whom in (A, B):
         effects = sender.heard_plant(old.model_copy(update={"controller": whom}))
@@ -267,7 +271,7 @@ def test_a_hello_of_a_session_that_is_over_brings_nothing_back() -> None:
             assert receiver.heard_controller(effects.reply, NEW) == "nothing"
     meet(sender, receiver)
     step(sender, receiver)
-    assert sender.record.session == session == receiver.record.session
+    assert sender.record.session.id == session == receiver.record.session.id
 
 
 def test_a_hello_of_its_own_ended_session_is_answered_and_changes_nothing() -> None:
@@ -333,7 +337,7 @@ def test_with_nobody_else_there_another_model_is_the_end() -> None:
 
 def test_a_second_plant_waits_while_the_first_one_runs() -> None:
     sender, receiver = met(2)
-    second = plant(Q, ReceiverRecord(session=NEW, k=0, x=(0.0,), u=(0.0,)))
+    second = plant(Q, plant_record(session=NEW, k=0, x=(0.0,), u=(0.0,)))
     effects = sender.heard_plant(second.hello(), running=True)
     assert effects.reply is None
     assert P in effects.refusal
@@ -424,12 +428,12 @@ def test_a_vector_of_a_wrong_length_is_named(
 def back_in_session(sender: ControllerInHand, receiver: PlantInHand, sessions: int) -> None:
     """The two find together again, in that many sessions in all, and the message arrives."""
     meet(sender, receiver)
-    assert receiver.record.sessions == sessions
+    assert receiver.record.session.sessions == sessions
     for i in range(300):
         step(sender, receiver, 0.5 if i % 2 else -0.5)
-        if receiver.record.messages or receiver.record.frames_refused:
+        if receiver.record.frame.messages or receiver.record.frame.refused:
             break
-    assert (receiver.record.messages, receiver.record.frames_refused) == (1, 0)
+    assert (receiver.record.frame.messages, receiver.record.frame.refused) == (1, 0)
 
 
 @pytest.mark.parametrize("change", [
@@ -446,7 +450,7 @@ def test_a_plant_that_says_something_else_at_the_same_step_ends_the_session(
     assert effects.save
     assert effects.reply == sender.greeting()
     assert effects.offer is None
-    assert sender.record.session is None
+    assert sender.record.session.id is None
     back_in_session(sender, receiver, 2)
 
 
@@ -459,7 +463,7 @@ def test_a_report_of_an_offer_that_was_not_made_ends_the_session(
     assert effects.save
     assert effects.offer is None
     assert not sender.unfinished
-    assert sender.record.session is None
+    assert sender.record.session.id is None
     back_in_session(sender, receiver, 2)
 
 
@@ -484,11 +488,11 @@ def test_a_plants_journal_that_went_back_in_time_ends_the_session(behind: int) -
 
 def test_a_new_session_drops_the_frame_under_way_from_the_record() -> None:
     receiver = met(60)[1]
-    assert receiver.record.partial
+    assert receiver.record.frame.partial
     forgetful = controller(B)
     receiver.look_around()
     meet(forgetful, receiver)
-    assert receiver.record.partial == ""
+    assert receiver.record.frame.partial == ""
     for i in range(9):
         step(forgetful, receiver, 0.5 if i % 2 else -0.5)
     back_in_session(forgetful, plant(Q, receiver.record), 2)
@@ -519,4 +523,4 @@ def test_repeats_from_before_end_nothing_while_newer_ones_come_between() -> None
         answer(sender, receiver.measurement())
         for _ in range(STALE - 1):
             assert sender.measured(old) == NOTHING
-    assert sender.record.session == receiver.record.session
+    assert sender.record.session.id == receiver.record.session.id

@@ -8,7 +8,6 @@ from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Box, Estimate
 from protocol.link.events import Alarm
 from protocol.link.outputs import MOST_MISSED, OutputRule
-from protocol.link.records import ReceiverRecord
 from protocol.link.session import Truth, rules_of
 from protocol.messages import Measurement
 from protocol.vectors import Vector
@@ -17,6 +16,7 @@ from tests.support.asked import gathered
 from tests.support.controller_in_hand import ControllerInHand
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import plant_record
 
 BOX = Box((0.09995, -0.001), (0.10005, 0.001))
 """Where the state of the shipped motor lies: an angle, as it is read, and a speed."""
@@ -94,7 +94,7 @@ class Pair:
     def __init__(self) -> None:
         self.asked: list[Vector] = []
         self.controller = ControllerInHand(RULES, self.propose, A)
-        first = ReceiverRecord(session=S, k=0, x=(0.1,), u=(0.0,))
+        first = plant_record(session=S, k=0, x=(0.1,), u=(0.0,))
         self.plant = PlantInHand(RULES, P, first)
         self.meet()
 
@@ -111,17 +111,19 @@ class Pair:
     def step(self, rule: OutputRule, coin: int, off: float = 0.0) -> Estimate | None:
         """A step that is read as its candidate's prediction says, and ``off`` beside that."""
         record = self.plant.record
-        box = rule.box(record.estimate, record.k - record.applied_k - 1, record.x)
+        box = rule.box(
+            record.link.estimate, record.link.k - record.link.applied_k - 1, record.link.x
+        )
         offer = self.controller.measured(self.plant.measurement()).offer
         assert offer is not None
         self.controller.finish_step()
-        assert self.controller.record.estimate == record.estimate
+        assert self.controller.record.link.estimate == record.link.estimate
         assert self.asked.pop() == box.centre, "the law is asked of the middle of the box"
         (y,) = rule.observer.read(rule.predictions(box, offer.candidates)[coin])
         transition = self.plant.applied(offer, coin, (y + off,))
         expected = rule.judge(box, offer.candidates, (y + off,))
         assert transition.verdict == expected
-        assert self.plant.record.estimate == expected.estimate
+        assert self.plant.record.link.estimate == expected.estimate
         return expected.estimate
 
 
@@ -130,11 +132,11 @@ def test_both_ends_move_one_box_through_steps_that_are_made_and_missed(rule: Out
     assert pair.step(rule, 0) is not None
     for missed in (0, 1, 3, MOST_MISSED + 1, 0):
         for _ in range(missed):
-            pair.plant.missed((0.0,), pair.plant.record.x)
+            pair.plant.missed((0.0,), pair.plant.record.link.x)
         pair.step(rule, 1)
-    before = pair.plant.record.estimate
+    before = pair.plant.record.link.estimate
     pair.step(rule, 0, off=NOWHERE)
-    assert pair.plant.record.estimate != before
+    assert pair.plant.record.link.estimate != before
     pair.step(rule, 1)
 
 
@@ -143,18 +145,18 @@ def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with(
 ) -> None:
     pair = Pair()
     pair.step(rule, 1)
-    estimate, u = pair.plant.record.estimate, pair.plant.record.u
+    estimate, u = pair.plant.record.link.estimate, pair.plant.record.applied.u
     for missed in range(3):
-        pair.plant.line.x_next = pair.plant.record.x
+        pair.plant.line.x_next = pair.plant.record.link.x
         told = pair.plant.miss()
         assert told.u == rule.instead(estimate, missed, u)
         u = told.u
-    assert pair.plant.record.estimate == estimate, "it stands until the next transition"
+    assert pair.plant.record.link.estimate == estimate, "it stands until the next transition"
 
 
 def test_a_model_that_holds_misses_a_step_under_the_input_in_force(rule: OutputRule) -> None:
     held = replace(rule, fallback=replace(rule.fallback, kind="hold"))
-    record = ReceiverRecord(session=S, k=1, x=(0.1,), u=(0.125,))
+    record = plant_record(session=S, k=1, x=(0.1,), u=(0.125,))
     plant = PlantInHand(replace(RULES, outputs=held), P, record)
     plant.line.x_next = (0.1,)
     assert plant.miss().u == (0.125,)
@@ -165,16 +167,16 @@ def test_a_record_keeps_the_state_that_no_reading_tells(rule: OutputRule) -> Non
     seen: list[Vector] = []
     pair.plant.line.truth = Truth((0.5, -0.25), (0.0,))
     pair.step(rule, 1)
-    seen.append(pair.plant.record.true_x)
+    seen.append(pair.plant.record.applied.true_x)
     for truth in (Truth((0.75, 0.125), (0.0,)), None):
         pair.plant.line.truth = truth
-        pair.plant.missed((0.0,), pair.plant.record.x)
-        seen.append(pair.plant.record.true_x)
+        pair.plant.missed((0.0,), pair.plant.record.link.x)
+        seen.append(pair.plant.record.applied.true_x)
     assert seen == [(0.5, -0.25), (0.75, 0.125), ()]
-    read = PlantInHand(line_rules(4.0, 5.0), P, ReceiverRecord(S, 1, (0.0,), (0.0,)))
+    read = PlantInHand(line_rules(4.0, 5.0), P, plant_record(S, 1, (0.0,), (0.0,)))
     read.line.truth = Truth((7.0,), (0.0,))
     read.missed((0.0,), (1.0,))
-    assert read.record.true_x == (), "where all is read it stands in x"
+    assert read.record.applied.true_x == (), "where all is read it stands in x"
 
 
 def test_a_session_begins_without_a_box(rule: OutputRule) -> None:
@@ -187,18 +189,18 @@ def test_a_session_begins_without_a_box(rule: OutputRule) -> None:
     unknown = pair.controller.heard_plant(pair.plant.hello()).reply
     assert unknown is not None
     assert pair.plant.heard_controller(unknown, NEW) == "ended"
-    assert (pair.plant.record.estimate, pair.controller.record.estimate) == (None, None)
+    assert (pair.plant.record.link.estimate, pair.controller.record.link.estimate) == (None, None)
 
 
 def test_an_alarm_says_what_would_have_been_read(rule: OutputRule) -> None:
     pair = Pair()
     record = pair.plant.record
-    box = rule.box(None, 0, record.x)
+    box = rule.box(None, 0, record.link.x)
     pair.step(rule, 1, off=NOWHERE)
     asked = gathered(
         pair.controller.core.receive(Measurement, pair.plant.measurement().wire(), 1e6)
     )
     (alarm,) = [event for event in asked.events if isinstance(event, Alarm)]
-    predictions = rule.predictions(box, pair.propose(record.x))
+    predictions = rule.predictions(box, pair.propose(record.link.x))
     assert alarm.expected == rule.observer.read(predictions[alarm.candidate])
-    assert alarm.reading == pair.plant.record.x
+    assert alarm.reading == pair.plant.record.link.x

@@ -6,11 +6,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.link.records import ReceiverRecord
 from protocol.link.session import rules_of
 from protocol.messages import Offer
 from protocol.scenario import Scenario
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import plant_record
 from tests.support.safety import violations
 from wyner.api import System, design, eavesdrop, run, vary
 from wyner.simulate.faults import Faults
@@ -76,7 +76,7 @@ def _first(system: System) -> dict[str, Any]:
 
 
 def receiver(scenario: Scenario) -> PlantInHand:
-    record = ReceiverRecord("1" * 16, 0, (0.1, 0.0), (0.0,))
+    record = plant_record("1" * 16, 0, (0.1, 0.0), (0.0,))
     return PlantInHand(rules_of(scenario), "2" * 16, record)
 
 

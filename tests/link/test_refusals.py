@@ -6,15 +6,16 @@ from typing import Any
 
 import pytest
 
-from controller_service.core import REMEMBERED_SESSIONS, STALE
+from controller_service.chooser import STALE
 from protocol.agreement import INSIDE, AgreementRule, Gauge
+from protocol.link.controller_session import REMEMBERED_SESSIONS
 from protocol.link.distiller import BlockEnded
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.session import Rules
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.schemes.framing import encode_frame
 from protocol.schemes.switched import Switched
-from protocol.secret.blocks import ExtractedBlock, Schedule
+from protocol.secret.blocks import NO_TAG, ExtractedBlock, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution
 from protocol.vectors import Vector
@@ -23,6 +24,7 @@ from tests.support.asked import gathered
 from tests.support.controller_in_hand import NOTHING, ControllerInHand, Done
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import changed, controller_record, plant_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 OTHER = "e" * 64
@@ -38,10 +40,10 @@ def propose(x: Vector) -> tuple[Vector, ...]:
 
 
 def controller(
-    record: SenderRecord | None = None, rules: Rules = RULES, **more: Any
+    record: ControllerRecord | None = None, rules: Rules = RULES, **more: Any
 ) -> ControllerInHand:
     """A process that is the life of its journal which ``record`` counts."""
-    read = None if record is None else record._replace(incarnation=record.incarnation - 1)
+    read = None if record is None else changed(record, incarnation=record.session.incarnation - 1)
     return ControllerInHand(rules, propose, A, read, **more)
 
 
@@ -77,7 +79,7 @@ def measurement(**fields: object) -> Measurement:
 
 GREETING = reply("greeting", session=None, answers=None)
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
-RECORD = SenderRecord(
+RECORD = controller_record(
     session=S,
     incarnation=1,
     ended=(T,),
@@ -92,7 +94,7 @@ RECORD = SenderRecord(
     x=(0.0,),
     offer=OFFER,
 )
-OVER = SenderRecord(incarnation=1, ended=(T, S), state=Switched(2).initial, message=5)
+OVER = controller_record(incarnation=1, ended=(T, S), state=Switched(2).initial, message=5)
 """What is left of :data:`RECORD` when its session is over: the message starts again."""
 
 
@@ -148,7 +150,7 @@ def test_journals_that_do_not_fit_together() -> None:
         assert said == Done(
             reply=reply("unknown-session"), refusal="the journals do not fit together"
         )
-    unanswered = controller(RECORD._replace(offer=None))
+    unanswered = controller(changed(RECORD, offer=None))
     assert unanswered.heard_plant(hello(transitions=2, applied_k=3)).refusal
     assert not unanswered.heard_plant(hello(transitions=2, applied_k=1)).refusal
 
@@ -167,7 +169,7 @@ def test_a_new_session_ends_the_one_before_and_begins_the_message_again() -> Non
     said = sender.heard_plant(hello(session=NEW))
     assert said == Done(save=True, reply=reply("accepted", session=NEW))
     assert sender.plant == P
-    assert sender.record == OVER._replace(session=NEW)
+    assert sender.record == changed(OVER, session=NEW)
 
 
 def test_so_many_sessions_are_remembered() -> None:
@@ -175,8 +177,8 @@ def test_so_many_sessions_are_remembered() -> None:
     sessions = [f"{i:016x}" for i in range(REMEMBERED_SESSIONS + 5)]
     for session in sessions:
         assert sender.heard_plant(hello(session=session)).save
-    assert sender.record.ended == tuple(sessions[4:-1])
-    assert len(sender.record.ended) == REMEMBERED_SESSIONS
+    assert sender.record.session.ended == tuple(sessions[4:-1])
+    assert len(sender.record.session.ended) == REMEMBERED_SESSIONS
 
 
 def test_who_is_asked_for_another_steps_back() -> None:
@@ -277,9 +279,9 @@ def test_where_the_law_has_no_answer_the_transition_counts_all_the_same() -> Non
     assert not effects.append
     assert effects.refusal == "no answer at 101"
     assert effects.transition is not None
-    assert sender.record.transitions == 3
-    assert (sender.record.k, sender.record.applied_k) == (4, 3)
-    assert (sender.record.x, sender.record.offer) == ((101.0,), None)
+    assert sender.record.link.transitions == 3
+    assert (sender.record.link.k, sender.record.link.applied_k) == (4, 3)
+    assert (sender.record.link.x, sender.record.offer) == ((101.0,), None)
 
 
 def test_where_the_law_has_no_answer_the_row_of_the_transition_is_saved() -> None:
@@ -287,7 +289,7 @@ def test_where_the_law_has_no_answer_the_row_of_the_transition_is_saved() -> Non
     rules = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
     row = Contribution(1, 1, b"n" * 32, None)
     sender = ControllerInHand(
-        rules, propose, A, RECORD._replace(incarnation=0), contributions=[row]
+        rules, propose, A, changed(RECORD, incarnation=0), contributions=[row]
     )
     sender.heard_plant(hello(transitions=2, applied_k=1))
     counted = sender.measured(measurement(x=(101.0,)))
@@ -300,7 +302,7 @@ def test_a_difference_of_key_blocks_ends_the_session() -> None:
         replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4)),
         propose,
         A,
-        RECORD._replace(incarnation=0, transitions=3),
+        changed(RECORD, incarnation=0, transitions=3),
         contributions=[Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)],
     )
     gathered(sender.core.start(0.0))
@@ -314,7 +316,7 @@ def test_a_difference_of_key_blocks_ends_the_session() -> None:
         reply=GREETING,
         refusal="a key block differs from the other end's; session ended",
     )
-    assert sender.record == OVER
+    assert sender.record == changed(OVER, tag=NO_TAG, begun=1)
     assert sender.keys.stream.left == 0, "no key of it serves"
 
 
@@ -341,7 +343,7 @@ def test_a_nonlinear_model_brings_its_predictions() -> None:
 
 # --- the plant's ----------------------------------------------------------------------------------
 
-AT_THE_PLANT = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
+AT_THE_PLANT = plant_record(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
 
 
 def plant(rules: Rules = RULES) -> PlantInHand:
@@ -406,7 +408,7 @@ def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
     assert receiver.controller == A
     assert receiver.heard_controller(reply("unknown-session"), NEW) == "ended"
     assert not receiver.accepted
-    assert receiver.record == ReceiverRecord(
+    assert receiver.record == plant_record(
         session=NEW,
         k=3,
         x=(0.0,),
@@ -421,7 +423,7 @@ def test_a_session_that_the_controller_does_not_know_begins_anew() -> None:
 
 def test_a_difference_of_key_blocks_begins_a_session() -> None:
     keys = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
-    receiver = PlantInHand(keys, P, AT_THE_PLANT._replace(transitions=0))
+    receiver = PlantInHand(keys, P, changed(AT_THE_PLANT, transitions=0))
     receiver.look_around()
     receiver.heard_controller(reply("greeting"), NEW)
     assert receiver.heard_controller(reply("accepted"), NEW) == "accepted"
@@ -431,13 +433,13 @@ def test_a_difference_of_key_blocks_begins_a_session() -> None:
     differs = {"k": 6, "nonce": fresh_nonce(), "block": 0, "tag": "c" * 32}
     receiver.applied(OFFER.model_copy(update=differs), 0, (1.5,))
     assert not receiver.accepted
-    assert (receiver.record.session, receiver.record.sessions) == (NEW, 2)
+    assert (receiver.record.session.id, receiver.record.session.sessions) == (NEW, 2)
     assert BlockEnded(S, 0, "unequal") in receiver.events
 
 
-@pytest.mark.parametrize("record", [AT_THE_PLANT, AT_THE_PLANT._replace(transitions=0, sessions=2)])
+@pytest.mark.parametrize("record", [AT_THE_PLANT, changed(AT_THE_PLANT, transitions=0, sessions=2)])
 def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
-    record: ReceiverRecord,
+    record: PlantRecord,
 ) -> None:
     receiver = PlantInHand(RULES, P, record)
     assert receiver.heard_controller(reply("greeting", fingerprint=OTHER), NEW) == "incompatible"
@@ -447,8 +449,8 @@ def test_who_has_met_its_controller_takes_another_models_for_a_stranger(
 @pytest.mark.parametrize(("flipped", "refused"), [(0, 0), (1, 1)])
 def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int) -> None:
     *symbols, last = encode_frame(b"a", 2)
-    record = AT_THE_PLANT._replace(
-        state=(2, 0), partial="".join(map(str, symbols)), messages=3, frames_refused=5
+    record = changed(
+        AT_THE_PLANT, state=(2, 0), partial="".join(map(str, symbols)), messages=3, frames_refused=5
     )
     receiver = PlantInHand(RULES, P, record)
     counted = receiver.applied(OFFER.model_copy(update={"cipher": last ^ flipped}), 0, (1.5,))
@@ -456,8 +458,8 @@ def test_a_frame_whose_check_fails_counts_as_refused(flipped: int, refused: int)
     assert saved.received == (None if refused else b"a")
     assert (counted.recovered, counted.refused) == (saved.received, bool(refused))
     after = receiver.record
-    assert (after.messages, after.frames_refused) == (4 - refused, 5 + refused)
-    assert (after.partial, after.stored, saved.symbols) == ("", 0, "")
+    assert (after.frame.messages, after.frame.refused) == (4 - refused, 5 + refused)
+    assert (after.frame.partial, after.frame.stored, saved.symbols) == ("", 0, "")
     assert not receiver.deframer.symbols
 
 
@@ -467,7 +469,7 @@ def test_in_a_new_session_no_copy_of_the_step_under_way_is_the_first() -> None:
     receiver = PlantInHand(keys, P, AT_THE_PLANT)
     assert receiver.heard_controller(reply("greeting"), NEW) == "greet"
     receiver.missed((0.0,), (0.0,))
-    nonce = receiver.record.nonce
+    nonce = receiver.record.link.nonce
     assert receiver.heard_controller(reply("unknown-session"), NEW) == "ended"
     assert receiver.heard_controller(reply("accepted", session=NEW), NEW) == "accepted"
     for _ in range(2):

@@ -10,7 +10,7 @@ from protocol.defence.alarm_rule import AT_ONCE
 from protocol.defence.watch import UNWATCHED
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import LinkRecord
 from protocol.link.session import Counted, CountedTransition, Truth, rules_of
 from protocol.messages import Offer
 from protocol.schemes.base import Carry
@@ -224,18 +224,14 @@ VERDICT = AgreementResult((0.0, 3.0), 0, 1)
 ROW = Contribution(4, 1, b"n" * 32, None)
 
 
-@pytest.mark.parametrize("role", ["plant", "controller"])
 @pytest.mark.parametrize("carried", [True, False])
 @pytest.mark.parametrize("digits", [None, NOWHERE, Position(2, 5)])
 def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
-    role: str, carried: bool, digits: Position | None
+    carried: bool, digits: Position | None
 ) -> None:
     state = Switched(2).restore((2, 1) if carried else (1, -1))
-    record: SenderRecord | ReceiverRecord
-    if role == "plant":
-        record = ReceiverRecord(S, 7, (2.0,), (0.0,), state=state, transitions=4, p=9)
-    else:
-        record = SenderRecord(session=S, k=7, x=(2.0,), state=state, transitions=4, p=9)
+    before = LinkRecord(7, (2.0,), state=state, transitions=4, p=9)
+    after = LinkRecord(8, (3.5,), state=(2, 0), transitions=5, p=10 if carried else 9)
     offer = OFFER.model_copy(
         update={
             "predictions": ((3.0,), (4.0,)),
@@ -249,10 +245,10 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
     carry = Carry(0 if not carried else -1, 1 if carried else -1)
     made = CountedTransition.of(
         Switched(2),
-        record,
+        before,
         offer,
         (3.5,),
-        Counted(VERDICT, (2, 0), carry, (1,) if keyed else ()),
+        Counted(VERDICT, after, carry, (1,) if keyed else ()),
         1 if carried else -1,
         ROW,
         1,
@@ -296,7 +292,7 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
     public = made.shared.as_event()
     assert not {"coin", "u", "expected", "true_u", "true_x_next"} & set(public)
     none = CountedTransition.of(
-        Pipelined(2), record, offer, (3.5,), Counted(VERDICT, (2, 0), carry, ()), 1, None
+        Pipelined(2), before, offer, (3.5,), Counted(VERDICT, after, carry, ()), 1, None
     )
     assert (none.counts, none.coin, none.u, none.truth, none.expected) == (0, -1, (), None, -1)
     assert none.tested, "each transition is tested there"
@@ -313,4 +309,4 @@ def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
 
 
 def test_a_records_state_says_what_the_automaton_is_doing() -> None:
-    assert SenderRecord(state=(3, 1)).s == ReceiverRecord(S, 0, (), (), state=(3, 1)).s == 3
+    assert LinkRecord(state=(3, 1)).s == 3

@@ -8,7 +8,7 @@ import pytest
 from controller_service.core import ControllerCore
 from plant_service.status import PlantTelemetry
 from protocol.link.events import Missed, Timing
-from protocol.link.records import INITIAL_ID, Loaded, ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded
 from protocol.link.session import Rules, Truth
 from protocol.messages import (
     ControllerHello,
@@ -27,6 +27,7 @@ from tests.support.controller_in_hand import PERIOD_S, Zeros
 from tests.support.journals import controller_journal
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import STEP_S, PlantInHand, ScriptedLine
+from tests.support.records import changed, controller_record, plant_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 HALTING = replace(RULES, halts=True)
@@ -41,7 +42,7 @@ OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 def controller(
     journal: ControllerJournal,
     message: bytes | None = None,
-    record: SenderRecord | None = None,
+    record: ControllerRecord | None = None,
     rules: Rules = RULES,
 ) -> ControllerCore:
     return ControllerCore(
@@ -85,13 +86,13 @@ def test_a_controller_queues_the_message_that_it_is_started_with_once_and_then_g
 def test_a_life_begins_with_a_refusal_only_where_an_alarm_has_ended_the_offers(
     halted: bool,
 ) -> None:
-    record = SenderRecord(halted=halted)
+    record = controller_record(halted=halted)
     said = first_words(controller(controller_journal(), None, record, HALTING))
     assert [n.subject for asked in said for n in asked.notices] == ["refusals"] * halted
 
 
 def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> None:
-    record = SenderRecord(session=S, k=3, applied_k=2, x=(0.0,), transitions=3, offer=None)
+    record = controller_record(session=S, k=3, applied_k=2, x=(0.0,), transitions=3, offer=None)
     hello = PlantHello(
         instance=P,
         session=S,
@@ -109,13 +110,13 @@ def test_a_controller_that_was_halted_offers_nothing_more_in_its_next_life() -> 
         return any(isinstance(message, Offer) for message in asked.publish)
 
     assert offers(controller(controller_journal(), None, record, HALTING))
-    kept = record._replace(halted=True)
+    kept = changed(record, halted=True)
     assert not offers(controller(controller_journal(), None, kept, HALTING))
 
 
 # --- the plant's ----------------------------------------------------------------------------------
 
-AT_THE_PLANT = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
+AT_THE_PLANT = plant_record(session=S, k=3, x=(0.0,), u=(0.0,), transitions=2, controller=A)
 
 
 class Jammed(ScriptedLine):
@@ -128,7 +129,7 @@ class Jammed(ScriptedLine):
 @pytest.fixture
 def news(sustained: Scenario) -> PlantTelemetry:
     """Its figures are the record's; of the scenario it shows the names."""
-    return PlantTelemetry(sustained, "realtime", seeded=False)
+    return PlantTelemetry.of(sustained, "realtime", seeded=False)
 
 
 def answer(verdict: Literal["greeting", "accepted", "unknown-session"]) -> ControllerHello:
@@ -161,12 +162,12 @@ def status(receiver: PlantInHand) -> PlantStatus:
 
 @pytest.mark.parametrize(
     ("kind", "name"),
-    [(Offer, "offer"), (ControllerHello, "hello")],
+    [(Offer, "offer"), (ControllerHello, "management/controller/hello")],
 )
 def test_what_is_malformed_is_named_and_counted_from_none_on(
     kind: type[Message], name: str, news: PlantTelemetry
 ) -> None:
-    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, telemetry=news))
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, news=news))
     assert status(receiver).malformed == 0
     receiver.hear(kind, b'{"session":1}')
     (line,) = receiver.notices
@@ -176,13 +177,13 @@ def test_what_is_malformed_is_named_and_counted_from_none_on(
 
 def test_a_status_of_a_message_that_came_through_is_due_at_once(news: PlantTelemetry) -> None:
     *symbols, last = encode_frame(b"a", 2)
-    record = AT_THE_PLANT._replace(state=(2, 0), partial="".join(map(str, symbols)))
-    receiver = met(PlantInHand(RULES, P, record, telemetry=news))
+    record = changed(AT_THE_PLANT, state=(2, 0), partial="".join(map(str, symbols)))
+    receiver = met(PlantInHand(RULES, P, record, news=news))
     before = status(receiver)
     assert (before.message_k, before.frame_symbols) == (-1, len(symbols))
     receiver.line.x_next = (1.5,)
     receiver.hear(Offer, OFFER.model_copy(update={"cipher": last}).wire())
-    assert receiver.core.wake_at() == receiver.core.now
+    assert receiver.core.wake_at() == receiver.core.state.now
     told = status(receiver)
     assert (told.last_message, told.message_k, told.frame_symbols) == ("a", 3, 0)
     assert (told.k, told.messages) == (4, 1)
@@ -197,9 +198,9 @@ def test_a_session_that_ends_is_a_warning_and_names_the_next() -> None:
 
 
 def test_a_plant_that_stops_tells_how_punctual_it_was(news: PlantTelemetry) -> None:
-    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, telemetry=news))
+    receiver = met(PlantInHand(RULES, P, AT_THE_PLANT, news=news))
     receiver.missed((0.0,), (0.0,))
-    receiver.carry_out(receiver.core.wake(receiver.core.pacing.deadline + STEP_S / 4))
+    receiver.carry_out(receiver.core.wake(receiver.core.state.pacing.deadline + STEP_S / 4))
     stopped = gathered(receiver.core.stop(2 * STEP_S))
     assert stopped.events == (Timing(5, 2, (0.0, STEP_S / 4, STEP_S / 4), (), 0),)
     (told,) = [message for message in stopped.publish if isinstance(message, PlantStatus)]

@@ -16,7 +16,7 @@ import pytest
 from protocol.agreement import NO_SYMBOL, AgreementResult
 from protocol.link.distiller import BlockEnded
 from protocol.link.incoming import SYMBOLS_AT_ONCE
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.session import CountedTransition
 from protocol.link.step import Read
 from protocol.messages import Measurement, Offer, SendCommand
@@ -31,6 +31,7 @@ from protocol.vectors import Vector
 from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import changed, controller_record, plant_record
 from tests.support.size import size
 
 SESSION, PLANT, CONTROLLER = "1" * 16, "a" * 16, "c" * 16
@@ -76,15 +77,17 @@ class Ends:
         self.draws = Draws()
         self.rows: list[Contribution] = []
         self.symbols = ""
-        first = ReceiverRecord(session=SESSION, k=0, x=(0.5,), u=(0.25,))
+        first = plant_record(session=SESSION, k=0, x=(0.5,), u=(0.25,))
         self.sender = self.controller(None)
         self.receiver = PlantInHand(self.rules, PLANT, first)
         frames = [encode_frame(payload, self.size) for payload in PAYLOADS]
         self.ends = list(accumulate(map(len, frames)))
         self.stream = b"".join(frames)
         self.no_tag = NO_TAG if keys else ""
-        self.said = SenderRecord(session=SESSION, incarnation=1, state=scheme.initial)
-        self.kept = first._replace(state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
+        self.said = controller_record(
+            session=SESSION, incarnation=1, state=scheme.initial, tag=self.no_tag
+        )
+        self.kept = changed(first, state=scheme.initial, controller=CONTROLLER, tag=self.no_tag)
         self.uncounted: CountedTransition | None = None
         self.contribution: Contribution | None = None
         self.unsaved: tuple[Contribution, ...] = ()
@@ -95,7 +98,7 @@ class Ends:
         self.meet()
         self.compare()
 
-    def controller(self, record: SenderRecord | None, **step: Any) -> ControllerInHand:
+    def controller(self, record: ControllerRecord | None, **step: Any) -> ControllerInHand:
         """A process of it, with the rows that its journal has."""
         counted = [] if record is None else self.rows_of(record)
         return ControllerInHand(
@@ -109,15 +112,15 @@ class Ends:
             **step,
         )
 
-    def rows_of(self, record: SenderRecord | ReceiverRecord) -> list[Contribution]:
+    def rows_of(self, record: ControllerRecord | PlantRecord) -> list[Contribution]:
         """Rows in the journal with a record: those of the open block."""
-        begins = 1 + max(0, record.transitions - 1) // 64 * 64
-        return [row for row in self.rows if begins <= row.j < record.transitions]
+        begins = 1 + max(0, record.link.transitions - 1) // 64 * 64
+        return [row for row in self.rows if begins <= row.j < record.link.transitions]
 
     def meet(self) -> None:
         """A life greets, or the same once more; the plant saves which it was."""
         self.unsaved = ()
-        self.kept = self.kept._replace(incarnation=self.said.incarnation)
+        self.kept = changed(self.kept, incarnation=self.said.session.incarnation)
         self.receiver.heard_controller(self.sender.greeting(), "9" * 16)
         accepted = self.sender.heard_plant(self.receiver.hello()).reply
         assert accepted is not None
@@ -127,13 +130,13 @@ class Ends:
         return tuple((APART * i - x[0],) for i in range(self.size))
 
     def compare(self) -> None:
-        nonce = self.receiver.record.nonce
-        assert bool(nonce) == (self.keys and self.kept.k > 0)
-        counted = self.kept.transitions
+        nonce = self.receiver.record.link.nonce
+        assert bool(nonce) == (self.keys and self.kept.link.k > 0)
+        counted = self.kept.link.transitions
         begun = 1 + (counted - 2) // 64 if self.keys and counted > 1 else 0
-        assert self.receiver.record == self.kept._replace(nonce=nonce, blocks_begun=begun)
-        assert self.sender.record == self.said
-        assert self.sender.carries == (self.said.state[1] != NO_SYMBOL)
+        assert self.receiver.record == changed(self.kept, nonce=nonce, blocks_begun=begun)
+        assert changed(self.sender.record, blocks_begun=0) == self.said
+        assert self.sender.carries == (self.said.link.state[1] != NO_SYMBOL)
 
     def poor(self, counted: CountedTransition | None) -> tuple[BlockEnded, ...]:
         """The block that a transition ends: copies are lost so often that none makes a key."""
@@ -147,7 +150,7 @@ class Ends:
         """One of the two, between two things that it did; it comes back as its journal has it."""
         if self.random.random() < 0.5:
             self.sender = self.controller(self.said)
-            self.said = self.said._replace(incarnation=self.said.incarnation + 1)
+            self.said = changed(self.said, incarnation=self.said.session.incarnation + 1)
         else:
             record = self.receiver.record
             self.receiver = PlantInHand(
@@ -160,8 +163,8 @@ class Ends:
     def miss(self) -> None:
         x_next, u = (self.random.uniform(-1, 1),), (self.random.uniform(-1, 1),)
         self.receiver.missed(u, x_next)
-        k, missed = self.kept.k + 1, self.kept.missed + 1
-        self.kept = self.kept._replace(k=k, x=x_next, u=u, missed=missed)
+        k, missed = self.kept.link.k + 1, self.kept.applied.missed + 1
+        self.kept = changed(self.kept, k=k, x=x_next, u=u, missed=missed)
         self.woke, self.unsaved = False, ()
         self.compare()
 
@@ -170,17 +173,17 @@ class Ends:
         measurement = self.receiver.measurement()
         assert measurement == Measurement(
             session=SESSION,
-            k=self.kept.k,
-            x=self.kept.x,
-            applied_k=self.kept.applied_k,
-            x_after=self.kept.x_after,
+            k=self.kept.link.k,
+            x=self.kept.link.x,
+            applied_k=self.kept.link.applied_k,
+            x_after=self.kept.applied.x_after,
             copy_number=measurement.copy_number,
             nonce=measurement.nonce,
-            applied_copy=self.kept.applied_copy,
+            applied_copy=self.kept.applied.copy,
             tag=self.no_tag,
         )
         first = measurement.copy_number == 0
-        assert first == (measurement.nonce == self.receiver.record.nonce)
+        assert first == (measurement.nonce == self.receiver.record.link.nonce)
         assert bool(measurement.nonce) == self.keys
         return measurement
 
@@ -197,13 +200,13 @@ class Ends:
         assert effects == Done(append=True, offer=offer)
         if self.random.random() < 0.1:  # it dies once it has saved that
             self.sender = self.controller(self.said, offer=offer, measurement=measurement)
-            self.said = self.said._replace(incarnation=self.said.incarnation + 1)
+            self.said = changed(self.said, incarnation=self.said.session.incarnation + 1)
         self.finish_step(measurement, offer)
         assert offer == Offer(
             session=SESSION,
-            k=self.kept.k,
-            candidates=self.propose(self.kept.x),
-            cipher=self.said.cipher,
+            k=self.kept.link.k,
+            candidates=self.propose(self.kept.link.x),
+            cipher=self.said.frame.cipher,
             nonce=offer.nonce,
             heard=measurement.copy_number,
             tag=self.no_tag,
@@ -223,7 +226,8 @@ class Ends:
         counted, contribution = self.uncounted, self.contribution
         before = self.said
         self.uncounted = self.contribution = None
-        self.said = before._replace(
+        self.said = changed(
+            before,
             k=measurement.k,
             x=measurement.x,
             offer=offer,
@@ -235,18 +239,19 @@ class Ends:
             if counted.role == "message" and counted.p in self.ends:
                 delivered = self.ends.index(counted.p)
                 self.delivered.append(delivered)
-            key, p = self.kept.state[1], counted.p
+            key, p = self.kept.link.state[1], counted.p
             carries = key != NO_SYMBOL
             framed = carries and p < len(self.stream)
             message = sum(end <= p for end in self.ends)
             within = p - ([0, *self.ends][message]) if message < len(self.ends) else 0
             symbol = (self.stream[p] if framed else IDLE) if carries else NO_SYMBOL
             agreed = counted.symbol != NO_SYMBOL
-            self.said = self.said._replace(
-                state=self.kept.state,
+            self.said = changed(
+                self.said,
+                state=self.kept.link.state,
                 applied_k=counted.k,
                 transitions=counted.j + 1,
-                agreements=before.agreements + agreed,
+                agreements=before.link.agreements + agreed,
                 p=p,
                 cipher=(symbol + key if carries else (counted.j + 1) * 7) % self.size,
                 message_symbol=symbol,
@@ -273,37 +278,37 @@ class Ends:
         """The plant tosses and is disturbed: within D_c, out of all, or up to the next centre."""
         coin = self.random.randrange(self.size)
         d = self.random.choice((0.9, -0.9, 0.5, 0.0, 1.1, APART, -APART))
-        before, x = self.kept, self.kept.x[0]
+        before, x = self.kept, self.kept.link.x[0]
         x_next = (x + offer.candidates[coin][0] + d,)
         gauges = tuple(abs(x_next[0] - (x + u)) for (u,) in offer.candidates)
         fits = [i for i, g in enumerate(gauges) if g <= 1]
         symbol = fits[0] if fits else NO_SYMBOL
-        pad = before.state[1]
+        pad = before.link.state[1]
         tested = self.pipelined or pad == NO_SYMBOL
         agreed = symbol if tested else NO_SYMBOL
         carried = pad != NO_SYMBOL
         m = (offer.cipher - pad) % self.size if carried else NO_SYMBOL
         if carried:
-            assert m == (self.stream[before.p] if before.p < len(self.stream) else IDLE)
-        p = before.p + carried
+            assert m == (self.stream[before.link.p] if before.link.p < len(self.stream) else IDLE)
+        p = before.link.p + carried
         counts = (1 - offer.copy_number) + 2 * (1 - offer.heard)
-        if not (self.keys and before.transitions):
+        if not (self.keys and before.link.transitions):
             counts = 0
         else:
             original = self.said.offer
             assert original is not None
             self.contribution = Contribution(
-                before.transitions,
-                before.k - before.applied_k,
+                before.link.transitions,
+                before.link.k - before.link.applied_k,
                 None if offer.copy_number else as_bytes(original.nonce),
-                None if offer.heard else as_bytes(self.said.nonce),
+                None if offer.heard else as_bytes(self.said.link.nonce),
             )
         frame, partial, chunk = self.frame(p, carried, m)
         self.uncounted = CountedTransition(
             session=SESSION,
-            j=before.transitions,
-            k=before.k,
-            x=before.x,
+            j=before.link.transitions,
+            k=before.link.k,
+            x=before.link.x,
             candidates=offer.candidates,
             cipher=offer.cipher,
             x_next=x_next,
@@ -320,20 +325,21 @@ class Ends:
             u=offer.candidates[coin],
             recovered=frame,
         )
-        self.kept = before._replace(
-            k=before.k + 1,
+        self.kept = changed(
+            before,
+            k=before.link.k + 1,
             x=x_next,
             u=offer.candidates[coin],
-            applied_k=before.k,
+            applied_k=before.link.k,
             x_after=x_next,
             partial=partial,
-            stored=0 if frame is not None else before.stored + len(chunk),
+            stored=0 if frame is not None else before.frame.stored + len(chunk),
             state=(self.uncounted.s, agreed),
-            transitions=before.transitions + 1,
+            transitions=before.link.transitions + 1,
             p=p,
-            agreements=before.agreements + (agreed != NO_SYMBOL),
-            symbol_errors=before.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
-            messages=before.messages + (frame is not None),
+            agreements=before.link.agreements + (agreed != NO_SYMBOL),
+            symbol_errors=before.applied.symbol_errors + (agreed not in (NO_SYMBOL, coin)),
+            messages=before.frame.messages + (frame is not None),
             applied_copy=offer.copy_number,
         )
         assert self.receiver.check(offer) == "current"
@@ -374,7 +380,7 @@ class Ends:
 
     def frame(self, p: int, carried: bool, symbol: int) -> tuple[bytes | None, str, str]:
         """The frame that ends with this symbol; what is kept of one under way, and what leaves."""
-        partial = self.kept.partial
+        partial = self.kept.frame.partial
         if not carried or p > len(self.stream):
             return None, partial, ""
         if p in self.ends:
@@ -397,7 +403,7 @@ SCHEMES: list[Scheme[Any]] = size(
 @pytest.mark.parametrize("scheme", SCHEMES, ids=lambda s: f"{s.name}-{s.alphabet}")
 def test_both_ends_remember_and_say_what_happened(scheme: Scheme[Any], keys: bool) -> None:
     ends = Ends(scheme, 1, keys=keys)
-    while len(ends.delivered) < len(PAYLOADS) or ends.said.p < ends.ends[-1] + 5:
+    while len(ends.delivered) < len(PAYLOADS) or ends.said.link.p < ends.ends[-1] + 5:
         for _ in range(ends.random.choice((0, 0, 0, 1, 2))):
             if ends.random.random() < 0.5:
                 ends.hear()  # and its offers are lost
@@ -407,6 +413,7 @@ def test_both_ends_remember_and_say_what_happened(scheme: Scheme[Any], keys: boo
         ends.apply(ends.hear())
     assert ends.delivered == [0, 1, 2]
     assert ends.inbox == list(PAYLOADS)
-    assert ends.kept.symbol_errors > 0
-    assert ends.kept.missed > 0
-    assert ends.draws.asked == list(range(ends.said.transitions + 1))
+    assert ends.kept.applied.symbol_errors > 0
+    assert ends.kept.applied.missed > 0
+    asked = ends.draws.asked
+    assert asked == sorted(set(asked)), "once, and in order"

@@ -30,7 +30,7 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
             update={"verdict": "accepted", "session": "5" * 16, "answers": "b" * 16}
         )
         gathered(plant.receive(ControllerHello, accepted.wire(), now))
-        assert plant.accepted
+        assert plant.state.session.accepted
         until = now + 2.5
         while now < until:
             now = max(now, plant.wake_at())

@@ -13,13 +13,14 @@ from pathlib import Path
 
 import pytest
 
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.session import CountedTransition
 from protocol.link.step import IDLE, Answered, Step
 from protocol.messages import ControllerHello, Measurement, Offer
 from tests.support.controller_in_hand import ControllerInHand, Done
 from tests.support.line_ends import line_rules
 from tests.support.plant_in_hand import PlantInHand
+from tests.support.records import plant_record
 from tests.support.small_run import Queue
 
 FOLDER = Path(__file__).parent / "transcripts"
@@ -53,10 +54,10 @@ class Link:
         self.draws = Draws()
         self.instances = 0
         self.sessions = 1
-        self.saved_sender: tuple[SenderRecord | None, Step] = (None, IDLE)
+        self.saved_sender: tuple[ControllerRecord | None, Step] = (None, IDLE)
         self.sender = self.new_sender(None)
-        first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
-        self.saved_receiver: tuple[ReceiverRecord, Step] = (first, IDLE)
+        first = plant_record(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
+        self.saved_receiver: tuple[PlantRecord, Step] = (first, IDLE)
         self.receiver = self.new_receiver(first)
         self.measurement: Measurement | None = None
         self.measured: list[Measurement] = []
@@ -72,7 +73,7 @@ class Link:
         self.instances += 1
         return f"{self.instances:016x}"
 
-    def new_sender(self, record: SenderRecord | None, step: Step = IDLE) -> ControllerInHand:
+    def new_sender(self, record: ControllerRecord | None, step: Step = IDLE) -> ControllerInHand:
         return ControllerInHand(
             RULES,
             propose,
@@ -83,7 +84,7 @@ class Link:
             fresh=self.draws,
         )
 
-    def new_receiver(self, record: ReceiverRecord, step: Step = IDLE) -> PlantInHand:
+    def new_receiver(self, record: PlantRecord, step: Step = IDLE) -> PlantInHand:
         return PlantInHand(
             RULES,
             self.instance(),
@@ -100,7 +101,7 @@ class Link:
     def meet(self) -> None:
         """The controller greets, the plant asks, until a session is accepted."""
         said: ControllerHello | None = self.sender.greeting()
-        self.say("controller", f"greets, and knows {self.by_name(self.sender.record.session)}")
+        self.say("controller", f"greets, and knows {self.by_name(self.sender.record.session.id)}")
         for _ in range(6):
             if said is not None and self.heard(said) == "accepted":
                 return
@@ -164,7 +165,11 @@ class Link:
         finished = self.sender.finish_step() if effects.append else effects
         if effects.offer is not None:
             record = self.sender.record
-            inside = "random" if record.s == 1 else f"m[{record.p}]={record.message_symbol}"
+            inside = (
+                "random"
+                if record.link.s == 1
+                else f"m[{record.link.p}]={record.frame.message_symbol}"
+            )
             self.offer = effects.offer
             self.say(
                 "controller", f"offers k={effects.offer.k} cipher={effects.offer.cipher} ({inside})"
@@ -192,7 +197,7 @@ class Link:
         if what != "current":
             self.say("plant", f"ignores offer {self.offer.k}: {what}")
             return
-        x_next = (self.receiver.record.x[0] + CANDIDATES[coin][0] + d,)
+        x_next = (self.receiver.record.link.x[0] + CANDIDATES[coin][0] + d,)
         if how == "and dies before saving":
             self.say("plant", f"applies candidate {coin}, and dies before it has saved")
             return
@@ -211,9 +216,9 @@ class Link:
 
     def miss(self, d: float) -> None:
         record = self.receiver.record
-        self.receiver.missed(record.u, (record.x[0] + record.u[0] + d,))
+        self.receiver.missed(record.applied.u, (record.link.x[0] + record.applied.u[0] + d,))
         self.saved_receiver = (self.receiver.record, IDLE)
-        self.say("plant", f"no offer in time: holds u={record.u[0]:g}")
+        self.say("plant", f"no offer in time: holds u={record.applied.u[0]:g}")
 
     def tell(self, who: str, t: CountedTransition, more: str = "") -> None:
         gauges = " ".join(f"{g:g}" for g in t.verdict.gauges)
@@ -266,7 +271,7 @@ class Link:
                         self.tell("plant", event, f"b_r={event.coin}, ")
             case ["plant", "forgets"]:
                 self.sessions += 1
-                first = ReceiverRecord(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
+                first = plant_record(session=self.session_id(), k=0, x=(0.0,), u=(0.0,))
                 self.saved_receiver = (first, IDLE)
                 self.receiver = self.new_receiver(first)
             case _:

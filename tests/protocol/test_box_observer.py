@@ -9,7 +9,6 @@ from protocol.agreement import predict
 from protocol.box_observer import Box, BoxObserver
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from wyner.advice.outputs import outputs_verdict
 
 MOTOR = BoxObserver(
     A=((1.0, 0.0909), (0.0, 0.8187)),
@@ -103,16 +102,20 @@ def test_a_reading_that_nothing_explains_begins_anew() -> None:
     assert missed.possible == (0,)
 
 
-@pytest.mark.parametrize(("alpha", "carries"), [(8.0, False), (20.0, True)])
-def test_whether_an_encoder_is_enough(alpha: float, carries: bool) -> None:
-    """The shipped motor: inputs must be 0.724 apart, and she allows 0.0515 (alpha - 1)."""
-    scenario = load_scenario(SCENARIOS / "motor.toml")
-    secrecy = scenario.secrecy.model_copy(update={"alpha": alpha})
-    found = outputs_verdict(scenario.model_copy(update={"secrecy": secrecy}), (1,), (0.0005,))
-    assert found.carries is carries
-    assert found.needed == pytest.approx(0.724, abs=1e-3)
-    assert found.possible == pytest.approx(0.05157 * (alpha - 1), rel=1e-2)
-    sustained = load_scenario(SCENARIOS / "sustained.toml")
-    assert "no key is sure" in outputs_verdict(sustained, (1,), (0.001,)).line()
-    with pytest.raises(ValueError, match="expected states from 1 to 2"):
-        outputs_verdict(sustained, (3,), (0.1,))
+@pytest.mark.parametrize(
+    ("name", "noise", "needed"), [("motor", 0.0005, 0.724), ("sustained", 0.001, 20.3)]
+)
+def test_how_far_apart_inputs_must_be_where_the_position_alone_is_read(
+    name: str, noise: float, needed: float
+) -> None:
+    """The numbers of docs/concepts.md."""
+    s = load_scenario(SCENARIOS / f"{name}.toml")
+    widths = s.defender.disturbance.half_widths
+    assert widths is not None
+    position = ((1.0, *(0.0,) * (s.n - 1)),)
+    observer = BoxObserver(s.A, s.B, position, widths, (noise,), (1e6,) * s.n)
+    radius = observer.quiet()
+    box = Box(tuple(-r for r in radius), radius)
+    moved, blur = observer.needed(box, (1.0,))
+    apart = min(b / a for a, b in zip(moved, blur, strict=True) if a > 0)
+    assert apart == pytest.approx(needed, rel=2e-3)

@@ -43,19 +43,3 @@ def test_no_port_is_one_that_the_kernel_may_give_to_a_client() -> None:
         assert server.getsockname()[1] in clients
     ports = [int(endpoint.rpartition(":")[2]) for endpoint in free_endpoints(50)]
     assert not set(ports) & set(clients)
-
-
-def test_a_client_that_holds_a_port_keeps_its_listener_from_coming_back() -> None:
-    """Why: what a client was given is not to be listened on."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-        client = socket.create_connection(server.getsockname())
-        with client, pytest.raises(OSError, match="in use"):
-            socket.create_server(client.getsockname())
-
-
-def test_a_port_is_free_again_once_its_program_has_ended() -> None:
-    code = "from runtime.addresses import free_endpoints; print(*free_endpoints(1))"
-    done = subprocess.run(
-        [sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True
-    )
-    assert addresses.taken_down(int(done.stdout.strip().rpartition(":")[2]))

@@ -10,17 +10,16 @@ from contextlib import contextmanager
 from math import inf
 from pathlib import Path
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import pytest
 
 from controller_service.command import ControllerOptions
 from controller_service.laws.base import CandidateLaw
 from controller_service.service import run_controllers
-from plant_service import service
 from plant_service.service import run_plants
 from protocol.link.effects import Effects
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from protocol.messages import (
     LATENCY_BOUNDS_S,
     ControllerStatus,
@@ -33,7 +32,6 @@ from protocol.topics import key_of
 from runtime import host
 from runtime.bus_options import add_service_arguments, fleet_of
 from runtime.errors import DONE, UsageError
-from runtime.files import StatusFile
 from runtime.fleet import Fleet, numbered, read_fleet
 from runtime.health import read_status
 from runtime.options import message_of, picked
@@ -82,14 +80,6 @@ def test_a_wrong_file_names_the_loop_and_the_field(tmp_path: Path, text: str, sa
         read_fleet(path)
     assert said in str(error.value)
     assert str(path) in str(error.value)
-
-
-def test_a_fleet_of_a_number_has_an_id_and_a_seed_for_each() -> None:
-    loops = numbered(3, "sustained", "m", seed=10).loops
-    assert list(loops) == ["loop-0000", "loop-0001", "loop-0002"]
-    assert [loop.seed for loop in loops.values()] == [10, 11, 12]
-    with pytest.raises(UsageError, match="--loops: got 0"):
-        numbered(0, "sustained")
 
 
 @pytest.mark.parametrize(
@@ -253,69 +243,6 @@ def test_a_loop_that_cannot_run_harms_no_other(sustained_law: CandidateLaw, tmp_
     assert hosts.status("two") is None
 
 
-@pytest.mark.slow
-def test_a_disk_that_holds_up_statuses_holds_up_no_step(
-    sustained_law: CandidateLaw, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    hosts = Hosts(lambda: numbered(2, "sustained", "hi", seed=1), sustained_law, tmp_path)
-    names = list(hosts.fleet().loops)
-    free, write = threading.Event(), StatusFile.write
-
-    def slow(file: StatusFile, data: bytes) -> None:
-        assert free.wait(PATIENCE_S)
-        write(file, data)
-
-    def recovered(name: str) -> bool:
-        trace = tmp_path / name / PLANT_TRACE
-        return trace.exists() and b'"recovered"' in trace.read_bytes()
-
-    monkeypatch.setattr(StatusFile, "write", slow)
-    with hosts.running("x10"):
-        hosts.wait(lambda: all(map(recovered, names)))
-        assert list(map(hosts.status, names)) == [None, None]
-        free.set()
-    assert all(map(hosts.delivered, names))
-
-
-@pytest.mark.slow
-def test_a_loop_whose_status_cannot_be_written_goes_on(
-    sustained_law: CandidateLaw, tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    """A folder stands in the place of one, and later it does not."""
-    hosts = Hosts(lambda: numbered(2, "sustained", "hi", seed=1), sustained_law, tmp_path)
-    bad, good = hosts.fleet().loops
-    (tmp_path / bad / PLANT_STATUS).mkdir(parents=True)
-    with hosts.running("x10"):
-        hosts.wait(lambda: hosts.delivered(good))
-        assert "the loop goes on, and the status is tried again" in caplog.text
-        (tmp_path / bad / PLANT_STATUS).rmdir()
-        hosts.wait(lambda: hosts.delivered(bad))
-    assert "is over" not in caplog.text
-
-
-@pytest.mark.slow
-def test_a_loop_that_cannot_be_opened_harms_no_other(
-    sustained_law: CandidateLaw,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    caplog: pytest.LogCaptureFixture,
-) -> None:
-    """Whatever its error is: an odd set may raise what nobody thought of."""
-    right = service.open_plant
-
-    def odd(config: service.PlantConfig, *args: Any, **more: Any) -> Any:
-        if config.loop == "loop-0000":
-            raise ArithmeticError("an odd set")
-        return right(config, *args, **more)
-
-    monkeypatch.setattr(service, "open_plant", odd)
-    hosts = Hosts(lambda: numbered(2, "sustained", "hi", seed=1), sustained_law, tmp_path)
-    with caplog.at_level(logging.INFO), hosts.running("x20"):
-        hosts.wait(lambda: hosts.delivered("loop-0001"))
-    assert "loop loop-0000: unexpected ArithmeticError: an odd set" in caplog.text
-    assert "1 of 2 loops run" in caplog.text
-
-
 class Overloaded:
     """An end that is always due, and that is told of commands."""
 
@@ -352,7 +279,7 @@ def test_an_end_that_is_always_due_is_told_of_commands_and_stops() -> None:
     end = Overloaded()
     running = host.Host(MemoryBus(MemoryHub()), MemoryBus(hub), stopping)
     files = SimpleNamespace(health=Path("status.json"), close=lambda: None)
-    running.add("loop", cast("Peer", end), cast("Files", files), logging.getLogger("overload"))
+    running.add("loop", cast("Endpoint", end), cast("Files", files), logging.getLogger("overload"))
     thread = threading.Thread(target=running.run)
     thread.start()
     publisher = MemoryBus(hub).publisher(key_of(SendCommand, "loop"))
@@ -380,18 +307,6 @@ class Slow:
     def candidates(self, x: tuple[float, ...]) -> tuple[tuple[float, ...], ...]:
         time.sleep(self.seconds)
         return self._law.candidates(x)
-
-
-@pytest.mark.slow
-def test_a_host_ends_where_an_interrupt_has_left_a_turn_taken() -> None:
-    """A second signal is raised where the program stands, be it between lock and body."""
-    buses = MemoryBus(MemoryHub()), MemoryBus(MemoryHub())
-    ended = host.Host(*buses, threading.Event(), fleet=True)
-    ended.turns.__enter__()
-    closing = threading.Thread(target=ended.close, daemon=True)
-    closing.start()
-    closing.join(PATIENCE_S)
-    assert not closing.is_alive()
 
 
 @pytest.mark.slow

@@ -14,6 +14,7 @@ from protocol.messages import ControllerStatus, Status
 from runtime.health import look_at_status, read_status
 from runtime.health_files import HealthFiles, HealthWriter
 from tests.link.test_controller_tells import Told
+from tests.support.end_in_hand import status_of
 from tests.support.patience import PATIENCE_S
 
 LOG = logging.getLogger("health files")
@@ -115,7 +116,7 @@ def test_a_status_begins_with_its_health_and_is_read_without_it(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "status.json"
-    HealthFiles(path, LOG).write(Told().at_work().core.status(), 0.0)
+    HealthFiles(path, LOG).write(status_of(Told().at_work().core), 0.0)
     assert path.read_bytes().startswith(b'{"health":"ok: ')
     found = read_status(path, ControllerStatus)
     assert found.transitions == 2

@@ -17,7 +17,7 @@ from tests.support.two_ends import SIDES
 MESSAGE = b"a"
 
 
-@pytest.mark.parametrize("number", range(3))
+@pytest.mark.parametrize("number", [1])
 @pytest.mark.parametrize("fault", ["full", "short", "read-only"])
 @pytest.mark.parametrize("side", SIDES)
 def test_a_disk_that_fails_stops_an_end_and_it_goes_on_exactly_once(

@@ -1,16 +1,12 @@
 """The queue between the transport's thread and a service's own."""
 
-import os
 import queue
-import subprocess
-import sys
 import threading
 import time
 
 import pytest
 
 from runtime.inbox import OVERHEAD, Inbox
-from tests.support.patience import PATIENCE_S
 
 
 def test_items_come_in_order_and_are_counted() -> None:
@@ -65,47 +61,3 @@ def test_what_there_is_no_room_for_is_dropped_and_counted() -> None:
     inbox.put(b"y", 10_000 - OVERHEAD)
     inbox.put(b"z", 0)
     assert (len(inbox), inbox.dropped) == (1, 4)
-
-
-TINY_WAITS = """
-import os, queue, sys, threading, time
-from runtime.inbox import Inbox
-os.nice(15)
-rounds = [0] * 16
-def take(place):
-    inbox = Inbox()
-    while True:
-        inbox.put(1, 0)
-        try:
-            inbox.get(1e-6)
-            inbox.get(2e-6)
-        except queue.Empty:
-            pass
-        rounds[place] += 1
-for place in range(len(rounds)):
-    threading.Thread(target=take, args=(place,), daemon=True).start()
-over = time.monotonic() + 1
-while time.monotonic() < over:
-    before, stuck = list(rounds), time.monotonic() + 100
-    while any(now == then for now, then in zip(rounds, before)):
-        if time.monotonic() > stuck:
-            sys.exit(f"stuck after {before} rounds")
-        time.sleep(0.1)
-"""
-
-
-@pytest.mark.long
-def test_a_wait_of_microseconds_ends_on_a_busy_machine() -> None:
-    """Where a ``queue.SimpleQueue`` in its place waits for ever within a second."""
-    spin = [sys.executable, "-c", "while True: pass"]
-    busy = [subprocess.Popen(spin) for _ in range(os.cpu_count() or 1)]
-    try:
-        done = subprocess.run(
-            [sys.executable, "-c", TINY_WAITS],
-            capture_output=True, text=True, timeout=PATIENCE_S, check=False,
-        )  # fmt: skip
-    finally:
-        for process in busy:
-            process.kill()
-            process.wait()
-    assert done.returncode == 0, done.stderr

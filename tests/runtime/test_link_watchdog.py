@@ -75,7 +75,7 @@ class Watch:
         return times
 
 
-@pytest.mark.parametrize("frozen_s", [1.5, 2.0, 5.0, 20.0, 45.0, 60.0, 600.0])
+@pytest.mark.parametrize("frozen_s", [1.5, 20.0, 600.0])
 def test_a_process_that_stood_still_opens_all_its_sessions_again(frozen_s: float) -> None:
     """A partner has given it up by then, as far as it can know."""
     watch = Watch()
@@ -95,7 +95,7 @@ def test_a_short_pause_opens_nothing() -> None:
     assert watch.passes(10.0, comes_each=0.1) == []
 
 
-@pytest.mark.parametrize("frozen_s", [3.0, 20.0, 45.0, 60.0, 600.0])
+@pytest.mark.parametrize("frozen_s", [3.0, 60.0, 600.0])
 def test_a_link_over_which_nothing_comes_is_given_up(frozen_s: float) -> None:
     """The partner was frozen for so long: it is there again, and its messages do not come."""
     watch = Watch()

@@ -7,7 +7,6 @@ import pytest
 from protocol.scenario import Scenario
 from runtime.model import ModelError, load_model
 from runtime.scenario_file import scenario_of
-from runtime.user_code import UserCodeError
 from wyner.api import vary
 
 MODEL = "model.py:predict"
@@ -30,22 +29,6 @@ def test_a_prediction_is_a_vector_of_floats(code: str, scenario: Scenario, tmp_p
     centre = predict((0.1, 0.0), (0.5,))
     assert centre == (0.6, 2.0)
     assert [type(centre), *map(type, centre)] == [tuple, float, float]
-
-
-@pytest.mark.parametrize(
-    ("code", "says"),
-    [
-        ("predict = 3", "defender.model: model.py:predict: expected a function of x and u"),
-        ("", "defender.model: model.py: has no 'predict'"),
-    ],
-)
-def test_a_model_that_is_none_is_named(
-    code: str, says: str, scenario: Scenario, tmp_path: Path
-) -> None:
-    (tmp_path / "model.py").write_text(code)
-    with pytest.raises(UserCodeError) as refused:
-        load_model(scenario, tmp_path)
-    assert str(refused.value) == says
 
 
 @pytest.mark.parametrize(

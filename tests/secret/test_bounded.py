@@ -1,12 +1,16 @@
 """What a long run leaves in memory: after many blocks no structure is larger than after a few."""
 
+from plant_service.punctuality import Punctuality
 from tests.support.held_memory import kept
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
 from tests.support.two_ends import SIDES
 
+ELSEWHERE = (KeyedEnds, Punctuality)
+"""A plant's punctuality is that of its newest thousand steps."""
+
 
 def measured(world: KeyedEnds) -> dict[str, tuple[int, int]]:
-    found = {f"the {side}'s end": kept([world.ends[side].peer], (KeyedEnds,)) for side in SIDES}
+    found = {f"the {side}'s end": kept([world.ends[side].endpoint], ELSEWHERE) for side in SIDES}
     found |= {f"the {side}'s journal": kept([world.journals[side]], (KeyedEnds,)) for side in SIDES}
     return found
 

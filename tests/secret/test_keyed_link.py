@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from controller_service import core as controller_core
-from plant_service import core as plant_core
+from controller_service import chooser
+from plant_service import stepper
 from protocol.link import distiller as distiller_module
 from protocol.link.distiller import Distiller
 from protocol.link.records import Side
@@ -141,11 +141,11 @@ def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
 
 
 def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, plant_core, *FIRST_COPY)
+    broken(patch, stepper, *FIRST_COPY)
 
 
 def wrong_heard(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, controller_core, "heard=measurement.copy_number,", "heard=0,")
+    broken(patch, chooser, "heard=measurement.copy_number,", "heard=0,")
 
 
 def nonces_swapped(patch: pytest.MonkeyPatch) -> None:

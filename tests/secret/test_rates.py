@@ -58,8 +58,8 @@ def test_the_first_key_comes_early_and_the_rate_after_it(
     assert 0.1 * (1 + schedule.length(0)) <= first_s
     assert first.keys >= 1
     assert 256 * last.keys / (0.1 * schedule.length(last.number)) >= rate
-    assert plant.parts
-    assert plant.parts == controller.parts
+    assert plant.held.keys
+    assert plant.held == controller.held
 
 
 def test_she_holds_nothing_of_a_thousand_blocks_and_one_row_too_many_is_one_row() -> None:

@@ -4,21 +4,21 @@ Keys are short here, five digits each, so that the stream runs dry and is filled
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-from controller_service import core as controller_core
+from controller_service import chooser
 from protocol.link.effects import Save
 from protocol.link.events import Event
 from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
-from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Keys, Position, Stream
 from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.broken import broken
 from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.safety import BEYOND, first_held
 from tests.support.size import size
 from tests.support.two_ends import SIDES, Name
 
@@ -86,12 +86,11 @@ def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], Keyed
     assert len(world.digits.watched) > 50
     record = world.journals["plant"].load().record
     assert record is not None
-    of_session = sorted(at for session, at in served if session == record.session)
+    of_session = sorted(at for session, at in served if session == record.session.id)
     newest = of_session[-3]  # a digit goes with the save of the next step, at the controller later
     for side in SIDES:
-        for (block, _), part in world.parts(side).items():
-            first = Position(block, part.first)
-            assert first >= newest, "a digit that has served is still in a journal"
+        first = first_held(world.held(side))
+        assert newest <= first < BEYOND, "a digit that has served is still in a journal"
     world.close()
 
 
@@ -120,22 +119,24 @@ def the_position_does_not_move_on(patch: pytest.MonkeyPatch) -> None:
 def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
     init = Stream.__init__
 
-    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:
-        init(self, size, parts)
+    def begins(
+        self: Stream, size: int, held: Held = NOTHING_HELD, after: Position = NOWHERE
+    ) -> None:
+        init(self, size, held)
 
     patch.setattr(Stream, "__init__", begins)
     nothing_is_erased(patch)
 
 
 def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
-    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:
+    def keeps(self: Stream, position: Position) -> tuple[Keys, ...]:
         return ()
 
     patch.setattr(Stream, "drop_before", keeps)
 
 
 def a_controller_takes_no_notice_of_what_was_used(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, controller_core, "if rules.scheme.from_stream and not digits:", "if False:")
+    broken(patch, chooser, "if digits or not rules.scheme.from_stream:", "if True:")
 
 
 WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [

@@ -62,3 +62,16 @@ def test_the_model_is_the_plants_linearisation(name: str) -> None:
         d = e * np.eye(m)[j]
         column = (stepped(np.zeros(n), d) - stepped(np.zeros(n), -d)) / (2 * e)
         assert column == pytest.approx(np.array(s.B)[:, j], abs=2e-6)
+
+
+def test_the_khepera_reaches_each_velocity_that_is_offered() -> None:
+    """Wheels at 250 of 1200 (0.813 m/s), 0.1047 m apart, the point 0.1 m before the axle."""
+    wheel = 250 / 1200 * 0.813
+    runs = run(design("khepera"), steps=300, runs=4, seed=1)
+    assert (runs.key == runs.coin).all()
+    heading = np.linspace(0, 2 * np.pi, 73)
+    ahead, aside = np.cos(heading), np.sin(heading)
+    u = runs.candidates.reshape(-1, 2)
+    forward = np.outer(u[:, 0], ahead) + np.outer(u[:, 1], aside)
+    turning = (np.outer(u[:, 1], ahead) - np.outer(u[:, 0], aside)) / 0.1
+    assert (np.abs(forward) + 0.1047 / 2 * np.abs(turning)).max() <= wheel

@@ -80,3 +80,8 @@ def test_a_file_with_other_columns_begins_anew(tmp_path: Path) -> None:
     path = tmp_path / "some.csv"
     path.write_text(f"task,version\na,{NOW}\n")
     assert rows_after(path, "a") == [["a", NOW, "new"]]
+
+
+def test_nothing_is_an_empty_cell() -> None:
+    one = Letters("some", ("value",), tuple, lambda _: [(None,)], __name__)
+    assert one.measured("a")[0]["value"] == ""

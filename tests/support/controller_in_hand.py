@@ -8,11 +8,13 @@ from copy import copy
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from controller_service.core import ControllerCore, Predict
+from controller_service.chooser import Predict
+from controller_service.core import ControllerCore
+from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import BlockEnded, Distiller
 from protocol.link.effects import Effect, Notice, Publish, Save
-from protocol.link.records import Loaded, SenderRecord
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.records import ControllerRecord, Loaded
+from protocol.link.session import CountedTransition, Rules, reports
 from protocol.link.step import IDLE, Answered
 from protocol.messages import ControllerHello, Measurement, Offer, PlantHello
 from protocol.secret.nonces import Contribution, NonceSource
@@ -100,6 +102,13 @@ def done(effects: Sequence[Effect]) -> Done:
     )
 
 
+def reported(core: ControllerCore) -> int:
+    """Transitions that the plant has reported, the one that waits to be counted included."""
+    record, step = core.state.record, core.state.step
+    counts = isinstance(step, Answered) and reports(record, step.measurement)
+    return record.link.transitions + counts
+
+
 class ControllerInHand:
     """A controller process that has read ``record``, and what followed it.
 
@@ -115,7 +124,7 @@ class ControllerInHand:
         rules: Rules,
         propose: Callable[[Vector], tuple[Vector, ...]],
         instance: str,
-        record: SenderRecord | None = None,
+        record: ControllerRecord | None = None,
         measurement: Measurement | None = None,
         offer: Offer | None = None,
         contributions: Iterable[Contribution] = (),
@@ -144,8 +153,8 @@ class ControllerInHand:
         )
 
     @property
-    def record(self) -> SenderRecord:
-        return self.core.record
+    def record(self) -> ControllerRecord:
+        return self.core.state.record
 
     @property
     def instance(self) -> str:
@@ -153,24 +162,25 @@ class ControllerInHand:
 
     @property
     def plant(self) -> str | None:
-        return self.core.session.plant
+        return self.core.state.session.plant
 
     @property
     def refused(self) -> bool:
-        assert self.core.refused == (self.core.code == USAGE)
-        return self.core.refused
+        assert (self.core.state.session.state == "refused") == (self.core.code == USAGE)
+        return self.core.state.session.state == "refused"
 
     @property
     def carries(self) -> bool:
-        return self.core.carries
+        state = self.core.state
+        return state.rules.scheme.pad(state.link.state) != NO_SYMBOL
 
     @property
     def unfinished(self) -> bool:
-        return self.core.unfinished
+        return self.core.state.step is not IDLE
 
     @property
     def keys(self) -> Distiller:
-        return self.core.keys
+        return self.core.state.keys
 
     def greeting(self) -> ControllerHello:
         """Its greeting, as it was when it started."""
@@ -204,7 +214,7 @@ class ControllerInHand:
 
     def finish_step(self) -> Done:
         """Count the step under way."""
-        if self.core.unfinished and not self._rest:  # as it was read back
+        if self.unfinished and not self._rest:  # as it was read back
             *counted, _, _ = self.core.start(self._now)  # and then it greets, saved before
             return done(counted)
         return done([*self._rest])

@@ -11,7 +11,7 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.stream import Part
+from protocol.secret.stream import Held
 from tests.support.line_ends import line_rules
 from tests.support.mail import Mail
 from tests.support.once import Copies, Digits
@@ -74,16 +74,16 @@ class KeyedEnds(LineEnds):
             other = self.counted[OTHER[side]].get(at)
             assert other is None or other == transition, "the ends counted differently"
 
-    def parts(self, side: Side) -> dict[tuple[int, int], Part]:
+    def held(self, side: Side) -> Held:
         """The key stream that an end's journal holds."""
-        return {(part.block, part.number): part for part in self.journals[side].load().parts}
+        return self.journals[side].load().held
 
     def agree(self) -> None:
         """What both journals hold of the key stream of one session is the same."""
         mine, theirs = (self.journals[side].load() for side in SIDES)
         if mine.record is None or theirs.record is None:
             return
-        if mine.record.session != theirs.record.session:
+        if mine.record.session.id != theirs.record.session.id:
             return
-        wrong = differing_key(mine.parts, theirs.parts)
+        wrong = differing_key(self.rules.size, mine.held, theirs.held)
         assert not wrong, wrong

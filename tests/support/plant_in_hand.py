@@ -5,7 +5,7 @@ missed. What the core traced, saved and published is kept to be looked at.
 """
 
 from collections.abc import Callable, Iterable
-from copy import copy, deepcopy
+from copy import deepcopy
 from typing import Any
 
 from plant_service.core import PlantCore
@@ -16,7 +16,7 @@ from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Tell
 from protocol.link.events import Event, Missed, SessionBegan
 from protocol.link.pacing import Pacing
 from protocol.link.plant_session import HELLO_S
-from protocol.link.records import Loaded, ReceiverRecord
+from protocol.link.records import Loaded, PlantRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
 from protocol.link.step import IDLE, Idle, Step
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello
@@ -77,7 +77,7 @@ class PlantInHand:
     fresh : NonceSource
     plant, coin, fallback : optional
         In place of those that do as they are told.
-    telemetry : PlantTelemetry, optional
+    news : PlantTelemetry, optional
         Statuses are published with it.
     """
 
@@ -85,7 +85,7 @@ class PlantInHand:
         self,
         rules: Rules,
         instance: str,
-        record: ReceiverRecord,
+        record: PlantRecord,
         symbols: str = "",
         contributions: Iterable[Contribution] = (),
         fresh: NonceSource = fresh_nonce,
@@ -94,7 +94,7 @@ class PlantInHand:
         plant: Plant | None = None,
         coin: Coin | None = None,
         fallback: Callable[[Vector, Vector], Vector] | None = None,
-        telemetry: PlantTelemetry | None = None,
+        news: PlantTelemetry | None = None,
     ) -> None:
         self.line = ScriptedLine()
         self.events: list[Event] = []
@@ -117,34 +117,34 @@ class PlantInHand:
             0.0,
             instance=instance,
             loaded=Loaded(record, step, tuple(contributions), symbols=symbols),
-            telemetry=telemetry,
+            news=news,
             nonces=fresh,
         )
         self.carry_out(self.core.start(0.0))
 
     @property
-    def record(self) -> ReceiverRecord:
-        return self.core.record
+    def record(self) -> PlantRecord:
+        return self.core.state.record
 
     @property
     def accepted(self) -> bool:
-        return self.core.accepted
+        return self.core.state.session.accepted
 
     @property
     def refused(self) -> bool:
-        return self.core.refused
+        return self.core.state.session.state == "refused"
 
     @property
     def controller(self) -> str | None:
-        return self.core.session.controller
+        return self.core.state.session.controller
 
     @property
     def keys(self) -> Distiller:
-        return self.core.keys
+        return self.core.state.keys
 
     @property
     def deframer(self) -> Deframer:
-        return self.core.frame.deframer
+        return self.core.state.frame.deframer
 
     def carry_out(self, effects: Effects) -> None:
         """What `perform` does."""
@@ -185,7 +185,7 @@ class PlantInHand:
         self._new = new_session
         self.hear(ControllerHello, hello.wire())
         texts = " ".join(notice.text for notice in self.notices)
-        if self.core.refused and "must share one scenario" in texts:
+        if (self.core.state.session.state == "refused") and "must share one scenario" in texts:
             return "refused"
         if "two controllers on one loop?" in texts:
             assert self.said(PlantHello) is not None
@@ -201,32 +201,31 @@ class PlantInHand:
             assert self.saved[-1].record == self.record
             return "greet"
         assert not self.saved
-        mine = (hello.answers, hello.session) == (self.core.instance, self.record.session)
+        mine = (hello.answers, hello.session) == (self.core.instance, self.record.session.id)
         accepts = mine and hello.verdict == "accepted" and hello.instance == self.controller
         assert not accepts or self.accepted
         return "accepted" if accepts else "nothing"
 
     def look_around(self) -> None:
         """The controller is silent for long."""
-        self.core.session.answered_at = self._now - SILENCE_S - 1
+        self.core.state.session.answered_at = self._now - SILENCE_S - 1
         self._wake()
 
     def hello(self) -> PlantHello:
         """Its hello: at its time while it looks for somebody, or told to who is not asked."""
-        if self.accepted and self.core.session.state != "silent":
+        if self.accepted and self.core.state.session.state != "silent":
             stranger = ControllerHello(
                 instance="0123456789abcdef",
                 incarnation=0,
                 fingerprint="0" * 64,
                 verdict="greeting",
             )
-            core = copy(self.core)  # a stranger's greeting leaves nothing behind
-            core.session = copy(core.session)
+            core = deepcopy(self.core)  # a stranger's greeting leaves nothing behind
             asked = core.receive(ControllerHello, stranger.wire(), self._now)
             said = [effect.message for effect in asked if isinstance(effect, Publish)]
         else:
-            silent = self.core.session.state in ("silent", "unanswered")
-            self.core.session.answered_at = self._now - SILENCE_S - 1 if silent else self._now
+            silent = self.core.state.session.state in ("silent", "unanswered")
+            self.core.state.session.answered_at = self._now - SILENCE_S - 1 if silent else self._now
             self._now += HELLO_S
             self._forget()
             self.carry_out(self.core.wake(self._now))
@@ -245,8 +244,8 @@ class PlantInHand:
 
     def _tick(self) -> None:
         """The step is over."""
-        self._now = max(self._now, self.core.pacing.deadline)
-        self.core.session.answered_at = self._now
+        self._now = max(self._now, self.core.state.pacing.deadline)
+        self.core.state.session.answered_at = self._now
         self._wake()
 
     def measurement(self) -> Measurement:
@@ -254,19 +253,19 @@ class PlantInHand:
         record = self.record
         if not self.accepted:  # it publishes none: what it would have to say
             return Measurement(
-                session=record.session,
-                k=record.k,
-                x=record.x,
-                applied_k=record.applied_k,
-                x_after=record.x_after,
+                session=record.session.id,
+                k=record.link.k,
+                x=record.link.x,
+                applied_k=record.link.applied_k,
+                x_after=record.applied.x_after,
             )
         first = self._first
-        if first is None or (first.session, first.k) != (record.session, record.k):
+        if first is None or (first.session, first.k) != (record.session.id, record.link.k):
             self._now += 2 * STEP_S / REPEATS
-            self.core.session.answered_at = self._now
+            self.core.state.session.answered_at = self._now
             self._wake()
         assert self._first is not None
-        assert self._first.k == self.record.k
+        assert self._first.k == self.record.link.k
         made, self._first = self._first, None
         return made
 
@@ -278,16 +277,14 @@ class PlantInHand:
         ValueError
             When it says that the offer is malformed.
         """
-        core = copy(self.core)
-        core.pacing, core.keys = copy(core.pacing), deepcopy(core.keys)
-        core.session = copy(core.session)
-        core.session.answered_at = -1.0
+        core = deepcopy(self.core)
+        core.state.session.answered_at = -1.0
         effect = next(iter(core.receive(Offer, offer.wire(), self._now)), None)
         if isinstance(effect, Notice) and effect.subject == "malformed":
             raise ValueError(effect.text.removesuffix("; ignored"))
         if isinstance(effect, Save):
             return "current"
-        return "foreign" if core.session.answered_at == -1.0 else "stale"
+        return "foreign" if core.state.session.answered_at == -1.0 else "stale"
 
     def applied(self, offer: Offer, coin: int, x_next: Vector) -> CountedTransition:
         """The offer is applied, and its step is over."""
@@ -300,10 +297,10 @@ class PlantInHand:
         """The offer is applied, and its step is over."""
         self._first = None
         self.hear(Offer, offer.wire())
-        if self.core.plant.acts:  # it is read when its step is over
+        if self.core.stepper.plant.acts:  # it is read when its step is over
             self._tick()
         (applied,) = [event for event in self.events if isinstance(event, CountedTransition)]
-        if not self.core.plant.acts:
+        if not self.core.stepper.plant.acts:
             kept = self.events[:], self.notices[:], self.saved[:], self.step
             self._tick()
             self.events, self.notices, self.saved, self.step = kept

@@ -10,7 +10,7 @@ import logging
 import time
 import tomllib
 from collections import deque
-from dataclasses import KW_ONLY, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -18,18 +18,16 @@ from attacker_service.attacker import Attacker
 from controller_service.service import ControllerConfig, open_controller
 from plant_service.plant import FilteredPlant
 from plant_service.service import PlantConfig, open_plant
-from protocol.link.networked import behind
-from protocol.link.peer import Peer
-from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
+from protocol.messages import FIELD, Message, Offer, SendCommand
 from protocol.scenario import Attack, parse_scenario
 from protocol.secret.blocks import ClosedBlock
 from runtime.health_files import HealthFiles
-from runtime.network import channel_of
 from runtime.pace import Pace
 from runtime.ports import LoopPorts
 from runtime.recording import TraceWriter
 from runtime.run_folder import CAPTURE, PLANT_TRACE, SCENARIO
 from tap_service.capture.recording import mirror_line
+from tests.support.controller_in_hand import reported
 from tests.support.mail import Mail, mail
 from tests.support.small_run import SCENARIOS, kill, law_of
 from tests.support.traces import read_trace
@@ -50,18 +48,6 @@ class _Publisher:
 
     def put(self, payload: bytes) -> None:
         self.loop.said(self.side, Mail(self.kind, payload))
-
-
-@dataclass
-class _Behind(Alive):
-    """One end's process, behind its direction of the network."""
-
-    _: KW_ONLY
-    outer: Peer
-
-    @property
-    def peer(self) -> Peer:
-        return self.outer
 
 
 class RecordedLoop(TwoEnds):
@@ -139,14 +125,7 @@ class RecordedLoop(TwoEnds):
                 clear_alarm=self._clear_alarm,
             )
             core, files = open_controller(made)
-        channel = channel_of(
-            self.scenario,
-            "to_plant" if side == "plant" else "to_controller",
-            self.folder,
-            scale=self._pace.scale,
-        )
-        peer = behind(channel, core, Offer if side == "plant" else Measurement)
-        publishers = {kind: _Publisher(self, side, kind) for kind in peer.says}
+        publishers = {kind: _Publisher(self, side, kind) for kind in core.says}
         closed = deque[ClosedBlock]()
         health = HealthFiles(files.health, log)
         ports = LoopPorts(
@@ -156,7 +135,7 @@ class RecordedLoop(TwoEnds):
             lambda status: health.write(status, time.monotonic()),
             closed.append,
         )
-        return _Behind(core, MortalPorts(ports), files, closed, outer=peer)
+        return Alive(core, MortalPorts(ports), files, closed)
 
     def die(self, side: Name) -> None:
         """It is killed, and comes back at once."""
@@ -178,7 +157,7 @@ class RecordedLoop(TwoEnds):
     def stop(self) -> None:
         """Let both ends say their last word."""
         for side, end in tuple(self.ends.items()):
-            self.do(side, end.peer.stop)
+            self.do(side, end.endpoint.stop)
             end.files.close()
         self._capture.close()
 
@@ -201,7 +180,7 @@ class RecordedLoop(TwoEnds):
 
     def _attacked(self, message: Mail) -> Mail:
         """A message of the field bus as it arrives; an attack at the plant hears it there."""
-        plant = self.plant.plant if "plant" in self.ends else None
+        plant = self.plant.stepper.plant if "plant" in self.ends else None
         kind: Any = message.kind
         if isinstance(plant, FilteredPlant):
             for one in plant.filters:
@@ -212,7 +191,7 @@ class RecordedLoop(TwoEnds):
 
     def _one_cipher(self, offer: Offer) -> None:
         """A transition's cipher symbol is one, or a key symbol meets two message symbols."""
-        at = offer.session, self.controller.reported
+        at = offer.session, reported(self.controller)
         first = self.ciphers.setdefault(at, offer.cipher)
         assert first == offer.cipher, f"transition {at}: offered ciphers {first}, {offer.cipher}"
 
@@ -227,7 +206,7 @@ class RecordedLoop(TwoEnds):
     @property
     def transitions(self) -> int:
         """Transitions that the plant has made in its session."""
-        return self.plant.record.transitions
+        return self.plant.state.record.link.transitions
 
     @property
     def received(self) -> list[bytes]:
@@ -244,7 +223,7 @@ class RecordedLoop(TwoEnds):
     @property
     def delivered(self) -> int:
         """Messages that the controller knows to be delivered."""
-        return self.controller.record.message
+        return self.controller.state.record.frame.message
 
     def wrong(self) -> list[str]:
         """What ``wyner check`` says of the run, once it is over."""

@@ -19,7 +19,7 @@ from plant_service.opening import first_record
 from plant_service.plant import Coin, Disturbances, LinearModel
 from protocol.link.events import MET, NEW_JOURNAL, RESUMED, UNKNOWN_THERE, SessionBegan, lines
 from protocol.link.fallback import Fallback
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.session import CountedTransition, rules_of
 from protocol.link.step import IDLE, Step
 from protocol.messages import ControllerHello, Measurement, Message, Offer
@@ -108,7 +108,7 @@ class SmallRun:
         self._queue = Queue(payloads)
         self._t_ns = 0
         self.received: list[bytes] = []
-        self._copied: tuple[ReceiverRecord, str, Offer]
+        self._copied: tuple[PlantRecord, str, Offer]
         self._tell_queue()
         self.sender = self._new_sender(None)
         record = first_record(self.scenario, "0" * 15 + "1")
@@ -152,7 +152,7 @@ class SmallRun:
             self.sender = self._new_sender(before)
             self._capture_back()
         if fault == "plant forgets":
-            session = f"{int(self.receiver.record.session, 16) + 1:016x}"
+            session = f"{int(self.receiver.record.session.id, 16) + 1:016x}"
             self._symbols = ""
             self.receiver = self._new_plant(first_record(self.scenario, session), NEW_JOURNAL)
         if fault == "journal put back":  # the plant's, as it was copied; it holds a step
@@ -209,8 +209,8 @@ class SmallRun:
             elif saved:
                 assert isinstance(event, SessionBegan), event
         for save in self.receiver.saved if saved else ():
-            assert isinstance(save.record, ReceiverRecord)
-            self._symbols = (self._symbols + save.symbols)[: save.record.stored]
+            assert isinstance(save.record, PlantRecord)
+            self._symbols = (self._symbols + save.symbols)[: save.record.frame.stored]
 
     def _miss(self) -> None:
         self._plant_trace.write(self.receiver.miss().as_event())
@@ -221,7 +221,7 @@ class SmallRun:
         said: ControllerHello | None = self.sender.greeting()
         for _ in range(4):
             assert said is not None
-            new = f"{int(self.receiver.record.session, 16) + 1:016x}"
+            new = f"{int(self.receiver.record.session.id, 16) + 1:016x}"
             outcome = self.receiver.heard_controller(said, new)
             if outcome == "accepted":
                 return
@@ -232,12 +232,12 @@ class SmallRun:
                 )
             effects = self.sender.heard_plant(self.receiver.hello())
             if effects.save:
-                session = self.sender.record.session
+                session = self.sender.record.session.id
                 self._trace.write({"event": "session", "session": session, "reason": MET})
             said = effects.reply
         raise AssertionError("the two ends did not meet")
 
-    def _new_sender(self, record: SenderRecord | None) -> ControllerInHand:
+    def _new_sender(self, record: ControllerRecord | None) -> ControllerInHand:
         self._lives += 1
         return ControllerInHand(
             rules_of(self.scenario),
@@ -248,12 +248,14 @@ class SmallRun:
             fresh=SeededSymbols(self._seed, CIPHER, run=self._lives),
         )
 
-    def _new_plant(self, record: ReceiverRecord, reason: str, step: Step = IDLE) -> PlantInHand:
+    def _new_plant(self, record: PlantRecord, reason: str, step: Step = IDLE) -> PlantInHand:
         if self._lives > 1:
             kill(self._plant_trace)
             self._plant_trace = self._writer("plant")
         self._lives += 1
-        self._plant_trace.write({"event": "session", "session": record.session, "reason": reason})
+        self._plant_trace.write(
+            {"event": "session", "session": record.session.id, "reason": reason}
+        )
         noise = Stream(self._seed, DISTURBANCE, width=self.scenario.n, run=self._lives)
         coins = SeededSymbols(self._seed, COIN, run=self._lives)
         return PlantInHand(

@@ -25,7 +25,6 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Event, lines
-from protocol.link.peer import Peer
 from protocol.link.records import Side
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
@@ -94,11 +93,6 @@ class Alive:
     closed: deque[ClosedBlock] = field(default_factory=deque)
     extracted: deque[ExtractedBlock] = field(default_factory=deque)
 
-    @property
-    def peer(self) -> Peer:
-        """What a host has of it."""
-        return self.endpoint
-
 
 class TwoEnds(ABC):
     """Two ends of one loop; a subclass opens them from what their journals hold.
@@ -139,7 +133,7 @@ class TwoEnds(ABC):
         """A life of one end begins."""
         self.lives[side] += 1
         self.ends[side] = self.open(side)
-        self.do(side, self.ends[side].peer.start)
+        self.do(side, self.ends[side].endpoint.start)
 
     def die(self, side: Name) -> None:
         """A process is killed, and comes back at once."""
@@ -191,7 +185,7 @@ class TwoEnds(ABC):
 
     def hear(self, side: Name, message: Mail) -> None:
         """A message arrives, for the first time or once more."""
-        self.do(side, lambda now: self.ends[side].peer.receive(*message, now))
+        self.do(side, lambda now: self.ends[side].endpoint.receive(*message, now))
 
     def deliver(self, side: Side, place: int) -> None:
         """A message in the network's memory arrives, and stays in it."""
@@ -201,8 +195,8 @@ class TwoEnds(ABC):
     def wake(self, side: Side, seconds: float = 0.05) -> None:
         """Time passes, and an end that is due is woken."""
         self.now += seconds
-        if self.ends[side].peer.wake_at() <= self.now:
-            self.do(side, self.ends[side].peer.wake)
+        if self.ends[side].endpoint.wake_at() <= self.now:
+            self.do(side, self.ends[side].endpoint.wake)
 
     def extract(self, side: Side) -> None:
         """The next block is extracted; its end learns of it later, or never."""
@@ -215,7 +209,7 @@ class TwoEnds(ABC):
         end = self.ends[side]
         if end.extracted:
             block = end.extracted.popleft()
-            self.do(side, lambda _now: end.peer.extracted(block))
+            self.do(side, lambda _now: end.endpoint.extracted(block))
 
     # --- all is well ------------------------------------------------------------------------------
 
@@ -235,10 +229,10 @@ class TwoEnds(ABC):
             self._wake_next()
 
     def _wake_next(self) -> None:
-        due = {side: self.ends[side].peer.wake_at() for side in SIDES}
+        due = {side: self.ends[side].endpoint.wake_at() for side in SIDES}
         side = min(due, key=lambda s: due[s])
         self.now = max(self.now, due[side])
-        self.do(side, self.ends[side].peer.wake)
+        self.do(side, self.ends[side].endpoint.wake)
 
     def well(
         self,
@@ -264,7 +258,9 @@ class TwoEnds(ABC):
         moved, at = (0, -1), self.now
         while not over():
             self.step()
-            if (steps := (self.plant.record.sessions, self.plant.record.k)) != moved:
+            if (
+                steps := (self.plant.state.record.session.sessions, self.plant.state.record.link.k)
+            ) != moved:
                 moved, at = steps, self.now
             assert self.now - at < QUIET_S, "the loop stands still"
 

@@ -22,7 +22,6 @@ from wyner.cli.main import main
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
 
-LONG = "Some words that are not there in a second."
 WYNER = [sys.executable, "-m", "wyner.cli.main"]
 
 
@@ -309,22 +308,6 @@ def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path:
     assert checked.returncode == 0, checked.stdout + checked.stderr
 
 
-def test_killed_without_a_journal_a_new_session_begins(by_hand: ByHand) -> None:
-    by_hand.start("plant", "--pace", "x50")
-    controller = by_hand.start("controller", "--message", LONG)
-    wait_for(lambda: status(by_hand.run_dir, "plant").get("transitions", 0) > 30)
-    controller.kill()
-    controller.communicate()
-    for path in (by_hand.run_dir / "controller").glob("journal*"):
-        path.unlink()
-    by_hand.start("controller", "--message", LONG)
-    recovered = Recovered(by_hand.run_dir)
-    wait_for(lambda: len(recovered()) >= 1)
-    assert by_hand.stop() == {"plant": 0, "controller": 0}
-    trace = read_trace(by_hand.run_dir / PLANT_TRACE)
-    assert len({e["session"] for e in trace.of("transition")}) == 2
-
-
 def test_bad_usage_is_one_line_and_code_2(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -356,14 +339,6 @@ def test_bad_usage_is_one_line_and_code_2(
     assert code == 2
     assert said.startswith("wyner: argument COMMAND: invalid choice: 'nonsense'"), said
     assert said.count("\n") == 1, said
-
-
-def test_send_without_a_controller_says_so() -> None:
-    done = wyner(
-        "send", "hello", "--timeout", "0.5", "--connect", f"management={free_endpoints(1)[0]}"
-    )
-    assert done.returncode == 1
-    assert "no controller" in done.stderr
 
 
 def test_a_run_can_be_joined_without_an_option(

@@ -13,9 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from runtime.errors import UsageError
+from protocol.secret.key_digits import KEY_BYTES
 from runtime.journal import ControllerJournal, PlantJournal
-from runtime.options import message_of
 from runtime.run_folder import (
     CONTROLLER_JOURNAL,
     CONTROLLER_TRACE,
@@ -31,18 +30,6 @@ from tests.support.traces import read_trace
 from tests.system.test_integration import status
 
 SECRET = "q9"
-
-
-def command_lines() -> list[bytes]:
-    """Of every process that can be seen."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                found.append((entry / "cmdline").read_bytes())
-            except OSError:
-                continue
-    return found
 
 
 def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
@@ -68,13 +55,6 @@ def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None
     assert read_from_stdin(arguments, bytes(65_536)) is None
 
 
-@pytest.mark.slow
-def test_a_file_is_sent_byte_for_byte_and_standard_input_can_be_one(tmp_path: Path) -> None:
-    assert read_from_stdin(["", "/dev/stdin"], b"hi\n") == b"hi\n"
-    (tmp_path / "text").write_bytes(b"hi\n")
-    assert message_of(None, str(tmp_path / "text")) == b"hi\n"
-
-
 def test_what_is_typed_ends_without_its_last_enter() -> None:
     leader, follower = pty.openpty()
     try:
@@ -90,11 +70,6 @@ def test_what_is_typed_ends_without_its_last_enter() -> None:
         os.close(follower)
     assert out == b"b'at nine'\n"
     assert said == b"type the message; Enter, then Ctrl-D end it\n"
-
-
-def test_a_message_file_without_an_end_is_refused_at_once() -> None:
-    with pytest.raises(UsageError, match="/dev/zero: cannot be read: not a regular file"):
-        message_of(None, "/dev/zero")
 
 
 class Seen:
@@ -140,12 +115,6 @@ def in_a_row(symbols: list[int]) -> set[bytes]:
     return found
 
 
-def key_of(digits: bytes) -> bytes:
-    """The key whose base-4 digits these are: words of 32 bits, the lowest digit first."""
-    words = [digits[at : at + 16] for at in range(0, len(digits), 16)]
-    return b"".join(sum(d << 2 * i for i, d in enumerate(word)).to_bytes(4) for word in words)
-
-
 def secrets_of(run: Path) -> dict[str, set[bytes]]:
     """Every secret value of a run, by kind, from where it is kept."""
     keys: set[bytes] = set()
@@ -154,9 +123,10 @@ def secrets_of(run: Path) -> dict[str, set[bytes]]:
     fingerprint = load_scenario(run / SCENARIO).fingerprint()
     for kind, path in ((ControllerJournal, CONTROLLER_JOURNAL), (PlantJournal, PLANT_JOURNAL)):
         with kind(run / path, fingerprint) as journal:
-            for part in journal.load().parts:
-                digits |= {part.digits, *in_a_row(list(part.digits))}
-                keys.add(key_of(part.digits))
+            part, blocks = journal.load().held
+            digits |= {part.digits, *in_a_row(list(part.digits))}
+            for _, _, block in blocks:
+                keys |= {block[at : at + KEY_BYTES] for at in range(0, len(block), KEY_BYTES)}
     for line in (run / "tap/capture.jsonl").read_bytes().splitlines():
         message = json.loads(line).get("message") or {}
         contributions |= {message["nonce"].encode()} if message.get("nonce") else set()
@@ -220,60 +190,5 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
             if kind == "nonces" and name.startswith("tap/capture"):
                 continue  # they are public: she may miss them, and not what she heard
             assert not pattern.search(content), (kind, name)
-    modes = {path.stat().st_mode & 0o077 for path in (run, *run.rglob("*"))}
-    assert modes == {0}
-
-
-@pytest.mark.long
-def test_a_runs_secrets_are_in_its_traces_and_journals_alone(tmp_path: Path) -> None:
-    run = tmp_path / "run"
-    message = f"{SECRET}-{os.getpid()}-nobody-may-see-this"
-    process = subprocess.Popen(
-        [
-            sys.executable,
-            "-m",
-            "wyner",
-            "up",
-            "--message",
-            "-",
-            "--pace",
-            "fast",
-            "--headless",
-            "--steps",
-            "250",
-            "--run-dir",
-            str(run),
-        ],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        text=True,
-    )
-    seen: list[bytes] = []
-    assert process.stdin is not None
-    with process.stdin:
-        process.stdin.write(message)
-    try:
-        while process.poll() is None:
-            if (run / MANIFEST).exists():
-                seen += [line for line in command_lines() if str(run).encode() in line]
-            time.sleep(0.05)
-    finally:
-        process.kill()
-        process.wait()
-    assert any(b"plant_service" in line for line in seen)
-    plain = message.encode()
-    secrets = {plain, base64.b64encode(plain)}
-    assert not [line for line in seen if any(s in line for s in secrets)]
-    files = [run / MANIFEST, *run.rglob("log"), *(run / "tap").iterdir()]
-    assert len(files) > 6
-    for path in files:
-        content = path.read_bytes()
-        assert not [s for s in secrets if s in content], path
-    for trace in (PLANT_TRACE, CONTROLLER_TRACE):
-        assert len(list(read_trace(run / trace).of("transition"))) >= 249
-    names = {b'"coin"', b'"key"', b'"message_symbol"', b'"plaintext"'}
-    for path in (run / "tap").glob("capture*"):
-        assert not [n for n in names if n in path.read_bytes()]
     modes = {path.stat().st_mode & 0o077 for path in (run, *run.rglob("*"))}
     assert modes == {0}

@@ -195,7 +195,7 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     most = list[tuple[int, int]]()
     last = size(36, 60)
     for blocks in (10, 11, 20, last):
-        while world.journals["plant"].load().record.transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
+        while world.journals["plant"].load().record.link.transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
             world.well(20)
         for message in without(world.field, loss, blocks):
             listener.hear(message)

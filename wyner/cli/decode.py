@@ -17,7 +17,7 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
     from wyner.runs.run import Run, RunError
     from wyner.runs.score.replay import Replay
-    from wyner.runs.score.score import RunScore, read_truth, score, summary_of
+    from wyner.runs.score.score import RunScore, read_truth, score
 
     scenario = None if args.scenario is None else scenario_of(args.scenario)
     try:
@@ -40,7 +40,7 @@ def decode(args: argparse.Namespace, path: Path) -> int:
         except RunError as error:
             raise UsageError(str(error)) from None
         taps = tuple(score(truth, said) for said in replay.outputs())
-        report["score"] = summary_of(RunScore(run.name, truth, taps))
+        report["score"] = RunScore(run.name, truth, taps).to_json()
     if args.json:
         print(json.dumps(report))
     else:
@@ -68,7 +68,7 @@ def _print(report: dict[str, Any]) -> None:
         print(f"not used of what the tap heard: {told}")
     for name, tap in taps.items():
         if tap["failed"]:
-            print(printable(f"{name}: she failed: {tap['failed']}"))
+            print(printable(f"{name}: it failed: {tap['failed']}"))
             continue
         solved = (
             f"first whole message at k {tap['solved_k']}" if tap["solved_k"] >= 0 else "none whole"

@@ -102,7 +102,6 @@ def _show_design(args: argparse.Namespace) -> int:
     result["simulated"] = linear
     result["under_keys"] = carries
     result["network"] = expected_misses(scenario, folder)
-    result["outputs"] = None if scenario.plant.C is None else _output_line(scenario)
     result["why"] = None if reasons is None else reasons.as_json()
     drawn = [] if args.plot is None else [str(_plot(args.plot, scenario, design, law))]
     if args.json:
@@ -153,19 +152,6 @@ def _sealed_line(found: dict[str, Any]) -> str:
     )
 
 
-def _output_line(scenario: "Scenario") -> str | None:
-    """Whether what the scenario reads is enough for keys, and why; None where nobody can say."""
-    from wyner.advice.outputs import outputs_of, outputs_verdict
-
-    read, single = outputs_of(scenario)
-    if not single:
-        return None
-    try:
-        return outputs_verdict(scenario, tuple(read), tuple(read.values())).line()
-    except ValueError:
-        return None
-
-
 def _rate(
     scenario: "Scenario", law: "CandidateLaw", folder: "Path"
 ) -> "tuple[SettledRate, Why | None, Answer] | None":
@@ -192,6 +178,8 @@ def _rate(
             runs = long_runs(whole, law, folder, record=True)
         except SimulationError:
             return rate, None, found
+    if scenario.defender.deviations is not None:  # no set decides there
+        return rate, None, found
     return rate, why(scenario, runs), found
 
 
@@ -357,8 +345,6 @@ def render(r: dict[str, Any]) -> str:
     )
     lines += safety_lines(r)
     lines += network_lines(r["network"])
-    if r["outputs"] is not None:
-        lines.append(r["outputs"])
     return "\n".join(lines)
 
 

@@ -4,7 +4,7 @@ import argparse
 import json
 from pathlib import Path
 
-from runtime.errors import DONE, UsageError, reading
+from runtime.errors import DONE, Failure, UsageError, needs, reading
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -55,9 +55,12 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{option}: expected together with --to csv or --to parquet")
     from protocol.scenario import ScenarioError
     from runtime.recording import TraceError
-    from wyner.runs.page import write_report
     from wyner.runs.run import RunError
 
+    try:
+        from wyner.runs.page import write_report
+    except ImportError:
+        raise Failure(needs("report", "matplotlib jinja2")) from None
     try:
         with reading(str(args.run_dir)):
             page = write_report(args.run_dir, args.output)

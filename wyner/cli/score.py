@@ -101,8 +101,13 @@ def _run(args: argparse.Namespace) -> int:
             raise UsageError(f"--plot: got {args.plot!r}, expected a name in .svg or .png")
         try:
             from wyner.drawing.secrecy import draw_report
+            from wyner.drawing.style import drawing, save
 
-            draw_report(report, Path(args.plot))
+            with drawing((7.0, 3.6)) as figure:
+                axes = figure.subplots()
+                draw_report(axes, report)
+                axes.set_title(report.verdict(), fontsize=9, loc="left")
+                save(figure, Path(args.plot))
         except ImportError:
             raise Failure(needs("--plot", "matplotlib")) from None
         except OSError as error:
@@ -112,7 +117,7 @@ def _run(args: argparse.Namespace) -> int:
     if args.json:
         keys = {name: audit.as_json(blocks=True) for name, audit in audits.items()}
         costs = {str(run.folder): cost_of(run) for run in runs}
-        said = {**reporting.as_json(report), "keys": keys, "control_cost": costs}
+        said = {**report.to_json(), "keys": keys, "control_cost": costs}
         said["no_interval"] = {"control_cost": COUNTED}
         print(json.dumps(said))
         return ending

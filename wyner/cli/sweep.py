@@ -2,29 +2,20 @@
 
 import argparse
 import json
-import logging
 import os
-import signal
 import sys
-import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
-from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, needs
+from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
 from wyner.cli.drawing import add_options, draw_sweep, drawable
 from wyner.sweeps import SWEEPS
 
 if TYPE_CHECKING:
-    from concurrent.futures import Executor
-    from multiprocessing.process import BaseProcess
-
     from wyner.sweeps.results import Summary
     from wyner.sweeps.running import Progress
-
-AHEAD: Final = 256
-"""Tasks handed to the workers beyond the one whose rows are written next."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,88 +40,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_options(parser)
-
-
-def _begin_worker() -> None:
-    """A worker leaves Ctrl-C to the process that started it, and ends when that one does."""
-    from multiprocessing import parent_process
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    parent = parent_process()
-    assert parent is not None
-    threading.Thread(target=_end_after, args=(parent,), daemon=True).start()
-
-
-def _end_after(parent: "BaseProcess") -> None:
-    parent.join()
-    os._exit(FAILED)
-
-
-@contextmanager
-def _executor(kind: str, jobs: int, scheduler: str | None) -> "Iterator[Executor]":
-    """The executor asked for; what is not yet running is dropped when it closes early."""
-    executor: Executor
-    if kind == "dask":
-        with _dask_executor(jobs, scheduler) as executor:
-            yield executor
-        return
-    if jobs == 1:
-        from wyner.sweeps.running import SerialExecutor
-
-        yield SerialExecutor()
-        return
-    import multiprocessing
-    from concurrent.futures import ProcessPoolExecutor
-
-    context = multiprocessing.get_context("spawn")
-    executor = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin_worker)
-    try:
-        yield executor
-    except BaseException:
-        executor.shutdown(wait=False, cancel_futures=True)
-        for process in multiprocessing.active_children():
-            process.terminate()
-        raise
-    executor.shutdown()
-
-
-@contextmanager
-def _dask_executor(jobs: int, scheduler: str | None) -> "Iterator[Executor]":
-    """Workers of a running scheduler, or ``jobs`` processes of a local cluster."""
-    import importlib
-
-    try:
-        distributed: Any = importlib.import_module("distributed")
-    except ImportError:
-        raise UsageError(needs("--executor dask", "distributed")) from None
-    with ExitStack() as stack:
-        if scheduler is None:
-            # Worker processes take over that Ctrl-C is ignored, and leave it to this one.
-            before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-            try:
-                cluster = distributed.LocalCluster(
-                    n_workers=jobs,
-                    threads_per_worker=1,
-                    dashboard_address=None,
-                    host="127.0.0.1",
-                    # A worker whose scheduler ends first writes a traceback as an error.
-                    silence_logs=logging.CRITICAL,
-                )
-                client = distributed.Client(stack.enter_context(cluster))
-            finally:
-                signal.signal(signal.SIGINT, before)
-        else:
-            try:
-                client = distributed.Client(scheduler, timeout="10s")
-            except (OSError, ValueError) as error:
-                reason = str(error).splitlines()[0]
-                raise Failure(f"--scheduler: {scheduler}: {reason}") from None
-        stack.enter_context(client)
-        executor = client.get_executor()
-        try:
-            yield executor
-        finally:
-            executor.shutdown(wait=False)  # cancels what is left, nothing after a whole sweep
 
 
 @contextmanager
@@ -168,6 +77,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.sweeps.grid import SweepError, eavesdroppers_of, load_sweep, points_of
     from wyner.sweeps.results import Results, key_of, ready_rows, summarise, write_ready
     from wyner.sweeps.running import name_of, run_sweep
+    from wyner.sweeps.workers import workers
 
     jobs = os.cpu_count() or 1 if args.jobs is None else args.jobs
     at_least("--jobs", jobs, 1)
@@ -197,11 +107,10 @@ def run(args: argparse.Namespace) -> int:
     before = len(results.rows)
     try:
         with (
-            _executor(args.executor, jobs, args.scheduler) as executor,
+            workers(args.executor, jobs, args.scheduler) as executor,
             _progress(sweep.name) as progress,
         ):
-            ahead = 1 if args.executor == "process" and jobs == 1 else AHEAD
-            failures = run_sweep(sweep, points, results, executor, progress, ahead=ahead)
+            failures = run_sweep(sweep, points, results, executor, progress)
     except KeyboardInterrupt:
         print(
             f"wyner: stopped: {len(results.rows)} rows kept in {output}; --resume goes on",

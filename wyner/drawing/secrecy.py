@@ -1,27 +1,24 @@
 """The picture of a secrecy report."""
 
 import math
-from pathlib import Path
 
-from wyner.drawing.style import COLOURS, drawing, save
+from matplotlib.axes import Axes
+
+from wyner.drawing.style import COLOURS
 from wyner.runs.score.report import Report
 
 
-def draw_report(report: Report, path: Path) -> None:
+def draw_report(axes: Axes, report: Report) -> None:
     """What counts as secret by the paper's rule, and what each one leaves of it at most."""
-    with drawing((7.0, 3.6)) as figure:
-        axes = figure.subplots()
-        names = ["by the paper's rule", *(t.name for t in report.taps)]
-        left = [t.left.high if t.left is not None else math.nan for t in report.taps]
-        values = [report.claimed_bits, *left]
-        bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
-        bars[0].set_hatch("//")
-        for place, value in enumerate(values):
-            told = "not scored" if math.isnan(value) else f"{value:.1f}"
-            axes.text(0.0 if math.isnan(value) else value, place, f" {told}", va="center")
-        axes.invert_yaxis()
-        axes.grid(visible=False)
-        axes.set_xlabel("bits counted as secret, and bits left at most")
-        axes.set_xlim(0, 1.15 * max(1.0, *(value for value in values if not math.isnan(value))))
-        axes.set_title(report.verdict(), fontsize=9, loc="left")
-        save(figure, path)
+    names = ["by the paper's rule", *(t.name for t in report.taps)]
+    left = [t.left_bits.high if t.left_bits is not None else math.nan for t in report.taps]
+    values = [report.claimed_bits, *left]
+    bars = axes.barh(names, values, color=["0.5", *(COLOURS[1] for _ in report.taps)])
+    bars[0].set_hatch("//")
+    for place, value in enumerate(values):
+        told = "not scored" if math.isnan(value) else f"{value:.1f}"
+        axes.text(0.0 if math.isnan(value) else value, place, f" {told}", va="center")
+    axes.invert_yaxis()
+    axes.grid(visible=False)
+    axes.set_xlabel("bits counted as secret, and bits left at most")
+    axes.set_xlim(0, 1.15 * max(1.0, *(value for value in values if not math.isnan(value))))

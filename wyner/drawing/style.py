@@ -1,11 +1,13 @@
 """What the drawings share: the style, and how a figure is written."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
 import matplotlib as mpl
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -45,6 +47,13 @@ def drawing(size: tuple[float, float]) -> Iterator[Figure]:
 KINDS: Final = (".png", ".pdf", ".svg")
 """Suffixes of what can be drawn."""
 
+UNSIGNED: Final[dict[str, dict[str, None]]] = {
+    ".png": {"Software": None},
+    ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    ".svg": {"Date": None, "Creator": None},
+}
+"""Metadata that would differ from one drawing of a figure to the next."""
+
 
 def save(figure: Figure, path: Path) -> None:
     """Write a figure as SVG, PDF or PNG, by the path's suffix, the same bytes each time.
@@ -54,13 +63,15 @@ def save(figure: Figure, path: Path) -> None:
     OSError
         Also when ``path`` is there and is no regular file.
     """
-    nothing = {
-        ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-        ".svg": {"Date": None, "Creator": None},
-    }
-    kind = path.suffix if path.suffix in nothing else ".png"
+    kind = path.suffix if path.suffix in UNSIGNED else ".png"
     with replacing(path, PUBLIC_FILE) as partial:
-        if kind == ".png":
-            figure.savefig(partial, format="png", dpi=DPI, metadata={"Software": None})
-        else:
-            figure.savefig(partial, format=kind[1:], metadata=nothing[kind])
+        figure.savefig(partial, format=kind[1:], dpi=DPI, metadata=UNSIGNED[kind])
+
+
+def svg_of(size: tuple[float, float], draw: Callable[[Axes], None]) -> bytes:
+    """What is drawn on one pair of axes, as SVG, the same bytes each time."""
+    out = BytesIO()
+    with drawing(size) as figure:
+        draw(figure.subplots())
+        figure.savefig(out, format="svg", metadata=UNSIGNED[".svg"])
+    return out.getvalue()

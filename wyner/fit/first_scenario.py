@@ -180,12 +180,12 @@ input = {input}
 
 BY_GAIN: Final = """\
 # u = K x near the origin. Plain weights gave no terminal set; this is a regulator's gain that was
-# made to decay by {decay:g} a step at least (docs/control.md).
+# made to decay by {decay:g} a step at least (docs/concepts.md).
 gain = {gain}
 """
 
 TEMPLATE: Final = """\
-# {name}: a scenario of wyner. docs/scenario-reference.md has every field.
+# {name}: a scenario of wyner. `python -m tools.scenario_reference` prints every field.
 {origin}#   wyner design {name}.toml     its sets, its rate, and why it is what it is
 #   wyner up --scenario {name}.toml --pace x10
 name = "{name}"

@@ -6,9 +6,9 @@ a sweep that was stopped goes on where it ended, and it is the same rows whichev
 Where more runs are asked for later, a batch that was cut short gets a further row with the rest.
 """
 
-from collections import Counter, deque
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from dataclasses import astuple, dataclass, replace
 from functools import lru_cache
 from operator import itemgetter
@@ -40,6 +40,7 @@ from wyner.sweeps.results import (
     summarise,
     tap_columns,
 )
+from wyner.sweeps.workers import in_order
 
 
 @lru_cache(maxsize=64)
@@ -153,19 +154,6 @@ def name_of(eavesdropper: str) -> str:
     return named(eavesdropper).name
 
 
-class SerialExecutor(Executor):
-    """Runs each call at once, in this process."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        """Run ``fn`` now."""
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except Exception as error:
-            future.set_exception(error)
-        return future
-
-
 Progress = Callable[[int, int], None]
 
 
@@ -197,7 +185,6 @@ def run_sweep(
     results: Results,
     executor: Executor,
     progress: Progress | None = None,
-    ahead: int = 1,
 ) -> list[str]:
     """Run what is missing; rows are written in one order, whatever the executor.
 
@@ -205,8 +192,6 @@ def run_sweep(
     ----------
     progress : callable, optional
         Called with the runs that are done and the runs that are foreseen.
-    ahead : int
-        Tasks that the executor is given before the oldest of them is waited for.
 
     Returns
     -------
@@ -236,16 +221,12 @@ def run_sweep(
             for task in _missing(group, number, sweep.batch, runs)
         ]
         foreseen += sum(task.runs for task in tasks)
-        under_way: deque[tuple[_Task, Future[Any]]] = deque()
-        for task in (*tasks, None):
-            if task is not None:
-                under_way.append((task, executor.submit(run_task, *task.arguments(sweep))))
-            while under_way and (task is None or len(under_way) >= ahead):
-                oldest, future = under_way.popleft()
-                _take(oldest, future, results, sweep.batch)
-                finished += oldest.runs
-                if progress is not None:
-                    progress(finished, foreseen)
+        ready = (task for task in tasks if not task.group.failure)
+        for task, answer in in_order(executor, run_task, ready, lambda one: one.arguments(sweep)):
+            _take(task, *answer, results, sweep.batch)
+            finished += task.runs
+            if progress is not None:
+                progress(finished, foreseen)
         waiting = [g for g in waiting if not g.failure and not _enough(sweep, g, runs)]
     return [f"{describe(g.points[0])}: {g.failure}" for g in groups if g.failure]
 
@@ -283,13 +264,11 @@ def _missing(group: Group, number: int, batch: int, runs: int) -> list[_Task]:
     return [_Task(group, them, at, until - at) for (at, until), them in lacking.items()]
 
 
-def _take(task: _Task, future: "Future[Any]", results: Results, batch: int) -> None:
-    """Write a task's rows, unless its group has failed before."""
+def _take(task: _Task, version: str, answer: list[Row] | str, results: Results, batch: int) -> None:
+    """Write a task's rows, unless its group has failed."""
     group = task.group
     if group.failure:
-        future.cancel()
         return
-    version, answer = future.result()
     if version != loop_version():
         raise SweepError(f"a worker has code version {version}, this is {loop_version()}")
     if isinstance(answer, str):

@@ -109,18 +109,6 @@ def test_a_message_that_was_whole_comes_again_if_the_controller_did_not_know(
     assert failed(run.folder) == set()
 
 
-def test_a_capture_may_have_parts(copied: Path) -> None:
-    header, *lines, _end = read_lines(copied / CAPTURE)
-    half = len(lines) // 2
-    write_lines(copied / CAPTURE, [header, *lines[:half]])
-    second = (copied / CAPTURE).with_name("capture.0001.jsonl")
-    write_lines(second, [header | {"part": 1}, *lines[half:]])
-    assert failed(copied) == set()
-    del lines[half]
-    write_lines(second, [header | {"part": 2}, *lines[half:]])
-    assert failed(copied) == {"whole"}
-
-
 def test_a_torn_end_is_no_failure(copied: Path) -> None:
     for name in (PLANT_TRACE, CONTROLLER_TRACE, CAPTURE):
         unmark(copied / name)
@@ -209,14 +197,6 @@ def claim_a_gauge(folder: Path) -> None:
     both(folder, edit)
 
 
-def swap_a_recovered_symbol(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
-        t = lines[first(lines, event="transition", role="message")]
-        t["message_symbol"] = 1 - t["message_symbol"]
-
-    change(folder, PLANT_TRACE, edit)
-
-
 def use_a_key_twice(folder: Path) -> None:
     def edit(lines: Lines) -> None:
         at = next(i for i, t in enumerate(lines) if i > 40 and t.get("role") == "message")
@@ -246,49 +226,12 @@ def turn_the_coin(folder: Path) -> None:
     change(folder, PLANT_TRACE, edit)
 
 
-def apply_something_else(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
-        lines[first(lines, event="transition")]["u"] = [0.123]
-
-    change(folder, PLANT_TRACE, edit)
-
-
-def jump(folder: Path) -> None:
-    """The state is elsewhere when the next step begins."""
-
-    def edit(lines: Lines) -> None:
-        lines[first(lines, event="transition")]["x"][0] += 1e-6
-
-    change(folder, PLANT_TRACE, edit)
-
-
 def lose_a_transition(folder: Path) -> None:
     both(folder, lambda lines: lines.__delitem__(first(lines, j=50)))
 
 
-def offer_too_much(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
-        lines[first(lines, j=50)]["candidates"][1] = [7.0]
-
-    both(folder, edit)
-
-
-def mangle_a_transition(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
-        lines[first(lines, j=50)]["secret"] = 1
-
-    change(folder, PLANT_TRACE, edit)
-
-
 def forget_the_last_ten(folder: Path) -> None:
     change(folder, CONTROLLER_TRACE, lambda lines: lines.__delitem__(slice(-10, None)))
-
-
-def invent_a_message(folder: Path) -> None:
-    def edit(lines: Lines) -> None:
-        lines[first(lines, event="recovered")]["payload"] = base64.b64encode(b"ho").decode()
-
-    change(folder, PLANT_TRACE, edit)
 
 
 def queue_another_message(folder: Path) -> None:
@@ -358,30 +301,14 @@ def look_different_in_state_2(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("corrupt", "expected"),
     [
-        (flip_a_verdict, {"replay", "in-step", "once"}),
         (claim_a_gauge, {"replay"}),
-        (swap_a_recovered_symbol, {"replay", "in-step", "messages"}),
         (use_a_key_twice, {"replay", "once"}),
         (skip_the_test, {"replay"}),
         (turn_the_coin, {"paper", "plant"}),
-        (apply_something_else, {"plant"}),
-        (jump, {"plant", "replay", "in-step", "wire"}),
         (lose_a_transition, {"traces", "plant"}),
-        (offer_too_much, {"admissible", "replay", "wire"}),
-        (mangle_a_transition, {"traces", "plant", "in-step"}),
         (forget_the_last_ten, {"in-step"}),
-        (invent_a_message, {"messages"}),
         (queue_another_message, {"messages"}),
         (in_the_capture(lambda m: m.update(key=0), "offer", 50), {"bus"}),
-        (in_the_capture(lambda m: m.pop("cipher"), "offer", 50), {"bus"}),
-        (in_the_capture(lambda m: m.update(x=[0.0]), "measurement", 50), {"bus"}),
-        (in_the_capture(lambda m: m.update(cipher=2), "offer", 50), {"bus"}),
-        (
-            in_the_capture(lambda m: m.update(cipher=1 - m["cipher"]), "offer", 50),
-            {"wire"},
-        ),
-        (in_the_capture(lambda m: m["x"].reverse(), "measurement", 50), {"wire"}),
-        (shout_on_the_field_bus, {"bus"}),
         (answer_differently, {"wire"}),
         (look_different_in_state_2, {"bus"}),
     ],
@@ -413,42 +340,12 @@ def test_a_malformed_message_is_shown_with_its_key_and_its_first_bytes(copied: P
     assert "wyner/v2/loop/offer: b'hi'" in text
 
 
-def test_a_key_reuse_says_where(copied: Path) -> None:
-    use_a_key_twice(copied)
-    lines = read_lines(copied / PLANT_TRACE)
-    at = next(i for i, t in enumerate(lines) if i > 40 and t.get("role") == "message") + 1
-    assert first_of(copied, "once").k == lines[at]["k"]
-
-
 def test_a_cipher_that_changed_before_it_was_applied_fails(copied_eventful: Path) -> None:
     """The offer was lost on its way to the plant, but not to the tap: two ciphers, one key."""
     lost = {e["k"] for e in read_lines(copied_eventful / PLANT_TRACE) if e["event"] == "missed"}
     k = min(lost)
     in_the_capture(lambda m: m.update(cipher=1 - m["cipher"]), "offer", k)(copied_eventful)
     assert failed(copied_eventful) == {"wire", "whole"}
-
-
-def test_a_transition_written_again_with_another_cipher_fails(copied_eventful: Path) -> None:
-    def edit(lines: Lines) -> None:
-        seen: dict[tuple[str, int], Event] = {}
-        for line in lines:
-            if line["event"] == "transition":
-                at = (line["session"], line["j"])
-                if at in seen:
-                    seen[at]["cipher"] = 1 - seen[at]["cipher"]
-                    return
-                seen[at] = line
-
-    change(copied_eventful, PLANT_TRACE, edit)
-    assert "replay" in failed(copied_eventful)
-
-
-def test_a_wrong_fallback_fails(copied_eventful: Path) -> None:
-    def edit(lines: Lines) -> None:
-        lines[first(lines, event="missed")]["u"] = [1.0]
-
-    change(copied_eventful, PLANT_TRACE, edit)
-    assert "replay" in failed(copied_eventful)
 
 
 def test_messages_out_of_order_fail(copied_eventful: Path) -> None:

@@ -38,7 +38,7 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
 ) -> None:
     loop = killed_once(tmp_path, side, since, after)
     assert loop.lives[side] == 2
-    assert (loop.plant.record.messages, loop.received) == (3, MESSAGES[2:])
+    assert (loop.plant.state.record.frame.messages, loop.received) == (3, MESSAGES[2:])
     loop.stop()
     assert loop.wrong() == []
     for path, report in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):

@@ -21,7 +21,7 @@ class Ended(RecordedLoop):
     """A forged reading ends each session before the controller has heard of its first step."""
 
     def _attacked(self, message: Mail) -> Mail:
-        attacked = ONSET <= self.plant.record.k < ONSET + STEPS
+        attacked = ONSET <= self.plant.state.record.link.k < ONSET + STEPS
         if message.kind is not Measurement or not attacked:
             return message
         m = Measurement.model_validate_json(message.payload)
@@ -35,7 +35,7 @@ class Ended(RecordedLoop):
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ended") / "run"
     loop = Ended(folder, name="watched")
-    loop.run(lambda: loop.plant.record.k >= ONSET + STEPS + 5)
+    loop.run(lambda: loop.plant.state.record.link.k >= ONSET + STEPS + 5)
     loop.stop()
     return folder
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from runtime.recording import Bounds, TraceReader, parts_of
+from runtime.recording import Bounds, parts_of
 from runtime.run_folder import BELIEFS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.small_run import SmallRun, read_lines, write_lines
 from tests.support.traces import read_trace
@@ -70,16 +70,6 @@ def test_parts_hold_what_one_file_would(whole: Path, parted: Path) -> None:
     assert not results(parted, "FAIL")
 
 
-def test_all_parts_together_keep_to_their_bound(bounded: Path) -> None:
-    for path in (PLANT_TRACE, CONTROLLER_TRACE):
-        parts = parts_of(bounded / path)
-        sizes = [p.stat().st_size for p in parts]
-        assert sum(sizes) <= 5 * PART
-        assert max(sizes) <= PART
-        assert len(parts) == 5
-        assert TraceReader(bounded / path).parts_missing > 0
-
-
 def test_what_a_bounded_trace_has_left_is_judged_and_the_rest_is_not(
     whole: Path, bounded: Path
 ) -> None:
@@ -121,14 +111,6 @@ def test_a_part_that_the_writer_did_not_drop_is_missed(copied: Path, number: int
     assert ("in-step" if number == -1 else "whole") in failed
 
 
-def test_a_part_of_another_run_is_noticed(copied: Path) -> None:
-    part = parts_of(copied / PLANT_TRACE)[2]
-    lines = read_lines(part)
-    lines[0]["fingerprint"] = "0" * 16
-    write_lines(part, lines)
-    assert "traces" in results(copied, "FAIL")
-
-
 def test_a_trace_of_which_nothing_can_be_judged_passes_nothing(copied: Path) -> None:
     for path in (PLANT_TRACE, CONTROLLER_TRACE):
         _cut_off(copied / path, len(parts_of(copied / path)) - 1)
@@ -137,12 +119,6 @@ def test_a_trace_of_which_nothing_can_be_judged_passes_nothing(copied: Path) -> 
         write_lines(newest, lines[:1])  # its header, and killed
     assert not {"traces", "plant", "in-step", "replay"} & results(copied, "PASS")
     assert "traces" in results(copied, "SKIP")
-
-
-def test_check_says_what_is_gone(bounded: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["check", str(bounded)]) == 0
-    out = capsys.readouterr().out
-    assert "of the controller's trace are gone, judged after transition" in out
 
 
 def _cut_off(path: Path, count: int) -> None:
@@ -158,18 +134,6 @@ def _cut_off(path: Path, count: int) -> None:
         json.dumps(header, separators=(",", ":")).encode()
         + b"\n"
         + b"".join(lines[1 : -1 if ended else None])
-    )
-
-
-def test_a_score_says_what_it_leaves_out(
-    bounded: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = Path(shutil.copytree(bounded, tmp_path / "run"))
-    (run / BELIEFS).parent.mkdir(exist_ok=True)
-    (run / BELIEFS).write_text("{}")
-    assert main(["score", str(run)]) == 0
-    assert (
-        "of the plant's trace are gone: only what came after is scored" in capsys.readouterr().err
     )
 
 

@@ -49,7 +49,7 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def keyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that has made keys, and used some."""
     loop = RecordedLoop(tmp_path_factory.mktemp("runs") / "keyed", name="watched")
-    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > 80)
+    loop.run(lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > 80)
     loop.stop()
     return unmarked(loop.folder)
 

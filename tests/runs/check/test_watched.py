@@ -10,6 +10,7 @@ import pytest
 
 from plant_service.core import PlantCore
 from protocol.link.session import Truth
+from protocol.link.step import Begun
 from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
 from runtime.health import read_status
@@ -70,15 +71,19 @@ class Ghost:
 
     def __init__(self, core: PlantCore) -> None:
         self.core = core
-        self.prepare, self.safe, self.close = core.plant.prepare, core.plant.safe, core.plant.close
+        self.prepare, self.safe, self.close = (
+            core.stepper.plant.prepare,
+            core.stepper.plant.safe,
+            core.stepper.plant.close,
+        )
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         self.x = x
 
     def end(self, k: int) -> Vector:
-        offer = self.core.under_way
-        assert offer is not None
-        return self.core.rules.prediction(self.x, offer, 0)
+        step = self.core.state.step
+        assert isinstance(step, Begun)
+        return self.core.state.rules.prediction(self.x, step.offer, 0)
 
 
 @pytest.fixture(scope="module")
@@ -86,10 +91,12 @@ def attacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose sensor is spoofed for its last sixty steps, by one who has no key."""
     folder = tmp_path_factory.mktemp("runs") / "attacked"
     loop = RecordedLoop(folder, name="watched")
-    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > size(300, 600))
+    loop.run(
+        lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > size(300, 600)
+    )
     until = loop.transitions + 60
-    loop.plant.plant = Ghost(loop.plant)
-    loop.run(lambda: loop.controller.record.transitions > until)
+    loop.plant.stepper.plant = Ghost(loop.plant)
+    loop.run(lambda: loop.controller.state.record.link.transitions > until)
     loop.stop()
     return folder
 
@@ -178,15 +185,15 @@ def test_status_tells_alarms_and_how_much_is_watched(
 
 
 def halted(loop: RecordedLoop) -> bool:
-    return loop.controller.record.halted
+    return loop.controller.state.record.alarms.halted
 
 
 def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
     loop = RecordedLoop(tmp_path / "run", name="watched")
-    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > 600)
-    loop.controller.rules = replace(loop.controller.rules, halts=True)
+    loop.run(lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > 600)
+    loop.controller.state.rules = replace(loop.controller.state.rules, halts=True)
     at = loop.transitions
-    loop.plant.plant = Ghost(loop.plant)
+    loop.plant.stepper.plant = Ghost(loop.plant)
     for _ in range(3000):
         loop.step()
     made = loop.transitions - at

@@ -50,7 +50,17 @@ class PlantCounts:
     @classmethod
     def of(cls, trace: Trace, weights: tuple[Vector, Vector]) -> Self:
         """Those of a trace; ``weights`` are the diagonals of Q and R."""
-        rows = trace.steps
+        whole = [(trace.newest_k(at), told.payload) for at, told in trace.noted("recovered")]
+        return cls.of_rows(trace.steps, weights, whole)
+
+    @classmethod
+    def of_rows(
+        cls,
+        rows: Rows,
+        weights: tuple[Vector, Vector],
+        recovered: Sequence[tuple[int, bytes]] = (),
+    ) -> Self:
+        """Those of some rows of a trace."""
         counted, agreed = rows["kind"] == TRANSITION, rows["symbol"] != NO_SYMBOL
         cost = 0.0
         for part in parted(rows):
@@ -62,7 +72,7 @@ class PlantCounts:
             int(agreed.sum()),
             int((agreed & (rows["symbol"] != rows["coin"])).sum()),
             int((rows["message_symbol"] != NO_SYMBOL).sum()),
-            [(trace.newest_k(at), told.payload) for at, told in trace.noted("recovered")],
+            recovered,
             rows["k"][~counted].tolist(),
         )
 

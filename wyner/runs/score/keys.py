@@ -157,17 +157,17 @@ class KeyAudit:
         found = [f"counted up to there: {why}" for why in self.unread]
         if self.held_bits:
             broken = sum(bool(block.held_bits) and block.keys > 0 for block in self.blocks)
-            found.append(f"she holds {self.held_bits} bits, of {broken} blocks")
+            found.append(f"Eve holds {self.held_bits} bits, of {broken} blocks")
         for name, rate in self.rates.items():
             if rate.refuted:
                 found.append(
-                    f"she misses {rate.high:.3g} of the {name} at most, and eps_E = "
+                    f"Eve misses {rate.high:.3g} of the {name} at most, and eps_E = "
                     f"{self.claim:g} was claimed: refuted"
                 )
             if rate.bursts:
-                found.append(f"her misses of {name} come in bursts ({rate.lag} copies apart)")
+                found.append(f"Eve's misses of {name} come in bursts ({rate.lag} copies apart)")
             if not rate.copies and rate.absent and name != ALL:
-                found.append(f"she was not there: of {rate.absent} {name} she heard one at most")
+                found.append(f"Eve was not there: of {rate.absent} {name} Eve heard one at most")
         return tuple(found)
 
     def as_json(self, *, blocks: bool = False) -> dict[str, Any]:

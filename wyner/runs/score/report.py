@@ -17,6 +17,7 @@ from protocol.statistics import (
     stated_left,
 )
 from tap_service.eavesdroppers.base import KeysHeld
+from wyner.runs.score.plain import plain
 from wyner.runs.score.score import UNFINISHED, EavesdropperScore, Proportion, RunScore, Truth
 
 BOUND: Final = (
@@ -46,41 +47,41 @@ class TapReport:
     ----------
     runs : int
         Runs in which she listened.
-    symbol_errors : Interval
+    symbol_error_rate : Interval
         Of agreed steps that she could use, as she names the symbols, with second thoughts where she
         has any.
-    symbol_errors_live : Interval
+    symbol_error_rate_live : Interval
         The same right after each step.
-    bit_errors : Interval
+    message_bit_error_rate : Interval
         Of message symbols.
-    exact : Interval
+    exact_message_rate : Interval
         Messages had whole and exact, of those the plant recovered.
-    guessing : Interval
+    guessing_probability : Interval
         P_g per key symbol, never below 1/M: right up to one relabelling of the symbols a run. Its
         limits are a confidence sequence over keys, which pays for the choice of the labelling.
-    labels : tuple of tuple of int
+    relabelled : tuple of tuple of int
         The relabelling of each scored run; empty where the symbols count as she names them.
-    by_keys : Interval, optional
+    left_bits_by_keys : Interval, optional
         Bits that she leaves of the steps that she could use, -log2 P_g for each key symbol; none of
         a run in which she had every message. An eavesdropper that is not shown to be better than
-        chance leaves all of them. None where ``why_unscored``.
-    stated : Interval, optional
+        chance leaves all of them. None where ``unscored``.
+    left_bits_stated : Interval, optional
         The same by her own account, which supposes that messages are as she expects (``given``).
         None where she gives none.
     silent_bits : float
         Bits of the agreed steps that she could not use, and of runs in which she did not listen:
         what she leaves of them is not known, and counts neither for her nor as secret.
-    silent : int
+    silent_steps : int
         Those steps of the runs in which she listened.
     unused : mapping of str to int
         What the tap could not use of what it heard, by kind, in all runs.
-    why_unscored : str
+    unscored : str
         Why nobody knows what she leaves, with the runs of which it is so.
     leads : bool
         Whether she is shown to do better than chance, at a chance of 5 % shared by all of them.
     list_size : float, optional
         Median of the candidate messages that remained.
-    broken_k : tuple of int
+    broken_at_k : tuple of int
         Steps at which she first was sure of a whole message, run by run; -1 never.
     size : int
         M.
@@ -90,42 +91,51 @@ class TapReport:
 
     name: str
     runs: int
-    symbol_errors: Interval
-    symbol_errors_live: Interval
-    bit_errors: Interval
-    exact: Interval
+    symbol_error_rate: Interval
+    symbol_error_rate_live: Interval
+    message_bit_error_rate: Interval
+    exact_message_rate: Interval
     agreed_steps: int
-    guessing: Interval
-    labels: tuple[Labels, ...]
-    by_keys: Interval | None
-    stated: Interval | None
+    guessing_probability: Interval
+    relabelled: tuple[Labels, ...]
+    left_bits_by_keys: Interval | None
+    left_bits_stated: Interval | None
     given: str
     silent_bits: float
-    silent: int
+    silent_steps: int
     unused: Mapping[str, int]
-    why_unscored: str
+    unscored: str
     leads: bool
     list_size: float | None
-    broken_k: tuple[int, ...]
+    broken_at_k: tuple[int, ...]
     size: int
     keys: tuple[KeysHeld, ...] = ()
 
     @property
-    def left(self) -> Interval | None:
+    def left_bits(self) -> Interval | None:
         """Bits that she leaves of the steps that she could use: the less of both figures."""
-        if self.by_keys is None or self.stated is None:
-            return self.by_keys
-        return min(self.by_keys, self.stated, key=lambda left: left.high)
+        if self.left_bits_by_keys is None or self.left_bits_stated is None:
+            return self.left_bits_by_keys
+        return min(self.left_bits_by_keys, self.left_bits_stated, key=lambda left: left.high)
 
     @property
     def min_entropy(self) -> Interval:
         """-log2 P_g per key symbol, in bits."""
-        return bits_left(1, self.size, self.guessing)
+        return bits_left(1, self.size, self.guessing_probability)
+
+    def to_json(self) -> dict[str, Any]:
+        """Its figures for machines."""
+        return {
+            **plain(self, without=("name", "size", "leads")),
+            "min_entropy_bits": plain(self.min_entropy),
+            "left_bits": plain(self.left_bits),
+            "list_size_log2": math.log2(self.list_size) if self.list_size else None,
+        }
 
     @property
     def median_broken(self) -> float | None:
         """Median step at which she broke it, over the runs in which she did."""
-        broken = [k for k in self.broken_k if k >= 0]
+        broken = [k for k in self.broken_at_k if k >= 0]
         return statistics.median(broken) if broken else None
 
 
@@ -157,21 +167,37 @@ class Report:
         """
 
         def left_at_most(t: TapReport) -> tuple[float, float, float]:
-            assert t.left is not None
-            exact = 0.0 if math.isnan(t.exact.value) else t.exact.value
-            return t.left.high + t.silent_bits, -exact, t.left.value
+            assert t.left_bits is not None
+            exact = 0.0 if math.isnan(t.exact_message_rate.value) else t.exact_message_rate.value
+            return t.left_bits.high + t.silent_bits, -exact, t.left_bits.value
 
-        return min((t for t in self.taps if t.left is not None), key=left_at_most, default=None)
+        return min(
+            (t for t in self.taps if t.left_bits is not None), key=left_at_most, default=None
+        )
 
     @property
     def unscored(self) -> dict[str, str]:
         """Who is not scored, and why."""
-        return {t.name: t.why_unscored for t in self.taps if t.why_unscored}
+        return {t.name: t.unscored for t in self.taps if t.unscored}
 
     @property
     def exceeds(self) -> bool:
         """Whether the paper's rule is shown to count more than somebody leaves."""
         return self.claimed_bits > 0 and any(t.leads for t in self.taps)
+
+    def to_json(self) -> dict[str, Any]:
+        """The report as one object."""
+        return {
+            "runs": list(self.runs),
+            "transitions": self.transitions,
+            "claimed_bits": self.claimed_bits,
+            "hidden_bits_bound": self.hidden_bits,
+            "claimed_exceeds_true": self.exceeds,
+            "strongest": None if self.strongest is None else self.strongest.name,
+            "verdict": self.verdict(),
+            "bound": BOUND,
+            "taps": {t.name: t.to_json() for t in self.taps},
+        }
 
     def verdict(self) -> str:
         """In words."""
@@ -179,16 +205,16 @@ class Report:
         if self.claimed_bits == 0:
             return "No key was agreed by the paper's rule: nothing counts as secret by it."
         claim = f"by the paper's rule {self.claimed_bits:.0f} bits count as secret"
-        if strongest is None or strongest.left is None:
+        if strongest is None or strongest.left_bits is None:
             return f"{claim[0].upper()}{claim[1:]}; {self._nobody()}, so they stand untested."
         of = "them"
         if strongest.silent_bits:
             of = f"the {self.claimed_bits - strongest.silent_bits:.0f} that it could use"
-        left = f"{strongest.name} leaves at most {strongest.left.high:.1f} of {of}"
-        if strongest.stated is not None and strongest.by_keys is not None:
+        left = f"{strongest.name} leaves at most {strongest.left_bits.high:.1f} of {of}"
+        if strongest.left_bits_stated is not None and strongest.left_bits_by_keys is not None:
             left += (
-                f" ({strongest.stated.high:.1f} {given(strongest.given)}, by keys alone "
-                f"{strongest.by_keys.high:.1f})"
+                f" ({strongest.left_bits_stated.high:.1f} {given(strongest.given)}, by keys alone "
+                f"{strongest.left_bits_by_keys.high:.1f})"
             )
         if not self.exceeds:
             left += ", no better than chance"
@@ -250,24 +276,24 @@ def _tap(
     return TapReport(
         name=name,
         runs=len(mine),
-        symbol_errors=over_runs([t.keys_reviewed for t in scores]).complement(),
-        symbol_errors_live=over_runs([t.keys for t in scores]).complement(),
-        bit_errors=over_runs([t.bits for t in scores]).complement(),
-        exact=over_runs([t.messages for t in scores]),
+        symbol_error_rate=over_runs([t.keys_reviewed for t in scores]).complement(),
+        symbol_error_rate_live=over_runs([t.keys for t in scores]).complement(),
+        message_bit_error_rate=over_runs([t.bits for t in scores]).complement(),
+        exact_message_rate=over_runs([t.messages for t in scores]),
         agreed_steps=keys.of,
-        guessing=guessing,
-        labels=keys.labels,
-        by_keys=by_keys,
-        stated=stated,
+        guessing_probability=guessing,
+        relabelled=keys.labels,
+        left_bits_by_keys=by_keys,
+        left_bits_stated=stated,
         given=next((t.given for t in scores if t.given), ""),
         silent_bits=unheard
         + sum(t.silent * math.log2(size) for t in every if not t.messages.every),
-        silent=sum(t.silent for t in every),
+        silent_steps=sum(t.silent for t in every),
         unused=sum((Counter(t.unused) for t in every), Counter()),
-        why_unscored=_why_unscored(every),
+        unscored=_why_unscored(every),
         leads=any(t.messages.right for t in every) or keys.better_than_chance(alpha),
         list_size=statistics.median(lists) if lists else None,
-        broken_k=tuple(t.solved_k for t in every),
+        broken_at_k=tuple(t.solved_k for t in every),
         size=size,
         keys=tuple(t.held for t in every if t.held is not None),
     )
@@ -314,48 +340,6 @@ def _usable(run: RunScore, tap: EavesdropperScore) -> int:
     return len(run.truth.keys) - tap.silent
 
 
-def as_json(r: Report) -> dict[str, Any]:
-    """The report as one object."""
-
-    strongest = r.strongest
-    return {
-        "runs": list(r.runs),
-        "transitions": r.transitions,
-        "claimed_bits": r.claimed_bits,
-        "hidden_bits_bound": r.hidden_bits,
-        "claimed_exceeds_true": r.exceeds,
-        "strongest": None if strongest is None else strongest.name,
-        "verdict": r.verdict(),
-        "bound": BOUND,
-        "taps": {
-            t.name: {
-                "runs": t.runs,
-                "agreed_steps": t.agreed_steps,
-                "symbol_error_rate": t.symbol_errors.as_json(),
-                "symbol_error_rate_live": t.symbol_errors_live.as_json(),
-                "message_bit_error_rate": t.bit_errors.as_json(),
-                "exact_message_rate": t.exact.as_json(),
-                "guessing_probability": t.guessing.as_json(),
-                "min_entropy_bits": t.min_entropy.as_json(),
-                "relabelled": [list(labels) for labels in t.labels],
-                "left_bits": None if t.left is None else t.left.as_json(),
-                "left_bits_by_keys": None if t.by_keys is None else t.by_keys.as_json(),
-                "left_bits_stated": None if t.stated is None else t.stated.as_json(),
-                "given": t.given,
-                "silent_bits": t.silent_bits,
-                "silent_steps": t.silent,
-                "unused": dict(t.unused),
-                "unscored": t.why_unscored,
-                "list_size": t.list_size,
-                "list_size_log2": None if not t.list_size else math.log2(t.list_size),
-                "broken_at_k": list(t.broken_k),
-                "keys": [held.model_dump() for held in t.keys],
-            }
-            for t in r.taps
-        },
-    }
-
-
 HEADINGS: Final = (
     "eavesdropper",
     "symbol errors",
@@ -386,12 +370,12 @@ def rows(r: Report) -> list[tuple[str, ...]]:
     return [
         (
             t.name,
-            percent(t.symbol_errors),
-            percent(t.bit_errors),
-            percent(t.exact),
-            t.guessing.text(".3f") if t.agreed_steps else "-",
-            "-" if t.left is None else f"{t.left.high:.1f}",
-            "-" if t.by_keys is None else f"{t.by_keys.high:.1f}",
+            percent(t.symbol_error_rate),
+            percent(t.message_bit_error_rate),
+            percent(t.exact_message_rate),
+            t.guessing_probability.text(".3f") if t.agreed_steps else "-",
+            "-" if t.left_bits is None else f"{t.left_bits.high:.1f}",
+            "-" if t.left_bits_by_keys is None else f"{t.left_bits_by_keys.high:.1f}",
             number(t.list_size, ".0f"),
             number(t.median_broken, ".0f"),
         )
@@ -402,21 +386,22 @@ def rows(r: Report) -> list[tuple[str, ...]]:
 def remarks(t: TapReport) -> list[str]:
     """What must stand beside the numbers of one eavesdropper, in words."""
     found = []
-    if t.why_unscored:
-        found.append(f"not scored: {t.why_unscored}")
-    if t.labels:
-        alike = len(set(t.labels)) == 1
-        how = in_words(t.labels[0]) if alike and t.size <= WORDED else "by run, in --json"
+    if t.unscored:
+        found.append(f"not scored: {t.unscored}")
+    if t.relabelled:
+        alike = len(set(t.relabelled)) == 1
+        how = in_words(t.relabelled[0]) if alike and t.size <= WORDED else "by run, in --json"
         found.append(f"its symbols count relabelled: {how}")
-    if t.stated is not None and t.by_keys is not None:
+    if t.left_bits_stated is not None and t.left_bits_by_keys is not None:
         found.append(
-            f"states at most {t.stated.high:.1f} bits left, {given(t.given)}; by its keys, which "
-            f"suppose nothing of the message, at most {t.by_keys.high:.1f}"
+            f"states at most {t.left_bits_stated.high:.1f} bits left, {given(t.given)}; "
+            "by its keys, which suppose nothing of the message, at most "
+            f"{t.left_bits_by_keys.high:.1f}"
         )
-    if t.silent:
-        steps = t.silent + t.agreed_steps
+    if t.silent_steps:
+        steps = t.silent_steps + t.agreed_steps
         found.append(
-            f"could not use {t.silent} of {steps} agreed steps: nothing is known of what it "
+            f"could not use {t.silent_steps} of {steps} agreed steps: nothing is known of what it "
             "leaves of them"
         )
     if told := unused_in_words(t.unused):

@@ -10,7 +10,7 @@ those of :mod:`protocol.statistics`.
 
 import base64
 import math
-from collections.abc import Container, Iterator, Mapping
+from collections.abc import Container, Mapping
 from dataclasses import dataclass, field
 from operator import index
 from typing import Any, Final
@@ -31,8 +31,8 @@ from wyner.runs.trace import TRANSITION, Trace
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
 
-UNFINISHED: Final = "she did not finish"
-SILENT: Final = "she guesses at no symbol of the loop"
+UNFINISHED: Final = "it did not finish"
+SILENT: Final = "it guesses at no symbol of the loop"
 DEAF: Final = "it could use none of the steps that agreed a key"
 
 
@@ -89,18 +89,6 @@ class Truth:
     def claimed_bits(self) -> float:
         """What the paper's rule counts: log2 M secret bits for each agreement."""
         return len(self.keys) * math.log2(self.size)
-
-    def between(self, first: int | None, last: int | None) -> "Truth":
-        """The truth of the steps from and to which a run was decoded, both included."""
-        low, high = first or 0, math.inf if last is None else last
-        return Truth(
-            self.size,
-            {at: key for at, key in self.keys.items() if low <= at[1] <= high},
-            {at: symbol for at, symbol in self.symbols.items() if low <= at[1] <= high},
-            tuple((k, payload) for k, payload in self.whole if low <= k <= high),
-            self.transitions,
-            self.hidden_widths,
-        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,9 +148,11 @@ class EavesdropperScore:
         Steps that she takes for the message's, and that are none of it: they shift her frame.
     behind : int
         Steps captured that she never looked at.
+    agreed : int
+        Steps that agreed a key symbol.
     silent : int
-        Agreed steps that she could not use: the tap did not hear them or could not use what it
-        heard, her process was down, or her log was cut. What she leaves of them is not known.
+        Of these, the steps that she could not use: the tap did not hear them or could not use what
+        it heard, her process was down, or her log was cut. What she leaves of them is not known.
     unused : mapping of str to int
         What the tap could not use, by kind.
     stated_left : float, optional
@@ -189,6 +179,7 @@ class EavesdropperScore:
     held: KeysHeld | None = None
     stray: int = 0
     behind: int = 0
+    agreed: int = 0
     silent: int = 0
     unused: Mapping[str, int] = field(default_factory=dict)
     stated_left: float | None = None
@@ -201,7 +192,7 @@ class EavesdropperScore:
         if self.messages.every:
             return ""
         if self.failed:
-            return f"she failed: {self.failed}"
+            return f"it failed: {self.failed}"
         if self.unfinished:
             return UNFINISHED
         if self.keys_reviewed.of:
@@ -215,51 +206,55 @@ class EavesdropperScore:
         """What she knows of the key symbols, with second thoughts where she has any."""
         return known([self.pairs], self.size)
 
+    def to_json(self) -> dict[str, Any]:
+        """What the summary of a run says of her: accuracies, and her guess.
+
+        Accuracies are shares of one run, and `no_interval` says so. ``symbol_accuracy`` counts
+        symbols as she names them, ``symbols_known`` those that she knows up to the relabelling
+        ``labels``.
+        """
+        its = self.known
+        return {
+            "no_interval": ONE_RUN,
+            "symbol_accuracy": self.keys_reviewed.share,
+            "symbol_accuracy_live": self.keys.share,
+            "symbols_known": Proportion(its.right, its.of).share,
+            "labels": list(its.labels[0]) if its.labels else None,
+            "agreed_steps": self.keys.of,
+            "agreed_steps_not_used": self.agreed - self.keys.of,
+            "unused": dict(self.unused),
+            "message_bit_accuracy": self.bits.share,
+            "messages_exact": int(self.messages.right),
+            "candidates_left": self.candidates_left,
+            "solved_k": self.solved_k,
+            "guessed_text": self.guess,
+            "failed": self.failed,
+            "unscored": self.why_unscored,
+            "stray_steps": self.stray,
+            "steps_not_looked_at": self.behind,
+            "keys": None if self.held is None else self.held.model_dump(),
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class RunScore:
-    """The score of a run: the truth's own figures, and one `TapScore` an eavesdropper."""
+    """The score of a run: the truth's own figures, and each eavesdropper's score."""
 
     run: str
     truth: Truth
     taps: tuple[EavesdropperScore, ...]
 
-
-class Later(Mapping[Step, int]):
-    """Her guesses, and in place of each its second thought where there is one."""
-
-    def __init__(self, live: Mapping[Step, int], reviewed: Mapping[Step, int]) -> None:
-        self._live, self._reviewed = live, reviewed
-
-    def __getitem__(self, at: Step) -> int:
-        return self._reviewed[at] if at in self._reviewed else self._live[at]
-
-    def __contains__(self, at: object) -> bool:
-        return at in self._reviewed or at in self._live
-
-    def __iter__(self) -> Iterator[Step]:
-        yield from self._live
-        yield from (at for at in self._reviewed if at not in self._live)
-
-    def __len__(self) -> int:
-        return len(self._live) + sum(at not in self._live for at in self._reviewed)
+    def to_json(self) -> dict[str, dict[str, Any]]:
+        """What the summary says of each eavesdropper."""
+        return {tap.name: tap.to_json() for tap in self.taps}
 
 
 def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
     keys: Mapping[Step, int] = {} if said.failed else _used(truth, said)
-    thoughts = Later(said.live, said.reviewed)
-    pairs = pairs_of((thoughts[at], key) for at, key in keys.items())
-    recovered = [payload for _, payload in truth.whole]
+    pairs = pairs_of((said.reviewed.get(at, said.live[at]), key) for at, key in keys.items())
     belief = said.belief
-    if belief.whole_count > len(belief.whole):
-        recovered = recovered[-len(belief.whole) :]
-    unclaimed = list(belief.whole)
-    exact = 0
-    for payload in recovered:
-        if payload in unclaimed:
-            unclaimed.remove(payload)
-            exact += 1
+    read, of = belief.read_of([payload for _, payload in truth.whole])
     return EavesdropperScore(
         name=said.name,
         keys=Proportion(sum(said.live.get(at) == key for at, key in keys.items()), len(keys)),
@@ -267,7 +262,7 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
             sum(times for (guess, key), times in pairs.items() if guess == key), len(keys)
         ),
         bits=_bits(truth, said),
-        messages=Proportion(exact, len(recovered)),
+        messages=Proportion(read, of),
         candidates_left=belief.candidates_left,
         solved_k=belief.solved_k,
         size=truth.size,
@@ -277,6 +272,7 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
         held=belief.keys,
         stray=_stray(truth, said),
         behind=said.behind,
+        agreed=len(truth.keys),
         silent=len(truth.keys) - len(keys) if said.live and not said.failed else 0,
         unused=said.unused,
         stated_left=None if said.failed else belief.bits_left,
@@ -433,34 +429,3 @@ def score_run(run: Run) -> RunScore:
     truth = read_truth(run)
     taps = tuple(score(truth, said) for said in read_said(run))
     return RunScore(run.name, truth, taps)
-
-
-def summary_of(run: RunScore) -> dict[str, dict[str, Any]]:
-    """Per eavesdropper, what the summary of a run says: accuracies and her guess.
-
-    Accuracies are shares of one run, and `no_interval` says so. ``symbol_accuracy`` counts symbols
-    as she names them, ``symbols_known`` those that she knows up to the relabelling ``labels``.
-    """
-    return {
-        tap.name: {
-            "no_interval": ONE_RUN,
-            "symbol_accuracy": tap.keys_reviewed.share,
-            "symbol_accuracy_live": tap.keys.share,
-            "symbols_known": Proportion(tap.known.right, tap.known.of).share,
-            "labels": list(tap.known.labels[0]) if tap.known.labels else None,
-            "agreed_steps": tap.keys.of,
-            "agreed_steps_not_used": len(run.truth.keys) - tap.keys.of,
-            "unused": dict(tap.unused),
-            "message_bit_accuracy": tap.bits.share,
-            "messages_exact": int(tap.messages.right),
-            "candidates_left": tap.candidates_left,
-            "solved_k": tap.solved_k,
-            "guessed_text": tap.guess,
-            "failed": tap.failed,
-            "unscored": tap.why_unscored,
-            "stray_steps": tap.stray,
-            "steps_not_looked_at": tap.behind,
-            "keys": None if tap.held is None else tap.held.model_dump(),
-        }
-        for tap in run.taps
-    }

@@ -3,13 +3,14 @@
 import base64
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
 
 from protocol.link.session import rules_of
 from protocol.relabelling import in_words
-from protocol.statistics import COUNTED
+from protocol.statistics import COUNTED, Interval
 from protocol.text import readable
 from runtime.errors import UsageError
 from runtime.recording import TraceError
@@ -25,7 +26,6 @@ from wyner.runs.score.score import (
     RunScore,
     ScoreError,
     score_run,
-    summary_of,
 )
 from wyner.simulate.missed import missed_steps
 
@@ -73,7 +73,7 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
     """
     scenario = run.scenario
-    size = scenario.secrecy.candidates
+    size, scheme = scenario.secrecy.candidates, rules_of(scenario).scheme
     counts, behind, errors = PlantCounts(), 0, list[str]()
     try:
         trace = run.columns("plant")
@@ -112,14 +112,16 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "missed_by_network": missed_by_network(run, counts.without, steps, delays),
         "control_cost": counts.mean_cost,
         "agreements": counts.agreements,
-        "symbol_errors": counts.symbol_errors,
+        "symbol_errors": 0
+        if scheme.corrects
+        else counts.symbol_errors,  # a corrected key is no coin
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
         "no_interval": {"bits_per_second": COUNTED, "control_cost": COUNTED},
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
-        "under_keys": rules_of(scenario).scheme.from_stream,
+        "under_keys": scheme.from_stream,
         "attack": attacked(run).as_json(),
         "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
@@ -128,41 +130,30 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
 
 def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     """What the paper's rule counts, what is left of it at most, and each one's score."""
-    nothing: dict[str, Any] = {
-        "true_bits": None,
-        "true_bits_interval": None,
-        "true_bits_by_keys": None,
-        "true_bits_stated": None,
-        "given": "",
-        "labels": None,
-        "silent_bits": 0.0,
-        "silent_steps": 0,
-        "strongest": "",
-    }
-    try:
-        score: RunScore = score_run(run)
-    except ScoreError:
-        return {"claimed_bits": claimed, **nothing, "unscored": {}, "failed": [], "taps": {}}
-    found = report([score])
-    best = found.strongest
-    if best is not None and (left := best.left) is not None:
-        nothing = {
-            "true_bits": left.high,
-            "true_bits_interval": left.as_json(),
-            "true_bits_by_keys": None if best.by_keys is None else best.by_keys.high,
-            "true_bits_stated": None if best.stated is None else best.stated.high,
-            "given": best.given,
-            "labels": list(best.labels[0]) if best.labels else None,
-            "silent_bits": best.silent_bits,
-            "silent_steps": best.silent,
-            "strongest": best.name,
-        }
+    score: RunScore | None = None
+    with suppress(ScoreError):
+        score = score_run(run)
+    found = None if score is None else report([score])
+    best = None if found is None else found.strongest
+
+    def high(left: Interval | None) -> float | None:
+        return None if left is None else left.high
+
+    left = None if best is None else best.left_bits
     return {
-        "claimed_bits": score.truth.claimed_bits,
-        **nothing,
-        "unscored": found.unscored,
-        "failed": [tap.name for tap in score.taps if tap.failed],
-        "taps": summary_of(score),
+        "claimed_bits": claimed if score is None else score.truth.claimed_bits,
+        "true_bits": high(left),
+        "true_bits_interval": None if left is None else left.as_json(),
+        "true_bits_by_keys": None if best is None else high(best.left_bits_by_keys),
+        "true_bits_stated": None if best is None else high(best.left_bits_stated),
+        "given": "" if best is None else best.given,
+        "labels": list(best.relabelled[0]) if best and best.relabelled else None,
+        "silent_bits": 0.0 if best is None else best.silent_bits,
+        "silent_steps": 0 if best is None else best.silent_steps,
+        "strongest": "" if best is None else best.name,
+        "unscored": {} if found is None else found.unscored,
+        "failed": [] if score is None else [tap.name for tap in score.taps if tap.failed],
+        "taps": {} if score is None else score.to_json(),
     }
 
 
@@ -310,7 +301,7 @@ def true_in_words(summary: dict[str, Any]) -> str:
             of = f" of {summary['claimed_bits'] - summary['silent_bits']:.0f}"
         return f"at most {true:.0f}{of} ({summary['strongest']})"
     if summary["failed"]:
-        return "unknown, she failed"
+        return "unknown, Eve failed"
     if any(tap["unscored"].startswith(UNFINISHED) for tap in summary["taps"].values()):
         return f"unknown, {UNFINISHED}"
     if any(tap["unscored"] == DEAF for tap in summary["taps"].values()):

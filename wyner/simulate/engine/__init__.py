@@ -5,7 +5,7 @@ of the services would take; :mod:`~wyner.simulate.engine.loop` simulates plant a
 what the agreement test needs; :mod:`~wyner.simulate.engine.link` follows the scheme over it;
 :mod:`~wyner.simulate.engine.taps` lets eavesdroppers hear it.
 Neither law nor coin depends on alpha, so that one simulation serves every alpha.
-:mod:`~wyner.simulate.engine.attacks` stands between the ends, with an attacker and defences.
+:mod:`~studies.attacks.attacked` stands between the ends, with an attacker and defences.
 """
 
 from wyner.simulate.engine.draws import cipher_symbols

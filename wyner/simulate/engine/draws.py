@@ -8,8 +8,7 @@ import numpy as np
 
 from protocol.arrays import Array, Symbols
 from protocol.scenario import Disturbance, Scenario
-from protocol.streams import CIPHER, COIN, DISTURBANCE
-from wyner.simulate.engine.seeding import generator_states
+from protocol.streams import CIPHER, COIN, DISTURBANCE, generator
 
 
 class Draws(Protocol):
@@ -56,20 +55,16 @@ class SeededDraws:
 
 
 class Streams:
-    """One stream of each run; the runs take turns with one generator."""
+    """One stream of each run."""
 
     def __init__(self, seed: int, runs: Sequence[int], stream: int) -> None:
-        self._states: list[Any] = list(generator_states(seed, runs, stream))
-        self._bits = np.random.PCG64(0)
-        self._generator = np.random.Generator(self._bits)
+        self._generators = [generator(seed, run, stream) for run in runs]
 
     def take(self, count: int) -> Array:
         """The next ``count`` numbers of each run, shape (R, count)."""
-        out = np.empty((len(self._states), count))
-        for r, state in enumerate(self._states):
-            self._bits.state = state
-            self._generator.random(out=out[r])
-            self._states[r] = self._bits.state
+        out = np.empty((len(self._generators), count))
+        for row, of_run in zip(out, self._generators, strict=True):
+            of_run.random(out=row)
         return out
 
 

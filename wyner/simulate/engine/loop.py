@@ -116,7 +116,8 @@ class Runs(Brief):
     coin : integer array, shape (steps, R)
         b_r.
     symbol : integer array, shape (steps, R)
-        The one candidate whose gauge is at most 1, or -1 where there is none or more than one.
+        The one candidate whose gauge is at most 1, or -1 where there is none or more than one;
+        the likeliest candidate where d is taken to be Gaussian.
     largest : array, shape (steps, R)
         The largest gauge, of D_e over alpha: a transition is in Diff at alpha when ``symbol`` is
         not -1 and this is at most alpha.
@@ -228,9 +229,13 @@ class _Loop:
         own = scenario.secrecy.disturbance is not None or self.rule.apart is not None
         self.possible = np.empty((self.M, R)) if own or rules.outputs else self.gauges
         self._inside = np.empty((self.M, R), dtype=bool)
+        self.unlikeliness = np.zeros((self.M, R))
 
     def verdict(self, symbol: Symbols, largest: Array) -> None:
         """The verdict's parts that do not depend on alpha."""
+        if self.rule.deviations is not None:
+            symbol[:], largest[:] = np.argmin(self.unlikeliness, axis=0), 0.0
+            return
         np.less_equal(self.gauges, INSIDE, out=self._inside)
         if self.M == 2:
             np.maximum(self.possible[0], self.possible[1], out=largest)
@@ -380,6 +385,12 @@ class _Many(_Loop):
             self.y = np.ascontiguousarray(read.T)
         for j in range(self.M):
             np.subtract(self.y, self.predictions[j], out=self.difference)
+            if self.rule.deviations is not None:
+                self.unlikeliness[j] = 0.0
+                for v, s in zip(self.difference, self.rule.deviations, strict=True):
+                    np.divide(v, s, out=self.ratio)
+                    np.multiply(self.ratio, self.ratio, out=self.ratio)
+                    np.add(self.unlikeliness[j], self.ratio, out=self.unlikeliness[j])
             self.measure(self.gauge, self.gauges[j])
             if self.reach is not None:
                 np.subtract(self.y, self.predictions[j], out=self.difference)
@@ -526,6 +537,7 @@ class _One(_Loop):
         self.gone = 0
         found = self.rules.judge(y, self.offer, self.centres, self.now, self.box)
         self.estimate, self.gauges[:, 0] = found.estimate, found.gauges
+        self.unlikeliness[:, 0] = np.arange(self.M) != found.symbol  # asked where there is one
         if self.possible is self.gauges:
             return
         if outputs is not None:

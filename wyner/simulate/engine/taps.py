@@ -14,7 +14,7 @@ from protocol.secret.nonces import NONCE_BYTES
 from protocol.vectors import Vector
 from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, sound
+from tap_service.eavesdroppers import ORACLE, Eavesdropper, KnowledgeError, sound
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
@@ -131,16 +131,6 @@ def _told_of(name: str, where: str) -> Iterator[None]:
         raise EavesdropperError(f"eavesdropper {name}: {where}: {what}") from error
 
 
-def read_of(messages: Sequence[bytes], belief: Belief) -> tuple[int, int]:
-    """How many of the messages she had whole, and of how many that can be told.
-
-    She keeps the last of hers alone, so they stand beside as many of the last messages.
-    """
-    if belief.whole_count > len(belief.whole):
-        messages = messages[-len(belief.whole) :]
-    return (Counter(messages) & Counter(belief.whole)).total(), len(messages)
-
-
 def listen(
     runs: Runs, link: Transfer, names: Sequence[str | type[Eavesdropper]], place: int
 ) -> list[TapResult]:
@@ -200,7 +190,7 @@ def listen(
             belief = tap.belief()
         with _told_of(name, "belief"):
             belief = sound_belief(belief)
-        read, of = read_of(messages, belief)
+        read, of = belief.read_of(messages)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
         agreed = agreements if tap.guesses else 0
         out.append(TapResult(agreed, its.named, its.right, of, read, *held))

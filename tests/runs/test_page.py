@@ -7,45 +7,34 @@ import subprocess
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from tap_service.eavesdroppers.base import Belief
 from tests.support.patience import PATIENCE_S
 from tests.support.small_run import SmallRun
 from wyner.cli.main import main
+from wyner.drawing.run import LONG, draw_keys, draw_over_time
+from wyner.drawing.style import drawing
 from wyner.runs.page import write_report
-from wyner.runs.page.chart import (
-    COLUMNS,
-    DENSE,
-    MOST_POINTS,
-    Curve,
-    Series,
-    band,
-    chart,
-    ticks,
-)
 
 SECRET = b"Hi"
-BELIEF = Belief()
 HOSTILE = "<script>alert(1)</script>"
 
 
 class Outline(HTMLParser):
-    """Tags that were opened, whether they are balanced, where links lead, and what has a name."""
+    """Tags that were opened, whether they are balanced, and where links lead."""
 
-    EMPTY = frozenset({"meta", "path", "br"})
+    EMPTY = frozenset({"meta", "img", "br"})
 
     def __init__(self) -> None:
         super().__init__()
         self.open: list[str] = []
         self.seen: list[str] = []
         self.links: list[str] = []
-        self.names: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.seen.append(tag)
         self.links += [v or "" for k, v in attrs if k in ("src", "href", "srcset", "action")]
-        self.names += [v or "" for k, v in attrs if k == "id"]
         if tag not in self.EMPTY:
             self.open.append(tag)
 
@@ -74,11 +63,11 @@ def test_it_is_one_whole_page_that_needs_nothing_else(text: str) -> None:
     outline = Outline()
     outline.feed(text)
     assert outline.open == []
-    assert outline.links == []
+    assert [link.partition(",")[0] for link in outline.links] == ["data:image/svg+xml;base64"] * 2
     assert "script" not in outline.seen
     assert "url(" not in text
     assert "@import" not in text
-    assert text.count("<h2>") == 6
+    assert text.count("<h2>") == 5
 
 
 def test_what_was_sent_is_shown_and_cannot_act(text: str) -> None:
@@ -93,17 +82,6 @@ def test_the_verdict_comes_first(text: str) -> None:
     assert "PASS" in text.partition("<h2>")[0]
 
 
-def test_a_long_line_is_drawn_as_its_range() -> None:
-    points = [(float(i), float((-1) ** i * (i % 97))) for i in range(20000)]
-    outline = band(points)
-    assert len(outline) == 2 * COLUMNS
-    assert max(y for _, y in outline) == 96.0
-    assert min(y for _, y in outline) == -96.0
-    picture = chart("t", [Curve("a", points, banded=True)], "x", "y")
-    assert picture.count('class="band"') == 1
-    assert 'class="band"' not in chart("t", [Curve("a", points[:DENSE], banded=True)], "x", "y")
-
-
 def test_it_says_what_the_check_says(
     run_dir: Path, text: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -115,19 +93,31 @@ def test_it_says_what_the_check_says(
         assert f"<td>{rule['name']}</td>" in text
 
 
-def test_states_are_drawn_where_they_were(run_dir: Path, text: str) -> None:
-    events = [json.loads(x) for x in (run_dir / "plant/trace.jsonl").read_text().splitlines()]
-    x1 = [e["x"][0] for e in events if e["event"] in ("transition", "missed")]
-    picture = text.partition('aria-label="States over time"')[2].partition("</svg>")[0]
-    first = re.findall(r'class="line"[^>]* d="M([^"]+)"', picture)[0]
-    drawn = [float(part.split()[1]) for part in first.split("L")]
-    assert len(drawn) == len(x1) <= MOST_POINTS
-    # One affine map takes every state to its height on the page, upside down.
-    i, j = x1.index(min(x1)), x1.index(max(x1))
-    scale = (drawn[j] - drawn[i]) / (x1[j] - x1[i])
-    assert scale < 0
-    for value, y in zip(x1, drawn, strict=True):
-        assert y == pytest.approx(drawn[i] + scale * (value - x1[i]), abs=0.02)
+def test_states_are_drawn_where_they_were_and_a_long_line_as_its_range() -> None:
+    x = np.sin(np.arange(100.0))
+    long = np.where(np.arange(20_000) % 2, 1.0, -1.0) * (np.arange(20_000) % 97)
+    for values in (x, long):
+        with drawing((6, 3)) as figure:
+            axes = figure.subplots()
+            time_s = 0.1 * np.arange(len(values))
+            draw_over_time(axes, time_s, {"x1": values}, agreed_s=time_s[:3], flags=[(1.0, "a")])
+            lines = [np.asarray(x.get_xydata()) for x in axes.lines if x.get_label() == "x1"]
+            bands = [band.get_paths()[0].get_extents() for band in axes.collections]
+        if values is x:
+            assert np.array_equal(np.array(lines), [np.column_stack([time_s, x])])
+        else:
+            assert not lines
+            assert [(band.ymin, band.ymax) for band in bands] == [(-96.0, 96.0)]
+
+
+def test_keys_are_counted_up_to_the_last_also_of_a_long_run() -> None:
+    agreed_s, right = np.arange(9_000.0), np.arange(9_000) % 3 == 0
+    with drawing((6, 3)) as figure:
+        axes = figure.subplots()
+        draw_keys(axes, agreed_s, {"right, t": right})
+        both = np.array([line.get_xydata() for line in axes.lines])
+    assert both.shape == (2, LONG, 2)
+    assert both[:, -1].tolist() == [[8_999.0, 9_000.0], [8_999.0, 3_000.0]]
 
 
 def test_without_a_tap_it_says_so(text: str) -> None:
@@ -155,35 +145,6 @@ def test_the_command_prints_the_path_and_refuses_what_is_no_run(
     assert capsys.readouterr().out == f"{tmp_path / 'a.html'}\n"
     assert main(["report", str(tmp_path)]) == 2
     assert capsys.readouterr().err == f"wyner: {tmp_path}: no run here, expected scenario.toml\n"
-
-
-# --- charts ---------------------------------------------------------------------------------------
-
-
-def test_ticks_are_round_and_inside() -> None:
-    assert ticks(0.0, 10.0) == [0.0, 2.0, 4.0, 6.0, 8.0, 10.0]
-    assert ticks(-0.13, 0.22, 4) == pytest.approx([-0.1, 0.0, 0.1, 0.2])
-    assert ticks(3.0, 3.0) == [3.0]
-
-
-def test_a_long_line_keeps_its_peaks() -> None:
-    points = [(float(i), 0.0) for i in range(20000)]
-    points[777] = (777.0, 5.0)
-    short = Series(points).points()
-    assert len(short) <= 2 * MOST_POINTS
-    assert (777.0, 5.0) in short
-    assert [p[0] for p in short] == sorted(p[0] for p in short)
-    for count in (0, 1, MOST_POINTS, MOST_POINTS + 1, 2 * MOST_POINTS + 3):
-        kept = Series((float(i), float(-i)) for i in range(count)).points()
-        assert kept[:1] == [(0.0, -0.0)][:count]
-        assert kept[-1:] == [(count - 1.0, 1.0 - count)][:count]
-        assert len(kept) == count or count > MOST_POINTS
-
-
-def test_labels_are_escaped_and_empty_charts_are_drawn() -> None:
-    picture = chart("<t>", [Curve("<a>", [])], "<x>", "<y>")
-    assert "<t>" not in picture
-    assert "&lt;a&gt;" in picture
 
 
 # --- in a browser ---------------------------------------------------------------------------------

@@ -24,7 +24,7 @@ from controller_service.laws.base import CandidateLaw
 from protocol.arrays import Array, Counts, Flags, Integers
 from protocol.brief import Brief
 from protocol.scenario import Scenario
-from wyner.simulate.engine.defences import Defence, Residual, Wire, Words
+from studies.attacks.defences import Defence, Residual, Wire, Words
 from wyner.simulate.engine.draws import disturbances
 from wyner.simulate.engine.loop import Between, simulate_runs
 
