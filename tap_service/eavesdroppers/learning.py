@@ -89,7 +89,9 @@ class Learning(Reading):
             starts.append((np.array(self.model.A), np.array(self.model.B)))
         fit = identify(x, candidates, x_next, starts)
         self._offset = np.where(np.abs(fit.offset) < SMALL_OFFSET * fit.widths, 0.0, fit.offset)
-        self.model = Model(_rows(fit.A), _rows(fit.B), Gauge(half_widths=tuple(fit.widths.tolist())))
+        self.model = Model(
+            _rows(fit.A), _rows(fit.B), Gauge(half_widths=tuple(fit.widths.tolist()))
+        )
 
     def output_model(self) -> OutputModel | None:
         """How readings follow from readings and inputs before them."""

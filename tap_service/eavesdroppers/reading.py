@@ -129,9 +129,7 @@ class Reading(Eavesdropper):
     @cached_property
     def _lists(self) -> ListDecoding:
         """Asks what a text is like where several are possible alone."""
-        return ListDecoding(
-            self.scheme, lambda: self._language or expected(), certain=self.certain
-        )
+        return ListDecoding(self.scheme, lambda: self._language or expected(), certain=self.certain)
 
     def observe(self, transition: Transition) -> Guess:
         """Take the nearest candidate where the step was heard; what was lost must wait."""
@@ -254,6 +252,11 @@ class Reading(Eavesdropper):
         self._after = {name: k for name, k in self._after.items() if name in sessions}
         while len(self._symbols) > KEPT_SYMBOLS:
             del self._symbols[next(iter(self._symbols))]
+
+    @property
+    def decodings(self) -> int:
+        """Decodings of all thresholds that differed, at most so far."""
+        return self._lists.peak
 
     # --- what she says ----------------------------------------------------------------------------
 

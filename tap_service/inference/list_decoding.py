@@ -258,9 +258,7 @@ class ListDecoding:
         self.stretches = [self._stretch(steps, heard, rows[best])]
         return self._messages(steps, rows[best], read[best], score, after)
 
-    def _thresholds(
-        self, heard: Heard, among: Interval, edges: Interval
-    ) -> tuple[Array, Array]:
+    def _thresholds(self, heard: Heard, among: Interval, edges: Interval) -> tuple[Array, Array]:
         """Values of t_c and of t_e of which no two leave every step the same."""
         if self._certain:
             return np.zeros(1), np.zeros(1)
@@ -296,9 +294,7 @@ class ListDecoding:
         best = weight > weight.max() - FAR_OFF
         return _about(t_c, some_c, low[best]), _about(t_e, some_e, edge[best])
 
-    def _decoded(
-        self, heard: Heard, t_c: Array, t_e: Array
-    ) -> tuple[Symbols, Indices, Array]:
+    def _decoded(self, heard: Heard, t_c: Array, t_e: Array) -> tuple[Symbols, Indices, Array]:
         """The decodings that differ, which of them each pair of thresholds gives, and the pairs.
 
         Symbols have shape (decodings, K).
@@ -431,6 +427,7 @@ class ListDecoding:
     def forget(self) -> None:
         """What comes next goes on from where is not known."""
         self._state, self._past = -1, b""
+
 
 def _some(values: Array, most: int) -> Array:
     if len(values) <= most:

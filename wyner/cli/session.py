@@ -216,8 +216,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     its = scenario.tap.eavesdroppers
     find_each(its, find, f"{options.scenario}: tap.eavesdroppers: ")
     if not its:
-        view = View.model_validate(scenario.tap.model_dump(exclude={"eavesdroppers"}))
-        its = default_names(knowledge, clear=view.clear)
+        its = default_names(knowledge)
     try:
         return each_once((*its, *asked))
     except KnowledgeError as error:
