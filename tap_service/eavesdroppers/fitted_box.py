@@ -50,13 +50,15 @@ class FittedBox(Reading):
         along: Array = (np.array(t.x_next) - np.array(centres)) @ np.array(self._H).T / self._h
         return along
 
+    def _measured(self, along: Array) -> Array:
+        """The gauges of a step in the shape found so far."""
+        return np.asarray(np.maximum(0.0, (along / self.widths).max(axis=1)))
+
     def gauges(self, transition: Transition) -> list[float] | None:
         """Of each candidate in the shape found so far."""
         along = self._along(transition)
-        if along is None:
-            return None
-        gauges: list[float] = np.maximum(0.0, (along / self.widths).max(axis=1)).tolist()
-        return gauges
+        found: list[float] | None = None if along is None else self._measured(along).tolist()
+        return found
 
     def infer(self) -> Inferred:
         """The gauges of the steps that were heard whole, where the largest possible one is 1."""
@@ -64,19 +66,20 @@ class FittedBox(Reading):
         whole = [along for along in heard if along is not None]
         if whole:
             self.widths = fitted_widths(np.array(whole))
-        gauges = [
-            None if along is None else np.maximum(0.0, (along / self.widths).max(axis=1))
-            for along in heard
+        possible = [self._measured(along).max() for along in whole if (along <= 1.0).all()]
+        top = max(possible, default=1.0)
+        steps = [
+            InferredStep(t, None if along is None else self._sample(along, top))
+            for t, along in zip(self.kept, heard, strict=True)
         ]
-        possible = [along is not None and bool((along <= 1.0).all()) for along in heard]
-        top = max((g.max() for g, p in zip(gauges, possible, strict=True) if p), default=1.0)
-        steps = []
-        for t, g, inside in zip(self.kept, gauges, possible, strict=True):
-            if g is not None:
-                g = g / top
-                g[g.argmax()] = g.max() if inside else np.inf  # else no key can be agreed
-            steps.append(InferredStep(t, None if g is None else g[None]))
         return Inferred(steps, (0.0, 1.0))
+
+    def _sample(self, along: Array, top: float) -> Array:
+        """Gauges over the largest possible one; no key can be agreed where D_e excludes one."""
+        gauges = self._measured(along) / top
+        if (along > 1.0).any():
+            gauges[gauges.argmax()] = np.inf
+        return gauges[None]
 
     def output_model(self) -> OutputModel | None:
         """The told model, with the width of each coordinate of the disturbance fitted."""

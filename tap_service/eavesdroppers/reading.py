@@ -108,7 +108,7 @@ class Reading(Eavesdropper):
         """What each step of :attr:`kept` may have been."""
 
     def output_model(self) -> OutputModel | None:
-        """Her model of :attr:`kept`, where outputs alone are read; None where that is too little."""
+        """Her model of what is kept, where outputs are read; None where that is too little."""
         return self.model if isinstance(self.model, OutputModel) else None
 
     def gauges(self, transition: Transition) -> list[float] | None:

@@ -437,7 +437,7 @@ def _some(values: Array, most: int) -> Array:
 
 
 def _about(values: Array, some: Array, best: Array) -> Array:
-    """Those of ``values`` from the neighbour below the least of ``best`` to that above the largest."""
+    """The ``values`` from below the least of ``best`` to above the largest, as ``some`` tells."""
     low = np.searchsorted(some, best.min()) - 1
     high = np.searchsorted(some, best.max()) + 1
     first = some[max(low, 0)]

@@ -6,6 +6,7 @@ Nothing is edited anywhere else: what is shipped does not know that these exist.
 import base64
 import json
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
@@ -24,8 +25,8 @@ from runtime.run_folder import BELIEFS, SCENARIO
 from tap_service.capture.transcript import Transition
 from tap_service.config import TapConfig
 from tap_service.eavesdroppers import LADDER
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
-from tap_service.inference.list_decoding import ListDecoding
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess
+from tap_service.eavesdroppers.text import Text
 from tap_service.service import TapService
 from tests.support.memory_bus import MemoryBus
 from tests.support.patience import PATIENCE_S
@@ -332,7 +333,7 @@ def test_eavesdroppers_read_what_it_sends(
 
 
 @pytest.mark.parametrize("cls", OWN)
-def test_the_list_decoder_goes_on_where_something_was_missed(
+def test_text_goes_on_where_something_was_missed(
     sustained: Scenario, sustained_law: CandidateLaw, cls: type[Scheme[Any]]
 ) -> None:
     """Ciphertext symbols missed inside a frame: every value is followed, the check picks one."""
@@ -341,19 +342,11 @@ def test_the_list_decoder_goes_on_where_something_was_missed(
     sent = transfer(runs, payloads=[b"Ahoy there"])
     carriers = np.flatnonzero(sent.pad[:, 0] != NO_SYMBOL)
     missed = {int(carriers[40]), int(carriers[60])}
-    model = Model.of(scenario.knowledge(), "test")
-    decoding = ListDecoding(make_scheme(cls.name, 2), edge=1.0)
+    tap = Text(scenario.knowledge(), live=False)
     for t in transcript(runs, sent, 0):
-        assert t.x is not None
-        assert t.x_next is not None
-        assert t.candidates is not None
-        assert t.cipher is not None
-        gauges = model.gauges(t.x, t.candidates, t.x_next)
-        if t.k in missed:
-            decoding.step_sampled(t.k, np.array([gauges]), None)
-        else:
-            decoding.step(t.k, gauges, t.cipher)
-    assert decoding.whole == [b"Ahoy there"]
+        tap.observe(replace(t, cipher=None) if t.k in missed else t)
+    tap.decode()
+    assert tap.belief().whole == (b"Ahoy there",)
 
 
 # --- live -----------------------------------------------------------------------------------------

@@ -198,7 +198,6 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
 
     Each is looked for before anything starts.
     """
-    from tap_service.capture.channel import View
     from tap_service.command import find_each, names_of
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.sandboxed import each_once, sandboxed
