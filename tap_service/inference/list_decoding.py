@@ -240,14 +240,14 @@ class ListDecoding:
         """
         steps = found.steps
         heard = Heard.of(steps, self._size)
-        t_c, t_e = self._thresholds(heard, found.among, edges)
+        t_c, t_e = self.thresholds(heard, found.among, edges)
         while len(t_c) * len(t_e) > DECODED:
             pairs = len(t_c) * len(t_e)
             t_c, t_e = self._likely(steps, heard, t_c, t_e)
             if len(t_c) * len(t_e) > SHRUNK * pairs:
                 t_c = _some(t_c, max(MOST_DECODED // len(t_e), 1))
                 break
-        rows, which, cells = self._decoded(heard, t_c, t_e)
+        rows, which, cells = self.decoded(heard, t_c, t_e)
         read = [self._parsed(row, heard.fresh) for row in rows]
         score = np.array([one.score for one in read]) + self._inside(heard, which, cells)
         score += self._weighed(read, score)
@@ -258,7 +258,7 @@ class ListDecoding:
         self.stretches = [self._stretch(steps, heard, rows[best])]
         return self._messages(steps, rows[best], read[best], score, after)
 
-    def _thresholds(self, heard: Heard, among: Interval, edges: Interval) -> tuple[Array, Array]:
+    def thresholds(self, heard: Heard, among: Interval, edges: Interval) -> tuple[Array, Array]:
         """Values of t_c and of t_e of which no two leave every step the same."""
         if self._certain:
             return np.zeros(1), np.zeros(1)
@@ -294,7 +294,7 @@ class ListDecoding:
         best = weight > weight.max() - FAR_OFF
         return _about(t_c, some_c, low[best]), _about(t_e, some_e, edge[best])
 
-    def _decoded(self, heard: Heard, t_c: Array, t_e: Array) -> tuple[Symbols, Indices, Array]:
+    def decoded(self, heard: Heard, t_c: Array, t_e: Array) -> tuple[Symbols, Indices, Array]:
         """The decodings that differ, which of them each pair of thresholds gives, and the pairs.
 
         Symbols have shape (decodings, K).
@@ -322,7 +322,7 @@ class ListDecoding:
             value = IDLE if cipher < 0 else (cipher - pads) % self._size
             symbols[k] = np.where(pads == NOTHING, NOTHING, value)
             number = number * PRIME + symbols[k].astype(np.uint64)
-            state = table.following(state, verdict)
+            state = table.following(state, verdict).astype(np.intp)
         _, first, which = np.unique(number, return_index=True, return_inverse=True)
         self._after = state[first]
         return symbols[:, first].T, which.reshape(-1), pairs[:, :2]
@@ -416,7 +416,7 @@ class ListDecoding:
     def let_go(self, steps: Sequence[InferredStep]) -> None:
         """Take the best decoding of the first steps of what was read last for granted."""
         heard = Heard.of(steps, self._size)
-        rows, _, _ = self._decoded(heard, np.array([self.among[0]]), np.array([self.edges[0]]))
+        rows, _, _ = self.decoded(heard, np.array([self.among[0]]), np.array([self.edges[0]]))
         read = [self._parsed(row, heard.fresh) for row in rows]
         best = int(np.argmax([one.score for one in read]))
         past = b"" if heard.fresh[0] else self._past
@@ -433,7 +433,7 @@ def _some(values: Array, most: int) -> Array:
     if len(values) <= most:
         return values
     at = np.unique(np.linspace(0, len(values) - 1, most).astype(int))
-    return values[at]
+    return np.asarray(values[at])
 
 
 def _about(values: Array, some: Array, best: Array) -> Array:
@@ -442,7 +442,7 @@ def _about(values: Array, some: Array, best: Array) -> Array:
     high = np.searchsorted(some, best.max()) + 1
     first = some[max(low, 0)]
     last = some[high] if high < len(some) else values[-1]
-    return values[(values >= first) & (values <= last)]
+    return np.asarray(values[(values >= first) & (values <= last)])
 
 
 def _hull(values: Array, best: Array) -> Interval:

@@ -20,7 +20,7 @@ STEP = tuple[list[float], int | None]
 
 
 def decode(steps: list[STEP], t_c: float, t_e: float, size: int) -> tuple[int, ...]:
-    """The receiver's automaton, plainly, for one pair of thresholds; -1 where nothing is carried."""
+    """The receiver's automaton, plainly, for one pair of thresholds; -1 for no symbol."""
     key, out = -1, []
     for gauges, cipher in steps:
         if key >= 0:
@@ -101,8 +101,8 @@ def test_the_list_holds_exactly_the_decodings_of_all_thresholds(
         decode(steps, t_c, t_e, size) for t_c in values for t_e in (values if hidden else [2.0])
     }
     heard = Heard.of(inferred(steps, (0.0, np.inf)).steps, size)
-    t_c, t_e = decoding._thresholds(heard, (0.0, np.inf), edges)
-    rows, which, pairs = decoding._decoded(heard, t_c, t_e)
+    t_c, t_e = decoding.thresholds(heard, (0.0, np.inf), edges)
+    rows, which, pairs = decoding.decoded(heard, t_c, t_e)
     assert {tuple(row.tolist()) for row in rows} == brute
     assert len(rows) == len(brute)
     for row, (low, edge) in zip(which.tolist(), pairs.tolist(), strict=True):

@@ -689,7 +689,7 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Sixteen random bytes, a third missed: searched as long as later steps may say more."""
-    monkeypatch.setattr(text, "SETTLED", 40)
+    monkeypatch.setattr(reading, "SETTLED", 40)
     payload = random.Random(2).randbytes(16)
     run = simulate(160, 2, name="packed", payloads=[payload])
     view = View(seed=2, loss=0.3)
