@@ -179,7 +179,7 @@ class Expectation:
         return State(state.at.after(values), shares @ self.moves)
 
     def weighed(self, texts: Sequence[bytes], *, ended: bool = True) -> tuple[Array, list[str]]:
-        """Log2 probability of texts, their lengths given, and the kind that each is likeliest.
+        """Log2 probability of texts, their lengths given, and what kind each is (:meth:`named`).
 
         Texts that are not ``ended`` are beginnings of messages.
         """
@@ -199,7 +199,8 @@ class Expectation:
                 said = by_kind[i][rows, values] if i in by_kind else np.zeros(len(going))
                 each[going, i] += np.log2(np.maximum(said, STRANGE))
             state = self.after(state, values, by_kind, rows)
-        return total, [self.kinds[i].name for i in each.argmax(axis=1).tolist()]
+        share = np.exp2(each - each.max(axis=1, keepdims=True))
+        return total, [self.named(row) for row in share / share.sum(axis=1, keepdims=True)]
 
 
 ANY: Final = "any bytes"
