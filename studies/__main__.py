@@ -107,13 +107,14 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
 
 
 def _scheme(name: str, scenario: str, seed: int) -> None:
+    from protocol.plugins import UnknownError
     from protocol.scenario import ScenarioError
     from studies.schemes import with_own
 
     try:
         print(with_own(name, scenario, seed))
-    except ScenarioError as error:
-        raise UsageError(f"--scheme: {error}") from None
+    except (UnknownError, ScenarioError) as error:
+        raise UsageError(f"scheme: {error}") from None
 
 
 def _defence(name: str) -> None:

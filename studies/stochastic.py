@@ -144,7 +144,7 @@ def stochastic_rows(name: str) -> Iterator[tuple[Any, ...]]:
     after = share_over_runs((int((e > scheme.code.t).sum()), len(e)) for e in plant)
     expected = expected_errors(scenario, runs.candidates[0, :, :, 0])
     for eve, hears in EVES.items():
-        off = [_hers(runs, r, true, hears) for r in range(RUNS)]
+        off = [her_errors(runs, r, true, hears) for r in range(RUNS)]
         errors = [words(o, n) for o in off]
         corrected = share_over_runs((int((e <= scheme.code.t).sum()), len(e)) for e in errors)
         of_runs = [float(np.mean([left(scheme, int(v)) for v in e])) for e in errors]
@@ -157,7 +157,7 @@ def stochastic_rows(name: str) -> Iterator[tuple[Any, ...]]:
         )  # fmt: skip
 
 
-def _hers(runs: Runs, r: int, true: Model, hears: Hearing) -> Flags:
+def her_errors(runs: Runs, r: int, true: Model, hears: Hearing) -> Flags:
     """Where her estimates differ from the controller's, up to one relabelling for the run."""
     assert runs.x is not None
     assert runs.candidates is not None

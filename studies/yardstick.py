@@ -61,14 +61,14 @@ def yardstick_rows(name: str) -> Iterator[tuple[Any, ...]]:
                 found = fit(x[:heard], u[:heard], x[1 : heard + 1], runs.coin[:heard, r])
                 errors[which, i, r] = np.linalg.norm(found - true) / np.linalg.norm(true)
     for share in SHARES:
-        until = [_from(errors[which] > share) for which in (0, 1)]
+        until = [had_from(errors[which] > share) for which in (0, 1)]
         yield (
             name, share, RUNS, STEPS, SEED,
             *(float(v) for steps in until for v in np.quantile(steps, [0.5, 0.25, 0.75])),
         )  # fmt: skip
 
 
-def _from(above: Any) -> Array:
+def had_from(above: Any) -> Array:
     """Of each run the first fit from which on none is above; STEPS + 1 where the last one is."""
     ends = np.array([*FITS, STEPS + 1], dtype=float)
     last = np.array([np.flatnonzero(column).max(initial=-1) for column in above.T])
