@@ -66,7 +66,7 @@ class Attacker(Filter):
         With one line, when there is no such attack, or it cannot do with what it is given.
     """
 
-    acts = hears = True
+    acts = listens = True
 
     def __init__(self, scenario: Scenario, attack: Attack, seed: int | None) -> None:
         if scenario.plant.C is not None:

@@ -151,7 +151,7 @@ class Chooser:
         link, frame = state.link, state.frame.record
         if link.k < 0:
             return Reported(link, frame, first(rules, state.alarms))
-        if offer is None or not reports(state.record, measurement):
+        if offer is None or not reports(link, offer, measurement):
             return Reported(link, frame, Tested(state.alarms))
         digits: tuple[int, ...] = ()
         if measurement.keyed:  # the plant says that they served
@@ -215,7 +215,7 @@ class Chooser:
         state, before, applied = self.state, self.state.link, self.state.offer
         frame, test, counted = reported.frame, reported.test, reported.counted
         state.step = IDLE
-        state.keys.heard(measurement)
+        state.keys.compare(measurement)
         transition = delivered = alarm = None
         if counted is not None:
             assert applied is not None
@@ -242,7 +242,7 @@ class Chooser:
         nonce = before.nonce
         if offer is not None:
             nonce = "" if measurement.copy_number else measurement.nonce
-        state.link = reported.link._replace(k=measurement.k, x=measurement.x, nonce=nonce)
+        state.link = reported.link.at(measurement.k, measurement.x, nonce)
         state.offer, state.alarms = offer, test.record
         state.frame.record = frame
         if applied is not None and self.state.rules.digits:

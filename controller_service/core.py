@@ -83,8 +83,8 @@ class ControllerCore(Endpoint):
     chooser : Chooser
     """
 
-    hears: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, SendCommand, StopKeys)
-    says: ClassVar[tuple[type[Message], ...]] = (
+    receives: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, SendCommand, StopKeys)
+    sends: ClassVar[tuple[type[Message], ...]] = (
         Offer,
         ControllerHello,
         SendReply,
@@ -171,36 +171,36 @@ class ControllerCore(Endpoint):
         state.now = now
         match message:
             case Measurement():
-                yield from self._counted(self._measured(message))
+                return self._measured(message)
             case PlantHello():
-                yield from self._greeted(message)
+                return self._greeted(message)
             case SendCommand():
-                yield from self._outbox.commanded(message, state.frame.record.message)
+                return self._outbox.commanded(message, state.frame.record.message)
             case StopKeys():
-                yield from self._stop_keys(message)
+                return self._stop_keys(message)
+        return ()
 
     def _measured(self, measurement: Measurement) -> Effects:
         """A measurement: one of another session or another step is answered here."""
         state, session = self.state, self.state.session
         assert state.step is IDLE, "the step before has not been counted"
         if wrong := self.chooser.wrong(measurement):
-            yield from self.reject(wrong)
-            return
+            return self.reject(wrong)
         if not session.serves(measurement):
-            if session.stranger(measurement) == "remind":
-                yield from self._remind()
-            return
+            return self._remind() if session.stranger(measurement) == "remind" else ()
         session.plant_at = state.now
         match self.chooser.place(measurement):
             case "next":
-                yield from self.chooser.answer(measurement)
+                return self._counted(self.chooser.answer(measurement))
             case "repeated":
                 assert state.offer is not None
                 self.news.enter("running", "")
-                yield Publish(state.keys.again(state.offer))
+                return (Publish(state.keys.again(state.offer)),)
             case "diverged":
                 text = f"measurement {measurement.k} does not follow from the journal"
-                yield from self._end_session("does not follow", DOES_NOT_FOLLOW, text)
+                return self._end_session("does not follow", DOES_NOT_FOLLOW, text)
+            case "old":
+                return ()
 
     def _counted(self, effects: Effects) -> Effects:
         """A step's effects; the session ends where a key block turns out to differ."""
@@ -234,7 +234,7 @@ class ControllerCore(Endpoint):
     def _greeted(self, hello: PlantHello) -> Effects:
         """The plant spoke on the management bus: do as the table says."""
         state, session, news = self.state, self.state.session, self.news
-        what, answer = session.hears(hello, state.record, state.now)
+        what, answer = session.answer(hello, state.record, state.now)
         match answer:
             case "greet":
                 yield Publish(session.hello())

@@ -73,9 +73,10 @@ class Outgoing:
         size, scheme = self._rules.size, self._rules.scheme
         pad = scheme.pad(state)
         if pad == NO_SYMBOL and not scheme.from_stream:
-            clear = scheme.clear(state)
-            fresh = self._fresh.symbol(transitions, size) if clear == NO_SYMBOL else clear
-            cover = fresh if decided is None else decided
+            cover = decided
+            if cover is None:
+                clear = scheme.clear(state)
+                cover = self._fresh.symbol(transitions, size) if clear == NO_SYMBOL else clear
             return OutgoingRecord(cover, NO_SYMBOL, framed=False, message=message, offset=offset)
         symbols = self._frame_of(message)
         framed = bool(symbols)

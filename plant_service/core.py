@@ -93,8 +93,8 @@ class PlantCore(Endpoint):
     stepper : Stepper
     """
 
-    hears: ClassVar[tuple[type[Message], ...]] = (Offer, ControllerHello)
-    says: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, PlantModel, PlantStatus)
+    receives: ClassVar[tuple[type[Message], ...]] = (Offer, ControllerHello)
+    sends: ClassVar[tuple[type[Message], ...]] = (Measurement, PlantHello, PlantModel, PlantStatus)
 
     state: PlantState
     news: PlantTelemetry
@@ -211,11 +211,11 @@ class PlantCore(Endpoint):
                     self.code = DONE
             case Offer():
                 if wrong := self.stepper.wrong(message):
-                    yield from self.reject(wrong)
-                else:
-                    yield from self._counted(self.stepper.offered(message))
+                    return self.reject(wrong)
+                return self._counted(self.stepper.offered(message))
             case ControllerHello() if not self._finished:
-                yield from self._greeted(message)
+                return self._greeted(message)
+        return ()
 
     def _counted(self, effects: Effects) -> Effects:
         """A step's effects; the session ends where a key block or a word turns out to differ."""
@@ -285,7 +285,7 @@ class PlantCore(Endpoint):
         """The controller spoke on the management bus: do as the table says."""
         state = self.state
         session, link = state.session, state.link
-        answer = session.hears(hello, state.record, state.now)
+        answer = session.answer(hello, state.record, state.now)
         who = f"controller {hello.instance}"
         match answer:
             case "ask":

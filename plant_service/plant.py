@@ -278,7 +278,7 @@ class FilteredPlant:
 
     def overheard(self, bus: Bus, loop: str) -> Bus:
         """The field bus, of which the filters that listen hear every message that passes here."""
-        listening = [one for one in self.filters if one.hears]
+        listening = [one for one in self.filters if one.listens]
         if not listening:
             return bus
         kinds = {key_of(kind, loop): kind for kind in FIELD}

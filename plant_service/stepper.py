@@ -19,6 +19,7 @@ from protocol.link.effects import Effects, Extract, Notice, Publish, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.incoming import NOTHING_TAKEN
 from protocol.link.key_events import block_notices
+from protocol.link.records import AppliedRecord
 from protocol.link.session import CountedTransition, Truth
 from protocol.link.step import IDLE, Begun, Read
 from protocol.messages import Measurement, Offer
@@ -96,7 +97,7 @@ class Stepper:
         if place != "current" or state.pacing.waiting:
             return
         self.news.answered(k, now)
-        state.keys.heard(offer)  # first: it may confirm the block of the offer's digits
+        state.keys.compare(offer)  # first: it may confirm the block of the offer's digits
         digits = self.digits(offer)
         if state.keys.on and not digits and state.keys.awaits(offer.position.block):
             return  # the offer comes again, when its digits are there
@@ -214,15 +215,17 @@ class Stepper:
             refused=taken.refused,
         )
         state.step = IDLE
-        state.link = counted.link._replace(k=report.k, x=x_next, nonce=report.nonce)
-        state.applied = state.applied._replace(
-            u=u,
-            x_after=x_next,
-            copy=report.applied_copy,
-            keyed=bool(report.keyed),
-            symbol_errors=state.applied.symbol_errors
-            + (agreed not in (NO_SYMBOL, coin) and not rules.scheme.corrects),
-            true_x=self._state_of(truth),
+        state.link = counted.link.at(report.k, x_next, report.nonce)
+        applied, wanted = state.applied, (NO_SYMBOL, coin)
+        state.applied = AppliedRecord(
+            u,
+            x_next,
+            report.applied_copy,
+            bool(report.keyed),
+            applied.missed,
+            applied.symbol_errors + (agreed not in wanted and not rules.scheme.corrects),
+            applied.sensor_seed,
+            self._state_of(truth),
         )
         state.session.on("offer applied")
         if counted.digits:
@@ -311,7 +314,7 @@ class Stepper:
         state = self.state
         state.keys.announcement()
         state.step = IDLE
-        state.link = state.link._replace(k=state.link.k + 1, x=x_next, nonce=state.keys.nonce())
+        state.link = state.link.at(state.link.k + 1, x_next, state.keys.nonce())
         state.applied = state.applied._replace(
             u=u, missed=state.applied.missed + 1, true_x=self._state_of(self.plant.truth)
         )

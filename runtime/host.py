@@ -174,7 +174,7 @@ class Host:
         with self.turns:
             publishers = {
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
-                for kind in endpoint.says
+                for kind in endpoint.sends
             }
             extract = None
             if endpoint.makes_keys:
@@ -192,9 +192,9 @@ class Host:
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
             ports = LoopPorts(files, publishers, log, told, extract)
             self._loops[loop] = _Loop(endpoint, ports, look=endpoint.makes_keys)
-            for kind in endpoint.hears:
+            for kind in endpoint.receives:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
-        for kind in endpoint.hears:
+        for kind in endpoint.receives:
             self.subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
         if self._started:
             with self.turns:
@@ -387,7 +387,7 @@ class Host:
         loop = self._loops.pop(name, None)
         if loop is None:
             return
-        for kind in loop.endpoint.hears:
+        for kind in loop.endpoint.receives:
             self._by_key.pop(key_of(kind, name), None)
         try:
             with self._lost(loop, OSError, Failure):

@@ -1,16 +1,17 @@
 """The controller's side of a session: whose it serves, and what it answers.
 
 Rule 6 says that a session is made by the plant, for the one controller that it asks to take it up.
-Here is when a controller takes one up, keeps to it, and lets it go. What was heard is given a name
-by :func:`heard`, relative to the record. :data:`TABLE` has a row for each state and name: the
+Here is when a controller takes one up, keeps to it, and lets it go. What happens is given a name
+by :func:`event_of`, relative to the record. :data:`TABLE` has a row for each state and name: the
 answer, and the state after it. docs/protocol.md shows the same table, generated from this one.
 """
 
 from math import inf
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, get_args
 
 from protocol.link.records import ControllerRecord, ControllerSessionRecord
 from protocol.link.session import SILENCE_S
+from protocol.link.session_table import Row, whole
 from protocol.messages import LARGEST_COUNT, ControllerHello, Measurement, PlantHello
 
 GREETING_S: Final = 0.1
@@ -24,14 +25,7 @@ SILENT_PERIODS: Final = 3
 
 State = Literal["greeting", "serving", "elsewhere", "refused"]
 
-STATES: Final[dict[State, str]] = {
-    "greeting": "It serves no plant, and greets each plant that speaks of a session.",
-    "serving": "It has taken up a plant's session, and offers in it.",
-    "elsewhere": "The plant is with another controller, or asks one: it offers nothing.",
-    "refused": "The only plant that it ever heard has another model: the controller ends.",
-}
-
-Heard = Literal[
+Event = Literal[
     "to anyone",
     "to anyone, of a later incarnation",
     "asked, session fits",
@@ -51,32 +45,6 @@ Heard = Literal[
     "blocks differ",
 ]
 
-HEARD: Final[dict[Heard, str]] = {
-    "to anyone": "A plant's hello names no controller.",
-    "to anyone, of a later incarnation": "The same, and it knows a later incarnation than this "
-    "process takes itself for: the journal is an old copy.",
-    "asked, session fits": "A hello asks this process to take up the session of its journal, and "
-    "the plant has applied its last offer or the one before.",
-    "asked, session does not fit": "The same, but the plant has applied another offer.",
-    "asked, new session": "A hello asks it to take up a session that has no transition yet.",
-    "asked, session unknown": "A hello asks it to take up a session that is over here, or has "
-    "transitions that this journal does not know.",
-    "overtaken": "A hello from before a transition that this journal has counted: from the plant "
-    "served, or for somebody else.",
-    "to a former incarnation": "A hello in the session asks a former process of this journal.",
-    "to another, in the session": "A hello in the session asks another controller, which must "
-    "have a copy of this journal.",
-    "to another": "A hello of another session asks another controller.",
-    "second plant": "A plant speaks of another session while the one served was heard just now.",
-    "another model": "A plant has another fingerprint; the controller has met one of its own.",
-    "another model, never met": "A plant has another fingerprint; the controller never met one of "
-    "its own.",
-    "session not taken up": "A measurement of a session that this process has not taken up.",
-    "session elsewhere": "A measurement of the session for which it stepped back.",
-    "does not follow": "A measurement that the journal rules out: a journal was restored.",
-    "blocks differ": "A key block differs from the plant's.",
-}
-
 Answer = Literal[
     "nothing",
     "greet",
@@ -93,32 +61,7 @@ Answer = Literal[
     "give up",
 ]
 
-ANSWERS: Final[dict[Answer, str]] = {
-    "nothing": "Nothing is said.",
-    "greet": "The controller greets.",
-    "catch up and greet": "It counts incarnations on from the plant's number, saves, and greets.",
-    "remind": "It greets, once in 0.1 s at most.",
-    "serve": "It says that it accepts the session, and offers in it.",
-    "adopt and serve": "It drops the session before, saves the new one, and accepts it. The frame "
-    "under way starts again.",
-    "refuse": "It says that it does not know the session: the plant begins another one.",
-    "step back": "It logs both names and offers nothing.",
-    "end and step back": "The same, and it drops the session: the other one has its journal.",
-    "end and greet": "It drops the session, saves, logs why, and greets.",
-    "log": "It logs both plants' names.",
-    "say model": "It says that the models differ, and logs it.",
-    "give up": "The same, and it ends with exit code 2.",
-}
-
-
-class Row(NamedTuple):
-    """What the controller answers, and how it stands afterwards."""
-
-    answer: Answer
-    next: State
-
-
-DEFAULT: Final[dict[Heard, tuple[Answer, State | None]]] = {
+DEFAULT: Final[dict[Event, tuple[Answer, State | None]]] = {
     "to anyone": ("greet", None),
     "to anyone, of a later incarnation": ("catch up and greet", None),
     "asked, session fits": ("serve", "serving"),
@@ -140,7 +83,7 @@ DEFAULT: Final[dict[Heard, tuple[Answer, State | None]]] = {
 """What is answered to what is heard, and the state after it (None: the same), unless :data:`EXCEPT`
 says otherwise."""
 
-EXCEPT: Final[dict[tuple[State, Heard], Row]] = {
+EXCEPT: Final[dict[tuple[State, Event], Row[Answer, State]]] = {
     ("serving", "to another, in the session"): Row("end and step back", "elsewhere"),
     ("serving", "second plant"): Row("log", "serving"),
     ("serving", "does not follow"): Row("end and greet", "greeting"),
@@ -150,19 +93,15 @@ EXCEPT: Final[dict[tuple[State, Heard], Row]] = {
     ("elsewhere", "asked, session does not fit"): Row("refuse", "greeting"),
     ("elsewhere", "asked, session unknown"): Row("refuse", "greeting"),
     ("elsewhere", "to a former incarnation"): Row("remind", "greeting"),
-    **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
+    **{("refused", name): Row("nothing", "refused") for name in get_args(Event)},
 }
 
-TABLE: Final[dict[tuple[State, Heard], Row]] = {
-    (state, event): EXCEPT.get((state, event), Row(answer, following or state))
-    for state in get_args(State)
-    for event, (answer, following) in DEFAULT.items()
-}
-"""(state, what was heard) to the answer and the next state. Some pairs cannot occur: there is no
+TABLE: Final = whole(get_args(State), DEFAULT, EXCEPT)
+"""(state, what happened) to the answer and the next state. Some pairs cannot occur: there is no
 second plant while none is served."""
 
 
-def heard(
+def event_of(
     hello: PlantHello,
     record: ControllerRecord,
     *,
@@ -170,7 +109,7 @@ def heard(
     fingerprint: str,
     plant: str | None,
     running: bool,
-) -> Heard:
+) -> Event:
     """What a plant's hello is to a controller.
 
     Parameters
@@ -246,16 +185,16 @@ class ControllerSession:
         self.running_s = max(SILENCE_S, SILENT_PERIODS * period_s)
         self._elsewhere: str | None = None
 
-    def on(self, event: Heard) -> Answer:
+    def on(self, event: Event) -> Answer:
         """What the table says to an event; its state follows."""
         answer, self.state = TABLE[self.state, event]
         return answer
 
-    def hears(
+    def answer(
         self, hello: PlantHello, record: ControllerRecord, now: float
-    ) -> tuple[Heard, Answer]:
+    ) -> tuple[Event, Answer]:
         """The plant spoke: what that is, and what is to be answered."""
-        what = heard(
+        what = event_of(
             hello,
             record,
             instance=self.instance,

@@ -30,9 +30,9 @@ from protocol.secret.stream import (
     NOWHERE,
     Held,
     Keys,
+    KeyStream,
     Part,
     Position,
-    Stream,
 )
 
 UNCONFIRMED: Final = 2
@@ -97,7 +97,7 @@ class Distiller:
     session : str
         Empty while there is none.
     record : KeyRecord
-    stream : Stream
+    stream : KeyStream
     made, lost : int
         Keys made, and blocks that made none, since this process began.
     last : tuple of int
@@ -151,7 +151,7 @@ class Distiller:
         self.session = session
         self.record = record._replace(tag=record.tag or self.no_tag)
         self.broken = self.broken or record.refuted
-        self.stream = Stream(self._size, held, after)
+        self.stream = KeyStream(self._size, held, after)
         self._newest = -1
         self._number = self._following = -1  # of the open block, and where the next one begins
         self._closed: list[ClosedBlock] = []
@@ -287,7 +287,7 @@ class Distiller:
                 self.record = record._replace(block=following, tag=self._extracted[following].tag)
         return self.record.block, self.record.tag
 
-    def heard(self, message: Measurement | Offer) -> None:
+    def compare(self, message: Measurement | Offer) -> None:
         """Compare the partner's announcement: it confirms blocks, or shows that one differs."""
         mine = self._extracted.get(message.block)
         confirmed = self.record.confirmed

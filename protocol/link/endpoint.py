@@ -41,10 +41,10 @@ class Endpoint(ABC):
         Messages that were none.
     """
 
-    hears: ClassVar[tuple[type[Message], ...]]
+    receives: ClassVar[tuple[type[Message], ...]]
     """The message types that it takes."""
 
-    says: ClassVar[tuple[type[Message], ...]]
+    sends: ClassVar[tuple[type[Message], ...]]
 
     state: EndState
     news: Telemetry
@@ -59,8 +59,8 @@ class Endpoint(ABC):
 
     def receive(self, kind: type[Message], payload: bytes, now: float) -> Effects:
         """A message reached this end, or the network before it; a malformed one is counted."""
-        if kind not in self.hears:
-            raise TypeError(f"{kind.__name__}: expected one of {self.hears}")
+        if kind not in self.receives:
+            raise TypeError(f"{kind.__name__}: expected one of {self.receives}")
         try:  # what is received, and that alone: a wrong message of this end's own is a fault in it
             message = kind.from_wire(payload)
         except ValidationError as error:

@@ -62,6 +62,20 @@ class LinkRecord(NamedTuple):
         """What the automaton is doing, by number."""
         return self.state[0]
 
+    def at(self, k: int, x: Vector, nonce: str) -> "LinkRecord":
+        """The same at step ``k``, which reads ``x``."""
+        return LinkRecord(
+            k,
+            x,
+            self.applied_k,
+            self.state,
+            self.transitions,
+            self.p,
+            self.agreements,
+            nonce,
+            self.estimate,
+        )
+
 
 class KeyRecord(NamedTuple):
     """What :class:`protocol.link.distiller.Distiller` must not forget beside rows of blocks.

@@ -46,7 +46,7 @@ from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.defence.watch import UNWATCHED, Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
-from protocol.link.records import ControllerRecord, LinkRecord
+from protocol.link.records import LinkRecord
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
@@ -181,13 +181,16 @@ class Rules:
         state, carry = scheme.follow(state, symbol)
         if scheme.from_stream and digits:
             carry = carry._replace(pad=digits[-1])
-        following = link._replace(
-            applied_k=offer.k,
-            state=state,
-            transitions=link.transitions + 1,
-            p=link.p + (carry.pad != NO_SYMBOL),
-            agreements=link.agreements + (carry.agreed != NO_SYMBOL),
-            estimate=verdict.estimate,
+        following = LinkRecord(
+            link.k,
+            link.x,
+            offer.k,
+            state,
+            link.transitions + 1,
+            link.p + (carry.pad != NO_SYMBOL),
+            link.agreements + (carry.agreed != NO_SYMBOL),
+            link.nonce,
+            verdict.estimate,
         )
         return Counted(verdict, following, carry, digits)
 
@@ -288,9 +291,9 @@ def _output_rule(scenario: Scenario) -> OutputRule | None:
     return OutputRule(observer, gauge, scenario.secrecy.alpha, Fallback.of(scenario))
 
 
-def reports(record: ControllerRecord, measurement: Measurement) -> bool:
-    """Whether a measurement reports a transition that the controller's record does not have yet."""
-    return record.offer is not None and measurement.applied_k != record.link.applied_k
+def reports(link: LinkRecord, offer: Offer | None, measurement: Measurement) -> bool:
+    """Whether a measurement reports that ``offer``, the controller's last one, was applied."""
+    return offer is not None and measurement.applied_k != link.applied_k
 
 
 class Truth(NamedTuple):

@@ -114,7 +114,7 @@ class Held(NamedTuple):
 NOTHING_HELD: Final = Held()
 
 
-class Stream:
+class KeyStream:
     """One end's digits of one session, sans I/O.
 
     Parameters

@@ -18,7 +18,7 @@ from protocol.scenario import Scenario, parse_scenario
 from runtime.scenario_file import load_scenario
 from runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 
 
 def test_runge_kutta_is_of_fourth_order() -> None:
@@ -359,7 +359,7 @@ def test_tables_of_free_names_make_a_live_plant(
     """`plant.arguments` and `plant.start`: the loop's rules are looked up by their scenario."""
     pytest.importorskip("gymnasium")
     more = '\n[plant.arguments]\ng = 10.0\nrender_mode = "rgb_array"\n'
-    loop = RecordedLoop(tmp_path / "run", b"", "gymnasium-pendulum", more=more)
+    loop = RecordedPair(tmp_path / "run", name="gymnasium-pendulum", more=more)
     loop.run(lambda: loop.transitions >= 20)
     loop.stop()
     assert loop.wrong() == []

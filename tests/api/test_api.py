@@ -337,11 +337,11 @@ def test_sets_in_four_dimensions_cannot_be_drawn() -> None:
 
 
 def test_a_runs_folder_is_checked(tmp_path: Path) -> None:
-    from tests.support.small_run import SmallRun
+    from tests.support.recorded_pair import RecordedPair
 
-    small = SmallRun(tmp_path / "run")
+    small = RecordedPair(tmp_path / "run", b"hi")
     small.steps(40)
-    small.close()
+    small.stop()
     assert wyner.check(tmp_path / "run") == []
     (tmp_path / "run" / "plant" / "trace.jsonl").unlink()
     (tmp_path / "run" / "controller" / "trace.jsonl").write_bytes(b"nothing\n")

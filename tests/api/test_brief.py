@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from protocol.brief import Brief
-from tests.support.small_run import SmallRun
+from tests.support.recorded_pair import RecordedPair
 from wyner import Simulated, check, design, draw_states, run
 from wyner.simulate.engine import follow
 
@@ -19,7 +19,7 @@ def runs() -> Simulated:
 
 
 def objects(runs: Simulated, folder: Path) -> list[Brief]:
-    SmallRun(folder).close()
+    RecordedPair(folder, b"hi").stop()
     s = runs.system
     scenario = s.scenario
     found = [s, runs, scenario, s.design, runs.record, runs.link, scenario.knowledge()]

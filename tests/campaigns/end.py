@@ -4,7 +4,7 @@ All that an end does next follows from itself and from what it hears: :meth:`End
 So that it is, every draw is named by what it is for (a nonce by its process, session and step), and
 an end's clock stands at 0 before each event, all times being relative to it.
 
-It is no :mod:`tests.support.two_ends`, whose partner is there: here each step of one end is made
+It is no :mod:`tests.support.pair`, whose partner is there: here each step of one end is made
 once, without the other, and looked up afterwards.
 """
 
@@ -31,9 +31,8 @@ from runtime import perform as shell
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
-from tests.support.controller_in_hand import reported
 from tests.support.journals import controller_journal, handed_over, plant_journal
-from tests.support.line_ends import (
+from tests.support.line import (
     ActingLine,
     LineDevice,
     LinePlant,
@@ -42,6 +41,7 @@ from tests.support.line_ends import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
+from tests.support.recorded_pair import reported
 from tests.support.safety import first_held
 
 Side = Literal["plant", "controller"]

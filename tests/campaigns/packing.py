@@ -19,7 +19,7 @@ from runtime.journal import ControllerJournal, PlantJournal
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
 from tests.support.journals import contents, controller_journal, fill, plant_journal
-from tests.support.line_ends import ActingLine, LineDevice, LinePlant
+from tests.support.line import ActingLine, LineDevice, LinePlant
 
 PASSING: Final = frozenset(
     (

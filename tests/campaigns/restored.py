@@ -20,8 +20,8 @@ from protocol.messages import Offer
 from protocol.secret.stream import NOWHERE
 from tests.support.mail import Mail
 from tests.support.once import Digits
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.two_ends import SIDES, Name
+from tests.support.pair import SIDES, Name
+from tests.support.recorded_pair import RecordedPair
 
 COINED: Final = '\n[defence]\ncoin = "keys"\n'
 MESSAGE: Final = bytes(range(256)) * 4
@@ -34,13 +34,13 @@ SINCE: Final = (0, 1, 2, 5, 30, 100)
 """Steps that the end makes after the copy, and that are then lost."""
 
 
-class Wire(RecordedLoop):
+class Wire(RecordedPair):
     """A loop of which every offer is looked at."""
 
     def __init__(self, folder: Path) -> None:
         self.counts: Counter[str] = Counter()
         self.doubled: list[str] = []
-        super().__init__(folder, MESSAGE, "sealed", COINED)
+        super().__init__(folder, MESSAGE, name="sealed", more=COINED)
         self._digits = Digits(rules_of(self.scenario).digits)
 
     def said(self, side: Name, message: Mail) -> None:

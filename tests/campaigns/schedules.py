@@ -35,10 +35,10 @@ from protocol.scenario.keys import Keys
 from protocol.secret import key_digits, stream
 from protocol.vectors import Vector
 from runtime.perform import CrashPoint
-from tests.support.line_ends import disowned
+from tests.support.line import disowned
 from tests.support.once import Copies, Digits
+from tests.support.recorded_pair import law_of
 from tests.support.safety import differing_key, violations
-from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
 

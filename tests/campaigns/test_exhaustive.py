@@ -9,8 +9,9 @@ import pytest
 from controller_service import outgoing
 from plant_service import stepper
 from protocol.link import controller_session, distiller
-from protocol.link.controller_session import TABLE, Row
+from protocol.link.controller_session import TABLE
 from protocol.link.distiller import Distiller
+from protocol.link.session_table import Row
 from protocol.messages import Offer
 from protocol.secret.blocks import ExtractedBlock
 from protocol.secret.nonces import Contribution, contribution_of
@@ -96,7 +97,7 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    broken(patch, outgoing, "if decided is None else decided", "if True else decided")
+    broken(patch, outgoing, "if cover is None:", "if True:")
 
 
 def apply_stale(patch: Patch) -> None:
@@ -175,7 +176,7 @@ def announce_at_once(patch: Patch) -> None:
     def wrong(self: Distiller, block: ExtractedBlock) -> None:
         extracted(self, block)
         said = {"block": block.number, "tag": block.tag}
-        self.heard(Offer(session=block.session, k=0, candidates=(), cipher=0, **said))
+        self.compare(Offer(session=block.session, k=0, candidates=(), cipher=0, **said))
 
     patch.setattr(Distiller, "extracted", wrong)
 

@@ -14,8 +14,8 @@ import pytest
 from runtime.run_folder import BELIEFS, SUMMARY
 from tests.support.bare_figures import bare_figures
 from tests.support.checked_runs import keyed_run
+from tests.support.recorded_pair import RecordedPair
 from tests.support.rehearsal import Rehearsal
-from tests.support.small_run import SmallRun
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
 from wyner.dashboard.model import State, reduce_all
@@ -129,9 +129,9 @@ def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:
 def test_of_the_summary_of_a_run_without_taps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    small = SmallRun(tmp_path / "run")
+    small = RecordedPair(tmp_path / "run", b"hi")
     small.steps(40)
-    small.close()
+    small.stop()
     assert not (tmp_path / "run" / BELIEFS).exists()
     assert list(bare_figures(said(capsys, "check", str(tmp_path / "run")))) == []
     from wyner.runs.run import Run

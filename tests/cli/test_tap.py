@@ -473,12 +473,12 @@ def test_export_of_steps_has_one_column_a_number(
 def test_export_puts_the_truth_beside_the_steps(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tests.support.small_run import SmallRun
+    from tests.support.recorded_pair import RecordedPair
 
     folder = tmp_path / "run"
-    whole = SmallRun(folder)
+    whole = RecordedPair(folder, b"hi")
     whole.steps(200)
-    whole.close()
+    whole.stop()
     code, out, _ = call(capsys, "report", folder, "--to", "csv", "--steps", "--truth")
     assert code == 0
     rows = list(csv.DictReader(io.StringIO(out)))

@@ -53,12 +53,3 @@ def test_sets_that_are_all_made_are_not_refused() -> None:
             advance(i, 8)
         now = 76.0
         advance(8, 8)
-
-
-def test_a_quick_design_is_quiet(capsys: pytest.CaptureFixture[str]) -> None:
-    now = 0.0
-    with shown_progress(60.0, lambda: now) as advance:
-        for i in range(10):
-            now += 0.01
-            advance(i, 9)
-    assert capsys.readouterr().err == ""

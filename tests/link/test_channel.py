@@ -1,14 +1,14 @@
 """A direction of the network: what is lost and when the rest arrives is each message's own fate."""
 
 import random
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from math import inf, nextafter
 from typing import Any
 
 import pytest
 
 from protocol.fates import Fates
-from protocol.link.channel import COPIES, REMEMBERED, UNDER_WAY, Channel
+from protocol.link.channel import REMEMBERED, UNDER_WAY, Channel
 from protocol.link.effects import Notice, Publish
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario.network import ChannelTable
@@ -40,24 +40,6 @@ def test_a_step_that_loses_everything_loses_all_its_copies() -> None:
     for k in range(40):
         lost = {way.arrival(k, 0.0) is None for _ in range(3)}
         assert len(lost) == 1, k
-
-
-def test_after_many_copies_the_state_is_that_of_the_step_after() -> None:
-    lost = [channel(**BAD_HALF).arrival(k, 0.0) is None for k in range(40)]
-    assert any(a and not b for a, b in pairwise(lost))
-    way = channel(**BAD_HALF)
-    for k in range(38):
-        copies = [way.arrival(k, 0.0) is None for _ in range(2 * COPIES + 1)]
-        assert copies == [*[lost[k]] * COPIES, *[lost[k + 1]] * COPIES, lost[k + 2]]
-
-
-def test_a_fate_is_the_same_whatever_was_sent_before() -> None:
-    table = BAD_HALF | JITTER | {"loss": 0.3}
-    forth = [channel(**table).arrival(k, 0.0) for k in range(30)]
-    way = channel(**table)
-    back = [way.arrival(k, 0.0) for k in reversed(range(30))]
-    assert back[::-1] == forth
-    assert 5 < forth.count(None) < 25
 
 
 FATES = Fates("1 to_plant")
@@ -111,19 +93,6 @@ def test_a_step_that_was_forgotten_begins_with_its_first_copy_again() -> None:
         for k in range(others):
             way.arrival(k, 0.0)
         assert (way.arrival(1000, 0.0) == began) == first
-
-
-def test_a_step_that_is_sent_again_is_remembered_anew() -> None:
-    way = channel(delay="uniform", delay_s=1.0, jitter_s=1.0)
-    began = way.arrival(1000, 0.0)
-    for k in range(REMEMBERED - 1):
-        way.arrival(k, 0.0)
-    way.arrival(1000, 0.0)
-    for k in range(REMEMBERED - 1):
-        way.arrival(k, 0.0)
-    third = way.arrival(1000, 0.0)
-    assert third == 2.0 * FATES.at(1000, 2)[1]
-    assert third != began
 
 
 def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:

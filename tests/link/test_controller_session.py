@@ -6,7 +6,7 @@ import pytest
 
 from protocol.link.controller_session import (
     TABLE,
-    heard,
+    event_of,
 )
 from protocol.messages import Offer, PlantHello
 from tests.support.records import changed, controller_record
@@ -69,20 +69,20 @@ def test_a_session_is_dropped_only_where_it_goes_on_without_this_process() -> No
 def test_a_hello_has_one_name(fields: dict[str, object], name: str) -> None:
     hello = HELLO.model_copy(update=fields)
     known: Any = {"instance": A, "fingerprint": OURS, "plant": P}
-    assert heard(hello, RECORD, running=False, **known) == name
+    assert event_of(hello, RECORD, running=False, **known) == name
     if hello.instance == Q and hello.session == NEW:
-        assert heard(hello, RECORD, running=True, **known) == "second plant"
+        assert event_of(hello, RECORD, running=True, **known) == "second plant"
     elif hello.instance == P:
-        assert heard(hello, RECORD, running=True, **known) == name
+        assert event_of(hello, RECORD, running=True, **known) == name
 
 
 def test_without_an_offer_only_the_last_applied_fits() -> None:
     hello = HELLO.model_copy(update={"transitions": 1, "applied_k": 7})
     record = changed(RECORD, offer=None)
     known: Any = {"instance": A, "fingerprint": OURS, "plant": None, "running": False}
-    assert heard(hello, record, **known) == "asked, session does not fit"
+    assert event_of(hello, record, **known) == "asked, session does not fit"
     five = hello.model_copy(update={"applied_k": 5})
-    assert heard(five, record, **known) == "asked, session fits"
+    assert event_of(five, record, **known) == "asked, session fits"
 
 
 def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
@@ -93,4 +93,4 @@ def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
         (controller_record(ended=(T,)), "another model"),
         (controller_record(session=S), "another model"),
     ):
-        assert heard(hello, record, **known) == name
+        assert event_of(hello, record, **known) == name

@@ -2,11 +2,10 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import inf, nan
+from math import inf
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 
 from controller_service.chooser import STALE, STALE_S
 from controller_service.core import ControllerCore
@@ -35,7 +34,7 @@ from protocol.messages import (
 )
 from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
 from protocol.schemes.sealed import Sealed
-from protocol.secret.blocks import NO_TAG, ExtractedBlock, ExtractionFailed, Schedule
+from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
@@ -44,10 +43,9 @@ from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
 from tests.support.asked import NOTHING, Asked, gathered
-from tests.support.controller_in_hand import PERIOD_S, Zeros, reported
-from tests.support.end_in_hand import EndInHand, fields, status_of
+from tests.support.end_in_hand import EndInHand, Zeros, fields, status_of
 from tests.support.journals import controller_journal
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 from tests.support.records import changed, controller_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -72,6 +70,9 @@ AT_WORK = controller_record(
     x=(0.0,),
     offer=OFFER,
 )
+
+
+PERIOD_S = 0.1
 
 
 class Law:
@@ -227,25 +228,6 @@ def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
     assert kept == 3
 
 
-def test_a_status_is_kept_again_when_a_second_is_over_to_the_instant() -> None:
-    end = Told(record=None, status_s=1.0)
-    end.does(end.core.start(5.0))
-    assert gathered(end.core.wake(5.0)).health is not None
-    later = end.core.wake_at()
-    assert later < 6.0
-    assert gathered(end.core.wake(later)).health is None
-    assert gathered(end.core.wake(max(6.0, end.core.wake_at()))).health is not None
-
-
-def test_without_telemetry_no_status_is_ever_due() -> None:
-    end = Told(tells=False, payloads=(b"a",)).at_work()
-    assert end.core.wake_at() == inf
-    assert gathered(end.core.wake(1e9)) == NOTHING
-    end.hears(measurement(), 2e9)
-    assert end.core.wake_at() == inf
-    assert gathered(end.core.stop(3e9)) == Asked(save=Save(end.core.state.record))
-
-
 # --- what a status says ---------------------------------------------------------------------------
 
 
@@ -289,12 +271,6 @@ def test_when_all_is_sent_the_last_message_is_told_as_whole() -> None:
     assert (said["sending"], said["frame_symbols"], said["frame_length"]) == ("one", length, length)
     assert (said["queue"], said["delivered"]) == (0, 1)
     assert end.journal.payload(0) is None, "it is gone from the journal"
-
-
-def test_statuses_are_numbered() -> None:
-    end = Told(record=None)
-    end.does(end.core.start(0.0))
-    assert [status_of(end.core).seq for _ in range(3)] == [1, 2, 3]
 
 
 def test_a_step_is_told_in_the_status_after_it() -> None:
@@ -528,22 +504,6 @@ def test_each_offer_names_the_next_digits_whether_or_not_it_is_applied() -> None
     assert status_of(end.core).digits_left == len(DIGITS) - 1
 
 
-@pytest.mark.parametrize("counted", [True, False])
-def test_a_process_names_digits_behind_those_that_were_named(counted: bool) -> None:
-    end = keyed(changed(CONFIRMED, offer=NAMED))
-    if not counted:
-        was = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
-        end = keyed(changed(CONFIRMED, offer=None, k=2), step=Answered(was, NAMED))
-    following = end.hears(keyed_measurement(applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(following) == (0, 1)
-
-
-def test_an_offer_names_nothing_where_no_digit_is_left() -> None:
-    end = keyed(changed(CONFIRMED, offer=None, k=2), held=NOTHING_HELD)
-    answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(answer) == (-1, 0)
-
-
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize("known", [True, False])
 def test_a_transition_is_watched_where_digits_served(known: bool, right: bool) -> None:
@@ -723,18 +683,6 @@ def test_a_session_that_is_taken_up_is_told_once() -> None:
     assert len(other.notices) == 1
 
 
-def test_who_greets_as_a_later_life_saves_that_before() -> None:
-    end = Told()
-    end.does(end.core.start(0.0))
-    answer = end.hears(hello(controller=None, incarnation=5), 1.0)
-    assert answer.record is not None
-    assert answer.record == end.core.state.record
-    assert end.core.state.record.session.incarnation == 6
-    (said,) = answer.publish
-    assert isinstance(said, ControllerHello)
-    assert (said.verdict, said.incarnation) == ("greeting", 6)
-
-
 def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
     rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)]
     end = Told(KEYS, changed(AT_WORK, transitions=3), contributions=rows)
@@ -775,14 +723,6 @@ def test_a_command_is_answered_with_how_many_wait() -> None:
     assert status_of(end.core).queue == 1
 
 
-def test_messages_that_were_delivered_wait_no_more() -> None:
-    end = Told(record=changed(AT_WORK, message=2), payloads=(b"a", b"b", b"c")).at_work()
-    for name, waiting in (("m3", 2), ("m3", 2), ("m4", 3)):
-        (reply,) = end.hears(SendCommand(id=name, payload=b"d"), 1.0).publish
-        assert isinstance(reply, SendReply)
-        assert reply.queued == waiting
-
-
 # --- key blocks -----------------------------------------------------------------------------------
 
 TAG = "a" * 32
@@ -799,24 +739,6 @@ def keys_at_work() -> Told:
     assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
-
-
-def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
-    end = keys_at_work()
-    assert (end.core.state.record.keys.block, end.core.state.record.keys.tag) == (-1, NO_TAG)
-    answer = end.hears(measurement(), 1.0)
-    (offer,) = answer.publish
-    assert isinstance(offer, Offer)
-    assert (offer.block, offer.tag) == (0, TAG)
-    record = end.core.state.record
-    assert (record.keys.block, record.keys.tag, record.offer) == (0, TAG, offer)
-    assert record.link.nonce == ""
-    counted = end.all[1]
-    assert counted.save is None, "the next step saves what was counted"
-    saved = end.hears(measurement(k=end.core.state.record.link.k + 1, applied_k=record.link.k), 2.0)
-    assert saved.save is not None
-    assert saved.record == record
-    assert [row.j for row in saved.save.rows.contributions] == [4]
 
 
 def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:
@@ -881,18 +803,6 @@ def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
         k = end.core.state.record.link.k
 
 
-def test_what_was_reported_counts_before_it_is_counted() -> None:
-    end = Told().at_work()
-    seen = [(reported(end.core), end.core.state.step is not IDLE)]
-    for said in (measurement(applied_k=1, x_after=()), measurement(k=5, applied_k=4)):
-        effects = iter(end.core.receive(Measurement, said.wire(), 1.0))
-        assert isinstance(next(effects), Save)
-        seen.append((reported(end.core), end.core.state.step is not IDLE))
-        gathered(effects)
-        seen.append((reported(end.core), end.core.state.step is not IDLE))
-    assert seen == [(2, False), (2, True), (2, False), (3, True), (3, False)]
-
-
 def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session() -> None:
     """A session that ends, or begins, has had none of them."""
     old = measurement(k=2, applied_k=1)
@@ -908,22 +818,3 @@ def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session(
     assert end.notices[-1:] != [("warning", "refusals")]
     end.hears(old, 20.0)
     assert end.core.state.record.session.id is None
-
-
-def test_a_burst_of_old_measurements_ends_no_session() -> None:
-    """A replay, or what a network held back: thousands at once, each of another step or one."""
-    end = Told().at_work()
-    for k in 10 * STALE * (0, 1, 2):
-        assert end.hears(measurement(k=k, applied_k=-1, x_after=()), 1.0) == NOTHING
-    said = end.hears(measurement(k=4, applied_k=3), 1.0)
-    assert any(isinstance(message, Offer) for message in said.publish)
-    assert end.core.state.record.session.id == S
-
-
-def test_a_wrong_message_of_its_own_is_no_malformed_input(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is a fault of this end, and told as one, not blamed on what came."""
-    monkeypatch.setitem(globals(), "propose", lambda _x: ((nan,), (1.0,)))
-    end = Told().at_work()
-    with pytest.raises(ValidationError, match="candidates"):
-        gathered(end.core.receive(Measurement, measurement(k=4, applied_k=3).wire(), 1.0))
-    assert end.core.malformed == 0

@@ -44,8 +44,8 @@ def test_equal_tags_give_the_keys_once() -> None:
     keys = begun(4)
     block = extracted(closed(keys))
     keys.extracted(block)
-    keys.heard(said(block.tag))
-    keys.heard(said(block.tag))
+    keys.compare(said(block.tag))
+    keys.compare(said(block.tag))
     assert keys.ended() == (BlockEnded(S, 0, "confirmed", len(block.keys)),)
     rows = keys.rows()
     assert rows.keys == (Keys(0, 0, b"".join(block.keys)),)
@@ -57,8 +57,8 @@ def test_unequal_tags_give_no_key_whatever_comes_after() -> None:
     keys = begun(4)
     block = extracted(closed(keys))
     keys.extracted(block)
-    keys.heard(said("c" * 32))
-    keys.heard(said(block.tag))
+    keys.compare(said("c" * 32))
+    keys.compare(said(block.tag))
     assert keys.ended() == (BlockEnded(S, 0, "unequal"),)
     assert (keys.stream.left, keys.made, keys.rows().keys) == (0, 0, ())
 
@@ -85,5 +85,5 @@ def test_once_it_has_failed_no_block_is_extracted_announced_or_confirmed(early: 
     keys.fail("again")
     assert keys.broken == "refuted"
     assert keys.announcement() == (-1, keys.no_tag)
-    keys.heard(said(block.tag))
+    keys.compare(said(block.tag))
     assert keys.stream.left == 0

@@ -6,8 +6,8 @@ from protocol.link.plant_session import (
     TABLE,
     TO_ANYONE,
     WORKING,
+    event_of,
     first_state,
-    heard,
 )
 from protocol.messages import ControllerHello
 from tests.support.records import changed, plant_record
@@ -66,7 +66,7 @@ def test_a_hello_has_one_name(fields: dict[str, object], name: str, transitions:
     record = changed(RECORD, transitions=transitions)
     if name == "greeting in another" and not transitions:
         name = "greeting, session unused"
-    told = heard(hello, record, instance=P, fingerprint=OURS, asked=A, met=True)
+    told = event_of(hello, record, instance=P, fingerprint=OURS, asked=A, met=True)
     assert told == name
 
 
@@ -78,12 +78,12 @@ def test_whose_session_it_is_decides_whether_another_begins_anew() -> None:
         (A, "greeting, session unused"),
     ):
         record = changed(RECORD, controller=promised)
-        told = heard(hello, record, instance=P, fingerprint=OURS, asked=None, met=False)
+        told = event_of(hello, record, instance=P, fingerprint=OURS, asked=None, met=False)
         assert told == name
 
 
 def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
     hello = ControllerHello(instance=B, incarnation=1, fingerprint=OTHER, verdict="greeting")
-    told = heard(hello, RECORD, instance=P, fingerprint=OURS, asked=None, met=False)
+    told = event_of(hello, RECORD, instance=P, fingerprint=OURS, asked=None, met=False)
     assert told == "another model, never met"
     assert TABLE["looking", told] == ("give up", "refused")

@@ -2,34 +2,31 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import inf, nan
+from math import inf
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
 from plant_service.core import PlantCore
-from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
+from plant_service.status import PlantTelemetry
 from plant_service.watchdog import FAREWELL_S, MEETING_S
 from protocol.link.distiller import BlockEnded
 from protocol.link.effects import Notice, Save
 from protocol.link.events import (
     FELL_BACK,
-    NEW_JOURNAL,
-    AttackBegan,
     Interrupted,
     Missed,
     PowerFailed,
     SessionBegan,
     Timing,
 )
-from protocol.link.incoming import SYMBOLS_AT_ONCE, hex_digits
+from protocol.link.incoming import hex_digits
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
 from protocol.link.plant_session import HELLO_S
 from protocol.link.records import Loaded, PlantRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
+from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.link.step import IDLE, Begun, Read, Step
 from protocol.messages import (
     ControllerHello,
@@ -53,7 +50,7 @@ from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
 from tests.support.asked import NOTHING, Asked, gathered, turns
 from tests.support.end_in_hand import EndInHand, fields, status_of
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 from tests.support.records import changed, plant_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
@@ -189,21 +186,6 @@ def news(sustained: Scenario) -> PlantTelemetry:
 # --- how a life begins ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("fresh", [True, False])
-@pytest.mark.parametrize("attack", [None, AttackBegan({"kind": "ghost"})])
-def test_the_first_actions_say_which_session_it_is_and_save_a_new_one(
-    fresh: bool, attack: AttackBegan | None
-) -> None:
-    end = Told(fresh=fresh, attack=attack)
-    began = gathered(end.core.start(0.0))
-    (session, *others) = began.events
-    assert isinstance(session, SessionBegan)
-    assert session.session == S
-    assert (session.reason == NEW_JOURNAL) == fresh
-    assert others == ([] if attack is None else [attack])
-    assert began == Asked(began.events, Save(end.core.state.record) if fresh else None)
-
-
 REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
 
 
@@ -255,23 +237,6 @@ def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
     ]
 
 
-def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() -> None:
-    machine = Machine(acts=True, device=True)
-    end = Told(machine=machine, step=Read(OFFER, 0, REPORT), back=(9.0,))
-    end.does(end.core.start(0.0))
-    (after,) = end.all
-    assert [type(e) for e in after.events] == [SessionBegan, CountedTransition, Interrupted]
-    interrupted = after.events[2]
-    assert isinstance(interrupted, Interrupted)
-    assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
-    assert after.record is not None
-    assert after.record == end.core.state.record
-    assert end.core.state.record.link.k == 5
-    end.machine.x_next = (2.0,)
-    gathered(end.core.receive(ControllerHello, hello().wire(), 1.0))
-    assert [type(e) for e in end.events] == [SessionBegan, CountedTransition, Interrupted]
-
-
 def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew() -> None:
     end = Told(step=Read(OFFER, 0, REPORT), fell_back=True)
     end.does(end.core.start(0.0))
@@ -318,13 +283,6 @@ def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
         now = following
     assert kept == 3
     assert models == [1, 0, 0, 0] * 3
-
-
-def test_without_telemetry_no_status_is_ever_due() -> None:
-    end = Told(step_s=None).met()
-    end.hears(OFFER, 0.0)
-    assert published(end.wakes(100.0), PlantStatus) == []
-    assert gathered(end.core.stop(101.0)) == Asked(save=Save(end.core.state.record))
 
 
 def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry) -> None:
@@ -612,16 +570,6 @@ def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
         assert (end.core.malformed, end.core.state.record) == (number + 1, record)
 
 
-def test_a_wrong_message_of_its_own_is_no_malformed_input() -> None:
-    """The plant has moved by then: what it reads is at fault, and not the offer."""
-    machine = Machine()
-    machine.x_next = (nan,)
-    end = Told(machine=machine, step_s=None).met()
-    with pytest.raises(ValidationError, match="x_after"):
-        gathered(end.core.receive(Offer, OFFER.wire(), 0.0))
-    assert end.core.malformed == 0
-
-
 @pytest.mark.parametrize("malformed", [{"stream_block": 0}, {"stream_at": 3}])
 def test_an_offer_that_names_digits_where_none_serve_is_malformed(
     malformed: dict[str, object],
@@ -699,53 +647,6 @@ def test_a_missed_step_is_told_whole(device: bool) -> None:
     assert machine.asked == (made if device else asked)
 
 
-def test_a_fallback_that_is_in_force_is_not_applied_once_more() -> None:
-    machine = Machine(acts=True, device=True)
-    machine.fallback = (0.25,)
-    end = Told(machine=machine).met()
-    end.wakes(1.0)
-    assert [what for what, *_ in machine.asked] == ["end", "fall back"]
-    dead = Told(machine=Machine(acts=True, device=True), step=Begun(OFFER, 0), back=(9.0,))
-    dead.machine.fallback = (1.5,)
-    dead.does(dead.core.start(0.0))
-    assert dead.machine.asked[-1][0] == "begin", "whether it is in force nobody knows"
-
-
-def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
-    machine = Machine(acts=True, device=True)
-    machine.coin, machine.x_next, machine.truth = 1, (4.0,), TRUTH
-    end = Told(machine=machine).met()
-    end.hears(OFFER, 0.25)
-    end.hears(hello(verdict="unknown-session", answers=P), 0.5)
-    assert end.all[-1].save == Save(end.core.state.record, Begun(OFFER, 1))
-    end.all.clear()
-    machine.asked.clear()
-    actions = gathered(end.core.wake(1.0))
-    told = Interrupted(NEW, 3, (0.0,), (-1.5,), (4.0,), CANDIDATES, 1, TRUTH)
-    assert actions.events == (told,)
-    assert actions.save == Save(end.core.state.record)
-    assert end.core.state.step is IDLE
-    assert (end.core.state.record.applied.missed, end.core.state.record.applied.u) == (
-        1,
-        machine.fallback,
-    )
-    assert machine.asked == [
-        ("end", 3),
-        ("fall back", (4.0,), (-1.5,)),
-        ("begin", 4, (4.0,), machine.fallback),
-    ]
-
-
-def test_an_offer_is_applied_once_and_only_in_its_step() -> None:
-    machine = Machine(acts=True, device=True)
-    end = Told(machine=machine).met()
-    end.hears(OFFER, 0.25)
-    asked = list(machine.asked)
-    for strange in (OFFER, offer(k=4), offer(k=2), offer(session=T)):
-        assert end.hears(strange, 0.5) == NOTHING
-    assert machine.asked == asked
-
-
 @pytest.mark.parametrize("flipped", [0, 1])
 def test_what_becomes_of_a_frame_is_told_after_its_transition(
     flipped: int, news: PlantTelemetry
@@ -776,20 +677,6 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
 
 
-def test_a_promise_of_d_c_that_is_contradicted_is_a_warning_beside_all_else(
-    news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(news, "counted", lambda t: f"D_c does not hold since step {t.k}")
-    *symbols, last = encode_frame(b"a", 2)
-    record = changed(RECORD, state=(2, 0), partial="".join(map(str, symbols)))
-    for cipher, levels in ((last, ["info", "warning"]), (1 - last, ["error", "warning"])):
-        end = Told(record=record, news=news).met()
-        end.hears(offer(cipher=cipher), 0.25)
-        counted = end.all[-1]
-        assert [n.level for n in counted.notices] == levels
-        assert counted.notices[-1] == Notice("D_c does not hold since step 3", "warning")
-
-
 # --- greetings, silence ---------------------------------------------------------------------------
 
 
@@ -807,44 +694,6 @@ def test_hellos_come_so_often_until_somebody_answers() -> None:
     (asks,) = end.wakes(2 * HELLO_S).publish
     assert isinstance(asks, PlantHello)
     assert asks.controller == A
-
-
-def test_a_controller_that_is_silent_for_long_is_one_of_many_again() -> None:
-    end = Told(step_s=None).met()
-    assert end.core.wake_at() <= 0.0
-    end.wakes(0.0)
-    assert published(end.wakes(0.999 * SILENCE_S), PlantHello) == []
-    (said,) = published(end.wakes(SILENCE_S), PlantHello)
-    assert said.controller is None
-    assert published(end.wakes(SILENCE_S + 0.99 * HELLO_S), PlantHello) == []
-    assert len(published(end.wakes(SILENCE_S + HELLO_S), PlantHello)) == 1
-    end.hears(offer(), 2 * SILENCE_S)
-    assert published(end.wakes(2.9 * SILENCE_S), PlantHello) == [], "it was heard"
-
-
-@pytest.mark.parametrize(
-    ("said", "heard"),
-    [
-        (OFFER, True),
-        (offer(k=2), True),
-        (offer(session=T), False),
-        (hello(instance=B, session=None), False),
-    ],
-    ids=["its offer", "an old one", "another session's", "another's hello"],
-)
-def test_whoever_is_with_it_is_heard_by_whatever_it_says(said: Message, heard: bool) -> None:
-    end = Told(step_s=None).met()
-    end.hears(said, 1.0)
-    assert end.core.state.session.answered_at == (1.0 if heard else 0.0)
-
-
-def test_a_plant_that_waits_for_its_step_to_end_counts_no_silence() -> None:
-    machine = Machine(acts=True, device=True)
-    end = Told(machine=machine, step_s=5 * SILENCE_S).met()
-    end.hears(OFFER, 0.0)
-    assert end.core.wake_at() == 5 * SILENCE_S
-    assert end.wakes(4 * SILENCE_S) == NOTHING
-    assert end.core.state.session.answered_at == 4 * SILENCE_S
 
 
 def test_before_anybody_is_met_the_first_step_has_not_begun() -> None:
@@ -891,27 +740,6 @@ def test_an_offer_that_is_applied_sets_the_watchdog_back() -> None:
         gathered(end.core.wake(5.0))
 
 
-def test_a_patient_watchdog_waits_no_shorter_for_the_first_meeting() -> None:
-    end = Told(record=changed(RECORD, k=0), step_s=None, watchdog_s=2 * MEETING_S).met()
-    end.wakes(1.9 * MEETING_S)
-    with pytest.raises(PlantError):
-        gathered(end.core.wake(2 * MEETING_S))
-
-
-def test_from_its_first_step_on_the_watchdog_has_its_own_time() -> None:
-    end = Told(record=changed(RECORD, k=0), watchdog_s=2.0).met()
-    end.wakes(1.0)
-    assert end.core.state.record.applied.missed == 1
-    end.wakes(2.9)
-    with pytest.raises(PlantError):
-        gathered(end.core.wake(3.0))
-
-
-def test_without_a_watchdog_a_plant_waits_for_ever() -> None:
-    end = Told(step_s=None).met()
-    end.wakes(1e9)
-
-
 # --- the keyed coin -------------------------------------------------------------------------------
 
 DIGITS = digits(bytes(range(32)), 2)
@@ -941,26 +769,6 @@ def test_a_measurement_says_whether_a_digit_chose_the_coin(named: bool) -> None:
     assert report.keyed == named
     left = len(DIGITS) - named
     assert end.core.state.keys.stream.left == left, "what has served is erased"
-
-
-def test_digits_that_have_served_serve_no_second_step() -> None:
-    end = Told(COIN, CONFIRMED, held=HELD).met()
-    keyed_steps = []
-    for k, at in ((3, 4), (4, 4), (5, 2), (6, 5)):
-        end.hears(keyed(0, at, k=k), k - 2.75)
-        end.wakes(k - 2.0)
-        keyed_steps.append(end.core.state.record.applied.keyed)
-    assert keyed_steps == [True, False, False, True]
-
-
-@pytest.mark.parametrize("served", [True, False])
-def test_a_process_goes_on_with_the_digits_of_the_step_under_way(served: bool) -> None:
-    report = REPORT.model_copy(update={"keyed": served, "block": 0, "tag": "a" * 32})
-    end = Told(COIN, CONFIRMED, step=Read(keyed(0, 0), 0, report), held=HELD)
-    end.does(end.core.start(0.0))
-    (counted,) = [e for a in end.all for e in a.events if isinstance(e, CountedTransition)]
-    assert counted.keyed == served
-    assert end.core.state.keys.stream.left == len(DIGITS) - served
 
 
 # --- key blocks -----------------------------------------------------------------------------------
@@ -1045,37 +853,6 @@ def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
     end = Told(rules, changed(RECORD, partial=partial[-2:]), symbols=partial[:-2])
     assert list(end.core.state.frame.deframer.symbols) == frame
     assert hex_digits(size) == len(f"{size - 1:x}")
-
-
-def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
-    *begun, last = encode_frame(b"x" * 99, 2)[:SYMBOLS_AT_ONCE]
-    record = changed(
-        RECORD, transitions=4, k=5, state=(2, 0), partial="".join(map(str, begun)), p=len(begun)
-    )
-    for tag in ("a" * 32, "c" * 32):
-        end = Told(KEYS, record, contributions=rows(4)).met()
-        end.does(end.core.extracted(MADE))
-        end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
-        counted = end.all[-1]
-        differs = tag[0] == "c"
-        assert (
-            len(counted.saved.symbols)
-            == end.core.state.record.frame.stored
-            == (0 if differs else SYMBOLS_AT_ONCE)
-        )
-        assert counted.record == end.core.state.record
-        assert end.core.state.record.frame.partial == ""
-
-
-def test_a_status_between_models_shows_the_newest_steps_alone(news: PlantTelemetry) -> None:
-    end = Told(news=news, step_s=None).met()
-    for k in range(3, 15):
-        end.hears(offer(k=k), 0.0)
-    shown = [published(end.wakes(end.core.wake_at() + 0.2), PlantStatus) for _ in range(3)]
-    sizes = [len(status[0].tail_k) for status in shown if status]
-    assert sizes == [12, 12, TAIL_AT_LEAST]
-    assert len(status_of(end.core, 9.0).tail_k) == 12, "who asks is shown all"
-    assert len(status_of(end.core, 9.0, whole=False).tail_k) == TAIL_AT_LEAST
 
 
 def test_blocks_that_cannot_be_extracted_are_an_error(news: PlantTelemetry) -> None:

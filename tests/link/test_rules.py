@@ -6,8 +6,6 @@ import pytest
 
 from protocol.agreement import AgreementResult, Gauge
 from protocol.box_observer import Box, Estimate
-from protocol.defence.alarm_rule import AT_ONCE
-from protocol.defence.watch import UNWATCHED
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
 from protocol.link.records import LinkRecord
@@ -20,8 +18,7 @@ from protocol.schemes.switched import Switched
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOWHERE, Position
 from runtime.scenario_file import scenario_of
-from tests.support.line_ends import line_rules
-from wyner.api import vary
+from tests.support.line import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 S = "1" * 16
@@ -89,12 +86,6 @@ def test_an_offer_takes_a_digit_for_the_coin_and_one_for_a_sealed_symbol() -> No
     assert [one.digits for one in rules] == [0, 1, 1, 2]
 
 
-def test_rules_of_a_line_promise_nothing_beside() -> None:
-    assert (RULES.size, RULES.keyed, RULES.halts, RULES.predicted) == (2, False, False, False)
-    assert (RULES.schedule, RULES.outputs) == (None, None)
-    assert (RULES.alarm_rule, RULES.watch, RULES.digits) == (AT_ONCE, UNWATCHED, 0)
-
-
 @pytest.mark.parametrize("name", ["sustained", "watched", "encoder", "pendulum", "motor"])
 def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
     s = scenario_of(name)
@@ -118,14 +109,6 @@ def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
         assert rules.outputs.alpha == s.secrecy.alpha
         assert rules.outputs.fallback == Fallback.of(s)
         assert rules.outputs.apart == Gauge.from_rows(*s.defender.disturbance.rows())
-
-
-def test_some_scenario_has_each_rule() -> None:
-    assert rules_of(scenario_of("watched")).keyed
-    assert rules_of(scenario_of("encoder")).outputs is not None
-    assert not rules_of(scenario_of("sustained")).halts
-    halting = {"defence.on_alarm": "safe", "link.watchdog_s": 5.0}
-    assert rules_of(vary(scenario_of("watched"), halting)).halts
 
 
 # --- readings of some outputs ---------------------------------------------------------------------
@@ -298,15 +281,4 @@ def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
     assert none.tested, "each transition is tested there"
 
 
-def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
-    assert Truth((1.0,), (2.0,)).fields() == {"true_x_next": (1.0,), "true_u": (2.0,)}
-    failed = Truth((1.0,), (2.0,), "out of ideas").fields()
-    assert failed["attack_failed"] == "out of ideas"
-    assert set(failed) == {"true_x_next", "true_u", "attack_failed"}
-
-
 # --- what is saved -------------------------------------------------------------------------------
-
-
-def test_a_records_state_says_what_the_automaton_is_doing() -> None:
-    assert LinkRecord(state=(3, 1)).s == 3

@@ -23,10 +23,10 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
 from runtime.perform import CrashPoint
-from tests.support.line_ends import disowned, line_rules
+from tests.support.line import disowned, line_rules
 from tests.support.mail import Mail, mail
+from tests.support.pair import MEMORY, LinePair, Name
 from tests.support.size import size
-from tests.support.two_ends import MEMORY, LineEnds, Name
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
@@ -48,7 +48,7 @@ class Chosen:
         return self.next % size
 
 
-class Ends(LineEnds):
+class Ends(LinePair):
     """Ends of which is known what they counted, offered and received, whatever a journal forgets.
 
     Attributes

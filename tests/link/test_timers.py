@@ -5,7 +5,7 @@ import random
 from protocol.messages import ControllerHello
 from tests.support.asked import gathered
 from tests.support.journals import plant_journal
-from tests.support.line_ends import line_plant, line_rules
+from tests.support.line import line_plant, line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PARTNER = "c" * 16

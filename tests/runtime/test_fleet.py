@@ -48,7 +48,7 @@ from runtime.run_folder import (
 from runtime.shipped import SCENARIOS
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.small_run import law_of
+from tests.support.recorded_pair import law_of
 from tests.support.traces import read_trace
 from wyner.cli.main import main
 

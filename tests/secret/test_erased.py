@@ -13,7 +13,7 @@ from protocol.link.distiller import Distiller
 from protocol.link.records import KeyRecord, Loaded, Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
-from protocol.secret.stream import Keys, Position, Stream
+from protocol.secret.stream import Keys, KeyStream, Position
 from runtime.chance import fresh_nonce
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
@@ -25,10 +25,10 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.pair import SIDES
+from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import BEYOND, first_held
 from tests.support.traces import read_trace
-from tests.support.two_ends import SIDES
 
 RUN = 16
 """Digits in a row that are looked for: 32 bits, so that none is found by chance."""
@@ -43,7 +43,7 @@ class Stopped(NamedTuple):
     keys: dict[int, Sequence[bytes]]
 
 
-def confirmed(loop: RecordedLoop) -> int:
+def confirmed(loop: RecordedPair) -> int:
     """The newest block that both ends have confirmed."""
     return min(loop.plant.state.keys.record.confirmed, loop.controller.state.keys.record.confirmed)
 
@@ -51,18 +51,18 @@ def confirmed(loop: RecordedLoop) -> int:
 @pytest.fixture(scope="module", params=["at a confirmation", "later"])
 def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Stopped:
     keys: dict[int, Sequence[bytes]] = {}
-    add = Stream.add
+    add = KeyStream.add
 
-    def noted(self: Stream, block: int, new: Sequence[bytes]) -> tuple[Keys, ...]:
+    def noted(self: KeyStream, block: int, new: Sequence[bytes]) -> tuple[Keys, ...]:
         assert keys.setdefault(block, new) == new
         return add(self, block, new)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stream, "add", noted)
-        loop = RecordedLoop(tmp_path_factory.mktemp("erased") / "run", b"a message", "sealed")
+        patch.setattr(KeyStream, "add", noted)
+        loop = RecordedPair(tmp_path_factory.mktemp("erased") / "run", b"a message", name="sealed")
         loop.run(lambda: confirmed(loop) >= 2)
         if request.param == "later":
-            loop.advance(100)
+            loop.steps(100)
         over = confirmed(loop)
         loop.stop()
     return Stopped(loop.folder, {block: keys[block] for block in range(over + 1)})

@@ -14,13 +14,13 @@ from protocol.link.events import Event
 from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
-from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Keys, Position, Stream
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Keys, KeyStream, Position
 from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.broken import broken
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
+from tests.support.pair import SIDES, Name
 from tests.support.safety import BEYOND, first_held
 from tests.support.size import size
-from tests.support.two_ends import SIDES, Name
 
 COINS = keyed_rules(keyed=True)
 SEALED = keyed_rules(keyed=True, scheme=Sealed(2))
@@ -35,7 +35,7 @@ def short_keys() -> Iterator[None]:
         yield
 
 
-class SealedEnds(KeyedEnds):
+class SealedEnds(KeyedPair):
     """Ends that send messages under the key stream: each arrives once, in order."""
 
     def __init__(self) -> None:
@@ -56,13 +56,13 @@ class SealedEnds(KeyedEnds):
 
 class KeyedCoinLink(KeyedLink):
     @staticmethod
-    def begun() -> KeyedEnds:
-        return KeyedEnds(COINS)
+    def begun() -> KeyedPair:
+        return KeyedPair(COINS)
 
 
 class SealedLink(KeyedLink):
     @staticmethod
-    def begun() -> KeyedEnds:
+    def begun() -> KeyedPair:
         return SealedEnds()
 
 
@@ -79,7 +79,7 @@ TestSealedLink.settings = LIMITS
 
 
 @pytest.mark.parametrize("begun", [KeyedCoinLink.begun, SealedEnds])
-def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedEnds]) -> None:
+def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedPair]) -> None:
     world = shaken(begun(), 3)
     served = world.digits.served
     assert len(served) > 50
@@ -105,34 +105,34 @@ def test_sealed_messages_arrive_through_deaths() -> None:
 
 
 def the_position_does_not_move_on(patch: pytest.MonkeyPatch) -> None:
-    name = Stream.name
+    name = KeyStream.name
 
-    def same(self: Stream, *of: int) -> Position:
+    def same(self: KeyStream, *of: int) -> Position:
         after = self._after
         named = name(self, *of)
         self._after = after
         return named
 
-    patch.setattr(Stream, "name", same)
+    patch.setattr(KeyStream, "name", same)
 
 
 def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
-    init = Stream.__init__
+    init = KeyStream.__init__
 
     def begins(
-        self: Stream, size: int, held: Held = NOTHING_HELD, after: Position = NOWHERE
+        self: KeyStream, size: int, held: Held = NOTHING_HELD, after: Position = NOWHERE
     ) -> None:
         init(self, size, held)
 
-    patch.setattr(Stream, "__init__", begins)
+    patch.setattr(KeyStream, "__init__", begins)
     nothing_is_erased(patch)
 
 
 def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
-    def keeps(self: Stream, position: Position) -> tuple[Keys, ...]:
+    def keeps(self: KeyStream, position: Position) -> tuple[Keys, ...]:
         return ()
 
-    patch.setattr(Stream, "drop_before", keeps)
+    patch.setattr(KeyStream, "drop_before", keeps)
 
 
 def a_controller_takes_no_notice_of_what_was_used(patch: pytest.MonkeyPatch) -> None:

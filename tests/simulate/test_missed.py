@@ -12,8 +12,8 @@ from protocol.statistics import Interval, share_over_runs
 from runtime.errors import UsageError
 from runtime.network import check_delays, round_trip_s
 from runtime.shipped import SCENARIOS
+from tests.support.recorded_pair import law_of
 from tests.support.size import size
-from tests.support.small_run import law_of
 from wyner.api import design, run
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.missed import missed_steps

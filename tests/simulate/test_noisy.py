@@ -9,7 +9,7 @@ from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
-from tests.support.small_run import law_of
+from tests.support.recorded_pair import law_of
 from wyner.api import design, run
 from wyner.runs.score.counts import costs
 from wyner.simulate.engine import simulate_runs

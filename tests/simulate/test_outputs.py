@@ -9,8 +9,8 @@ from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
+from tests.support.recorded_pair import law_of
 from tests.support.size import size
-from tests.support.small_run import law_of
 from wyner import api
 from wyner.simulate.engine import simulate_runs
 

@@ -51,6 +51,13 @@ class EndInHand(Generic[E]):
         return said
 
 
+class Zeros:
+    """Symbols that are no secret."""
+
+    def symbol(self, transition: int, size: int) -> int:
+        return 0
+
+
 def status_of(core: Endpoint, now: float | None = None, **more: Any) -> Any:
     """The status of an end, at ``now``."""
     state = core.state

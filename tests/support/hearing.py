@@ -19,8 +19,8 @@ class Hearing(Endpoint):
         When.
     """
 
-    hears: ClassVar[tuple[type[Message], ...]] = (Offer, ControllerHello)
-    says: ClassVar[tuple[type[Message], ...]] = ()
+    receives: ClassVar[tuple[type[Message], ...]] = (Offer, ControllerHello)
+    sends: ClassVar[tuple[type[Message], ...]] = ()
 
     def __init__(self, due: float, channel: Channel | None = None) -> None:
         super().__init__("1" * 16, channel)

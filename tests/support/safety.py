@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Final
 
 from protocol.link.session import CountedTransition
-from protocol.secret.stream import Held, Position, Stream
+from protocol.secret.stream import Held, KeyStream, Position
 from wyner.simulate.network import History
 
 BEYOND: Final = Position(1 << 62, 0)
@@ -75,7 +75,7 @@ def differing_key(size: int, mine: Held, theirs: Held) -> str:
     """
     for one, other in ((mine, theirs), (theirs, mine)):
         part = one.part
-        digits = Stream(size, other).at(part.begins, len(part.digits))
+        digits = KeyStream(size, other).at(part.begins, len(part.digits))
         if digits is not None and bytes(digits) != part.digits:
             return f"digits of block {part.block} differ between the two ends"
     there = {keys.block: keys.keys for keys in theirs.keys}

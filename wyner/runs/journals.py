@@ -20,7 +20,7 @@ from protocol.messages import Measurement, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import frame_length
 from protocol.secret.nonces import contribution_of
-from protocol.secret.stream import Held, Stream
+from protocol.secret.stream import Held, KeyStream
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, JournalError, PlantJournal
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
@@ -75,7 +75,7 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
         with ControllerJournal(path, rules.fingerprint) as journal:
             loaded = journal.load()
             record, step, t = loaded.record or ControllerRecord(), loaded.step, None
-            if isinstance(step, Answered) and reports(record, step.measurement):
+            if isinstance(step, Answered) and reports(record.link, record.offer, step.measurement):
                 t = _by_controller(rules, record, step.measurement, loaded.held)
             delivered = record.frame.message + (t is not None and _ends_frame(t, record, journal))
             for number in range(delivered, journal.queued):
@@ -162,7 +162,7 @@ def _digits(rules: Rules, offer: Offer, said: Measurement, held: Held) -> tuple[
     """The digits of the key stream that have served, as far as they are held."""
     if not said.keyed:
         return ()
-    return Stream(rules.size, held).at(offer.position, rules.digits) or ()
+    return KeyStream(rules.size, held).at(offer.position, rules.digits) or ()
 
 
 def _counted(

@@ -9,7 +9,7 @@ from protocol.messages import Measurement
 from runtime.run_folder import CONTROLLER_TRACE
 from tests.support.checked_runs import failed
 from tests.support.mail import Mail, mail
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 from tests.support.traces import read_trace
 
 ONSET = 200
@@ -17,7 +17,7 @@ STEPS = 250
 """After these 180 of them are too many, once."""
 
 
-class Ended(RecordedLoop):
+class Ended(RecordedPair):
     """A forged reading ends each session before the controller has heard of its first step."""
 
     def _attacked(self, message: Mail) -> Mail:

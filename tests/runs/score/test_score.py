@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from protocol.link.events import NEW_JOURNAL
-from protocol.statistics import stated_left
+from protocol.statistics import NO_RUNS, stated_left
 from runtime.recording import TraceWriter
 from runtime.run_folder import BELIEFS, GUESSES, PLANT_TRACE, SCENARIO
 from runtime.shipped import SCENARIOS
@@ -333,6 +333,23 @@ def test_nothing_is_known_of_a_run_in_which_she_did_not_listen() -> None:
     assert always.left_bits.high < 40
     assert r.strongest is always
     assert "always leaves at most" in r.verdict()
+
+
+PRINTED = {
+    "runs", "agreed_steps", "symbol_error_rate", "symbol_error_rate_live",
+    "message_bit_error_rate", "exact_message_rate", "guessing_probability", "min_entropy_bits",
+    "relabelled", "left_bits", "left_bits_by_keys", "left_bits_stated", "given", "silent_bits",
+    "silent_steps", "unused", "unscored", "list_size", "list_size_log2", "broken_at_k", "keys",
+}  # fmt: skip
+
+
+def test_what_is_printed_for_machines_keeps_its_names() -> None:
+    value = json.loads(json.dumps(report([run_score(7), run_score(9, whole=True)]).to_json()))
+    assert set(value["taps"]["tap"]) == PRINTED
+    assert value["taps"]["tap"]["symbol_error_rate"] == {
+        "value": pytest.approx(0.2), "low": None, "high": None, "no_interval": NO_RUNS,
+    }  # fmt: skip
+    assert value["taps"]["tap"]["list_size_log2"] == pytest.approx(math.log2(7))
 
 
 # --- from files ----------------------------------------------------------------------------------

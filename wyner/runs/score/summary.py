@@ -75,13 +75,9 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     scenario = run.scenario
     size, scheme = scenario.secrecy.candidates, rules_of(scenario).scheme
     counts, behind, errors = PlantCounts(), 0, list[str]()
-    try:
-        trace = run.columns("plant")
-    except TraceError as error:
-        errors.append(str(error))
-    else:
+    trace = run.so_far("plant", errors)
+    if trace is not None:
         counts, behind = PlantCounts.of(trace, scenario.cost_weights), trace.behind
-        errors += [f"{trace.side}/{trace.unread}"] if trace.unread else []
     sent: list[bytes] = []
     try:
         sent = run.sent()

@@ -12,11 +12,11 @@ from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.stream import Held
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 from tests.support.mail import Mail
 from tests.support.once import Copies, Digits
+from tests.support.pair import OTHER, SIDES, LinePair, Name
 from tests.support.safety import differing_key
-from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
 """Blocks of three transitions and then six, so that keys come all the time."""
@@ -27,7 +27,7 @@ def keyed_rules(**more: Any) -> Rules:
     return replace(line_rules(alpha=4.0, largest_input=1e9), **{"schedule": SMALL_BLOCKS, **more})
 
 
-class KeyedEnds(LineEnds):
+class KeyedPair(LinePair):
     """Ends whose keys are made, and serve where the rules say so.
 
     Attributes

@@ -7,10 +7,10 @@ nothing: a subclass looks at what an end writes, says and traces.
 =====================  ==============================  ========================================
 class                  the ends are                    who needs it
 =====================  ==============================  ========================================
-:class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
+:class:`LinePair`      the plant on a line, journals   machines that draw schedules, the fuzzer
                        in memory, or on disk
-`KeyedEnds`            these with distilled keys       what must happen once, at each event
-`RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
+`KeyedPair`            these with distilled keys       what must happen once, at each event
+`RecordedPair`         the services', files on disk    whoever needs a run: checks, attacks, pages
 =====================  ==============================  ========================================
 """
 
@@ -41,7 +41,7 @@ from tests.support.journals import (
     handed_over,
     plant_journal,
 )
-from tests.support.line_ends import (
+from tests.support.line import (
     ActingLine,
     LineDevice,
     LinePlant,
@@ -56,7 +56,7 @@ Name = Literal["plant", "controller", "rival"]
 
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
 OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
-HEARS: Final = {"controller": ControllerCore.hears, "plant": PlantCore.hears}
+HEARS: Final = {"controller": ControllerCore.receives, "plant": PlantCore.receives}
 Performer = Callable[[Effects, Ports], None]
 
 MEMORY: Final = 12
@@ -94,7 +94,7 @@ class Alive:
     extracted: deque[ExtractedBlock] = field(default_factory=deque)
 
 
-class TwoEnds(ABC):
+class Pair(ABC):
     """Two ends of one loop; a subclass opens them from what their journals hold.
 
     Attributes
@@ -213,7 +213,7 @@ class TwoEnds(ABC):
 
     # --- all is well ------------------------------------------------------------------------------
 
-    def step(self, *, extracts: bool = True) -> None:
+    def next(self, *, extracts: bool = True) -> None:
         """The next thing happens: blocks and mail first, in their order; else time passes."""
         quiet = True
         for side in SIDES:
@@ -250,14 +250,14 @@ class TwoEnds(ABC):
         self._lose_mail()
         self._loses = True
         for _ in range(things):
-            self.step()
+            self.next()
         self._loses = False
 
     def run(self, over: Callable[[], bool]) -> None:
         """Go on until ``over``; an error where nothing moves any more."""
         moved, at = (0, -1), self.now
         while not over():
-            self.step()
+            self.next()
             if (
                 steps := (self.plant.state.record.session.sessions, self.plant.state.record.link.k)
             ) != moved:
@@ -278,7 +278,7 @@ class Covers:
 class _Ports:
     """What one end does to the world."""
 
-    def __init__(self, world: "LineEnds", side: Name, closed: deque[ClosedBlock]) -> None:
+    def __init__(self, world: "LinePair", side: Name, closed: deque[ClosedBlock]) -> None:
         self._world, self._side = world, side
         self._reports = Reports()
         self.extract = closed.append
@@ -300,7 +300,7 @@ class _Ports:
         pass
 
 
-class LineEnds(TwoEnds):
+class LinePair(Pair):
     """The ends of the plant on a line: x+ = x + u + d.
 
     Parameters
