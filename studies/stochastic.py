@@ -173,7 +173,7 @@ def shown(rows: Sequence[Row]) -> Lines:
     head = (
         "scheme", "estimates wrong: expected, counted", "words wrong after", "in clear, key bits",
         "Eve", "her bits unlike the controller's", "words that she has",
-        "bits left of a word, at most", "from step on she has all",
+        "bits left of a word, at most", "lacks none after step",
     )  # fmt: skip
     lines: list[tuple[str, ...]] = [head]
     for row in rows:
@@ -197,8 +197,8 @@ def shown(rows: Sequence[Row]) -> Lines:
                 row["eve"],
                 f"{100 * float(row['her_errors']):.2g} %",
                 f"{corrected.scaled(100).text('.3g')} %",
-                kept.text(".2g"),
-                "never" if last >= int(row["steps"]) - 62 else str(last),
+                kept.text(".2g") if kept.high else "0",
+                "-" if last >= int(row["steps"]) - 62 else str(last),
             )
         )
     return lines
