@@ -23,9 +23,8 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from struct import Struct
 from typing import Any, ClassVar, Final, Generic, Self
@@ -34,12 +33,13 @@ from zlib import crc32
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import NO_ROWS
 from protocol.link.effects import Save
 from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRecord, R
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Held, Keys, Part
+from protocol.secret.stream import NO_PART, Held, Keys, Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
@@ -59,10 +59,13 @@ CHECKPOINT_PAGES: Final = 2000
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
-_STEP: Final = "INSERT OR REPLACE INTO step VALUES (0, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
+_STEP: Final = "INSERT OR REPLACE INTO step VALUES (0, ?, ?, ?, ?, ?, ?)"
 
 _CONTRIBUTION: Final = Struct(">qqB32s32s")
 """As it stands in the step's row: j, steps, which of the two nonces count, and both."""
+
+_PART: Final = Struct(">qqH")
+"""Of the key in use: block, the first digit's number, and how many digits follow."""
 
 Statement = tuple[str, tuple[Any, ...]]
 """An SQL statement, and its values."""
@@ -92,7 +95,7 @@ class Journal(ABC, Generic[R]):
     adapter: ClassVar[TypeAdapter[Any]]
     tables: ClassVar[tuple[str, ...]] = (
         "step (id INTEGER PRIMARY KEY, record BLOB, offer BLOB, coin INTEGER, measurement BLOB,"
-        " rows BLOB, block INTEGER, first INTEGER, digits BLOB, check_ INTEGER)",
+        " keys BLOB, check_ INTEGER)",
         "row (batch INTEGER PRIMARY KEY, rows BLOB, check_ INTEGER)",
         "stream (block INTEGER PRIMARY KEY, first INTEGER, keys BLOB, check_ INTEGER)",
     )
@@ -197,14 +200,15 @@ class Journal(ABC, Generic[R]):
         self._saved, self._rows = None, {}
         batches = [rows for _, rows in self._get("row")]
         keys = tuple(Keys(*row) for row in self._get("stream"))
-        for _, record, offer, coin, measurement, newest, *part in self._get("step"):
+        for _, record, offer, coin, measurement, of_keys in self._get("step"):
+            part, newest = _keys_of(of_keys)
             self._rows = {row.j: _packed(row) for row in _unpacked(newest)}
             try:
                 loaded: Loaded[R] = Loaded(
                     self.adapter.validate_json(record),
                     _step_of(offer, coin, measurement),
                     tuple(_unpacked(b"".join((*batches, newest)))),
-                    Held(Part(*part), keys),
+                    Held(part, keys),
                     self._symbols(),
                     self._fell_back,
                 )
@@ -225,15 +229,13 @@ class Journal(ABC, Generic[R]):
         try:
             if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            beside = chain(self._beside(save), self._more(save))
-            first = next(beside, None)
-            if first is not None:
+            beside = [*self._of_keys(save), *self._more(save)]
+            if beside:
                 execute("BEGIN IMMEDIATE")
-                execute(*first)
                 for statement in beside:
                     execute(*statement)
             execute(_STEP, self._step(save))  # by itself it is a transaction
-            if first is not None:
+            if beside:
                 execute("COMMIT")
             if save.durable:
                 execute("PRAGMA synchronous=NORMAL")
@@ -245,16 +247,22 @@ class Journal(ABC, Generic[R]):
 
     def _step(self, save: Save) -> tuple[Any, ...]:
         """The columns of the step's row."""
-        step = (
-            self.adapter.dump_json(save.record),
-            *_columns(save.step),
-            b"".join(self._rows.values()),
-            *save.rows.part,
-        )
-        return (*step, check_of(0, *step))
+        record = self.adapter.serializer.to_json(save.record)
+        offer, coin, measurement = _columns(save.step)
+        keys = b""
+        if self._rows or save.rows.part is not NO_PART:
+            block, first, digits = save.rows.part
+            part = _PART.pack(block, first, len(digits))
+            keys = b"".join((part, digits, *self._rows.values()))
+        check = check_of(0, record, offer, coin, measurement, keys)
+        return record, offer, coin, measurement, keys, check
 
-    def _beside(self, save: Save) -> Iterator[Statement]:
+    def _of_keys(self, save: Save) -> Sequence[Statement]:
         """What is written of key blocks and of the key stream beside the step's row."""
+        same = self._saved is not None and save.record.session.id == self._saved.session.id
+        return () if same and save.rows is NO_ROWS else tuple(self._changed(save))
+
+    def _changed(self, save: Save) -> Iterator[Statement]:
         if self._saved is None or save.record.session.id != self._saved.session.id:
             self._rows = {}
             if self._boot_due is not None:
@@ -262,13 +270,15 @@ class Journal(ABC, Generic[R]):
                 self._boot_due = None
             for table in self.of_session:
                 yield f"DELETE FROM {table}", ()
+        obsolete = save.rows.obsolete_rows
+        for over in obsolete:
+            yield from self._without(over)
         for row in save.rows.contributions:
-            self._rows[row.j] = _packed(row)
-            if row.j % BATCH == BATCH - 1:
+            if not any(row.j in over for over in obsolete):
+                self._rows[row.j] = _packed(row)
+            if row.j % BATCH == BATCH - 1 and self._rows:
                 yield self._row("row", row.j // BATCH, b"".join(self._rows.values()))
                 self._rows = {}
-        for over in save.rows.obsolete_rows:
-            yield from self._without(over)
         for keys in save.rows.keys:
             if keys.keys:
                 yield self._row("stream", *keys)
@@ -288,7 +298,7 @@ class Journal(ABC, Generic[R]):
         yield "DELETE FROM row WHERE batch > ? AND batch < ?", (first, last)
 
     @abstractmethod
-    def _more(self, save: Save) -> Iterable[Statement]:
+    def _more(self, save: Save) -> Iterator[Statement]:
         """What is written in this side's own tables."""
 
     def forget(self) -> None:
@@ -437,6 +447,15 @@ def _step_of(offer: bytes, coin: int, measurement: bytes) -> Step:
     if coin == NO_SYMBOL:
         return Answered(said, Offer.from_wire(offer))
     return Read(Offer.from_wire(offer), coin, said)
+
+
+def _keys_of(keys: bytes) -> tuple[Part, bytes]:
+    """The key in use, and the newest contributions, of this column."""
+    if not keys:
+        return NO_PART, b""
+    block, first, count = _PART.unpack_from(keys)
+    rest = keys[_PART.size :]
+    return Part(block, first, rest[:count]), rest[count:]
 
 
 def _packed(row: Contribution) -> bytes:

@@ -1,9 +1,6 @@
 """Plants that act: the order of a step, what dies in between, watchdog, safe state, doubt."""
 
 import json
-import os
-import subprocess
-import sys
 import threading
 from functools import partial
 from itertools import chain
@@ -18,14 +15,13 @@ from plant_service import opening
 from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.opening import open_core
-from plant_service.punctuality import Punctuality, ReachWatch
+from plant_service.punctuality import ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
 from protocol.link.effects import Effects, Publish, Save, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.session import CountedTransition
 from protocol.link.step import Begun
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
@@ -40,7 +36,6 @@ from tests.adapters.plants import Device
 from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
 from tests.support.told import log_of
@@ -259,113 +254,7 @@ def test_exactly_once_with_plants_that_die(seed: int, law: CandidateLaw) -> None
     assert history.crashes > 0
 
 
-SUICIDAL = """
-import os
-import time
-from pathlib import Path
-from tests.adapters.plants import PythonLine
-
-class Line(PythonLine):
-    steps = 0
-    def step(self, u, period_s):
-        Line.steps += 1
-        flag = Path(__file__).with_name("killed")
-        if Line.steps == 7 and not flag.exists():
-            flag.write_text("once")
-            os.kill(os.getpid(), 9)  # the service
-            time.sleep(60)
-        return super().step(u, period_s)
-"""
-
-
-@pytest.mark.long
-@pytest.mark.integration
-def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
-    """Three real processes; the plant's code kills its service, and the check knows such a step."""
-    (tmp_path / "line.py").write_text(SUICIDAL)
-    from wyner.fit.toml import as_toml
-
-    tables = line("line.py:Line").model_dump(mode="json", exclude_none=True)
-    (tmp_path / "line.toml").write_text(as_toml(tables))
-    run_dir = tmp_path / "run"
-    root = Path(__file__).resolve().parents[2]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
-    command = [sys.executable, "-m", "wyner.cli.main"]
-    done = subprocess.run(
-        [
-            *command,
-            "up",
-            "--scenario",
-            str(tmp_path / "line.toml"),
-            "--headless",
-            "--pace",
-            "fast",
-            "--until-delivered",
-            "--message",
-            "Hi",
-            "--run-dir",
-            str(run_dir),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=environment,
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    assert (tmp_path / "killed").exists()
-    lines = [json.loads(x) for x in (run_dir / "plant/trace.jsonl").read_text().splitlines()]
-    (event,) = [x for x in lines if x["event"] == "interrupted"]
-    assert event["u"] == event["candidates"][event["coin"]]
-    check = subprocess.run(
-        [*command, "check", str(run_dir)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=environment,
-    )
-    assert check.returncode == 0, check.stdout
-    assert "0 FAIL" in check.stdout
-
-
 # --- what ends in between -------------------------------------------------------------------------
-
-
-def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    bench.do(bench.endpoint.wake(1.0))
-    old = bench.record.session.id
-    bench.do(bench.offer(1.2))
-    in_force = bench.device.u / 2
-    bench.refuse(1.5)
-    assert (bench.record.session.id, bench.record.link.transitions) != (old, 1)
-    bench.published.clear()
-    bench.device.calls.clear()
-    bench.do(bench.endpoint.wake(1.9))
-    assert bench.published == []  # the plant still acts: there is no state to report
-    bench.do(bench.endpoint.wake(2.0))
-    assert bench.device.calls == ["sample", "save"]
-    (event,) = [e for e in bench.events if isinstance(e, Interrupted)]
-    assert (event.session, event.k, event.u) == (bench.record.session.id, 1, (in_force,))
-    assert event.u == event.candidates[event.coin]
-    assert event.x_next == bench.record.link.x
-    record = bench.record
-    assert (
-        record.link.k,
-        record.link.transitions,
-        record.link.applied_k,
-        record.applied.missed,
-    ) == (2, 0, -1, 1)
-    assert record.applied.u == event.u
-    counted = [e for e in bench.events if isinstance(e, CountedTransition)]
-    assert [(t.session, t.j) for t in counted] == [(old, 0)]
-    bench.accept(2.1)
-    bench.do(bench.offer(2.2))
-    bench.do(bench.endpoint.wake(3.0))
-    counted = [e for e in bench.events if isinstance(e, CountedTransition)]
-    assert [(t.session, t.j) for t in counted] == [(old, 0), (record.session.id, 0)]
 
 
 @pytest.mark.parametrize("fallback", ["hold", "zero"])
@@ -579,17 +468,6 @@ def test_a_service_that_cannot_start_leaves_its_device_safe(
 
 
 # --- punctuality and doubt ------------------------------------------------------------------------
-
-
-def test_percentiles_are_of_the_newest_steps() -> None:
-    p = Punctuality()
-    assert p.as_event(0) is None
-    for i in range(1, 1001):
-        p.ticked(i / 1000, 0)
-    assert p.sampled_late_s == (0.5, 0.991, 1.0)
-    event = p.as_event(7)
-    assert event is not None
-    assert (event.k, event.steps, event.actuated_after_s) == (7, 1000, ())
 
 
 def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:

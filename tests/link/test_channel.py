@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from protocol.fates import Fates
-from protocol.link.channel import REMEMBERED, UNDER_WAY, Channel
+from protocol.link.channel import UNDER_WAY, Channel
 from protocol.link.effects import Notice, Publish
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario.network import ChannelTable
@@ -75,26 +75,6 @@ def test_a_way_that_is_narrow_carries_one_message_after_the_other() -> None:
     assert [way.arrival(k, now) for k, now in sent] == [2.5, 3.0, 3.5, 7.5, 8.0]
 
 
-def test_a_message_that_is_lost_occupied_the_way() -> None:
-    way = channel(rate_hz=4.0, loss=1.0)
-    assert way.arrival(0, 0.0) is None
-    lossy = channel(rate_hz=4.0, loss=0.5)
-    fates = [FATES.at(k, 0)[0] < 0.5 for k in range(12)]
-    assert True in fates
-    found = [lossy.arrival(k, 0.0) for k in range(12)]
-    assert found == [None if lost else (k + 1) / 4 for k, lost in enumerate(fates)]
-
-
-def test_a_step_that_was_forgotten_begins_with_its_first_copy_again() -> None:
-    table = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
-    for others, first in ((REMEMBERED - 1, False), (REMEMBERED, True)):
-        way = channel(**table)
-        began = way.arrival(1000, 0.0)
-        for k in range(others):
-            way.arrival(k, 0.0)
-        assert (way.arrival(1000, 0.0) == began) == first
-
-
 def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
     way = channel(loss=0.5)
     lost = [way.arrival(k, 0.0) is None for k in range(60)]
@@ -152,29 +132,6 @@ def test_what_is_no_message_is_counted_at_once_and_takes_no_place_on_the_way() -
     assert (end.malformed, end.heard, end.wake_at()) == (1, [], inf)
     with pytest.raises(TypeError, match="Measurement"):
         end.receive(Measurement, offer(3).wire(), 3.0)
-
-
-def test_messages_that_arrive_together_are_heard_in_the_order_in_which_they_were_sent() -> None:
-    end = Hearing(inf, channel(delay_s=2.0))
-    for k in (5, 3, 4):
-        assert end.receive(Offer, offer(k).wire(), 1.0) == ()
-    assert end.wake_at() == 3.0
-    end.wake(2.9)
-    assert end.heard == []
-    assert end.woken == [2.9]
-    for _ in range(3):
-        end.wake(3.0)
-    assert end.heard == [(3.0, offer(k)) for k in (5, 3, 4)]
-    assert end.wake_at() == 12.9
-
-
-def test_what_is_due_at_the_same_time_as_a_message_goes_first() -> None:
-    end = Hearing(3.0, channel(delay_s=2.0))
-    end.receive(Offer, offer(5).wire(), 1.0)
-    end.wake(3.0)
-    assert (end.woken, end.heard) == ([3.0], [])
-    end.wake(3.0)
-    assert end.heard == [(3.0, offer(5))]
 
 
 def test_the_network_keeps_so_many_messages_and_no_more() -> None:

@@ -29,10 +29,9 @@ from protocol.messages import (
     Offer,
     PlantHello,
     SendCommand,
-    SendReply,
     StopKeys,
 )
-from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
+from protocol.schemes.framing import encode_frame, frame_length
 from protocol.schemes.sealed import Sealed
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
@@ -664,63 +663,7 @@ def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
                 assert Q in text
 
 
-def test_a_session_that_is_taken_up_is_told_once() -> None:
-    end = Told(record=None)
-    end.does(end.core.start(0.0))
-    taken = end.hears(hello(session=NEW), 1.0)
-    assert taken.events == (SessionBegan(NEW, "the plant began it"),)
-    (notice,) = taken.notices
-    assert (notice.level, notice.subject) == ("info", "")
-    assert NEW in notice.text
-    assert P in notice.text
-    assert taken.record is not None
-    assert taken.record == end.core.state.record
-    again = end.hears(hello(session=NEW), 2.0)
-    assert again == Asked(publish=taken.publish)
-    other = end.hears(hello(session=NEW, instance=Q), 3000.0)
-    assert other.events == ()
-    assert other.record is None
-    assert len(other.notices) == 1
-
-
-def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
-    rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)]
-    end = Told(KEYS, changed(AT_WORK, transitions=3), contributions=rows)
-    began = end.does(end.core.start(0.0))
-    assert began.save == Save(end.core.state.record)
-    (closed,) = began.tasks
-    assert (type(closed).__name__, began.events, began.notices) == ("ClosedBlock", (), ())
-
-
 # --- commands -------------------------------------------------------------------------------------
-
-
-def test_a_command_is_answered_with_how_many_wait() -> None:
-    end = Told(record=None)
-    end.does(end.core.start(0.0))
-    for number, (name, payload, accepted) in enumerate(
-        [
-            ("m1", b"one", True),
-            ("m2", b"x" * MAX_PAYLOAD, True),
-            ("m2", b"x" * MAX_PAYLOAD, True),
-            ("m2", b"y", False),
-            ("m3", b"x" * (MAX_PAYLOAD + 1), False),
-            ("initial", b"z", False),
-        ]
-    ):
-        answer = end.hears(SendCommand(id=name, payload=payload), 1.0)
-        (reply,) = answer.publish
-        assert isinstance(reply, SendReply)
-        assert (reply.id, reply.accepted, reply.queued) == (name, accepted, min(number + 1, 2))
-        new = number < 2
-        assert bool(reply.detail) == (not new)
-        assert accepted or reply.detail.split(":")[0] in ("id", "message")
-        command = SendCommand(id=name, payload=payload)
-        assert answer.events == ((command,) if new else ())
-        written = Save(end.core.state.record, queued=command, durable=True)
-        assert answer.save == (written if new else None)
-        assert answer.notices == ()
-    assert status_of(end.core).queue == 1
 
 
 # --- key blocks -----------------------------------------------------------------------------------

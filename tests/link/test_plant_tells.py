@@ -24,7 +24,6 @@ from protocol.link.events import (
 from protocol.link.incoming import hex_digits
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.plant_session import HELLO_S
 from protocol.link.records import Loaded, PlantRecord
 from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.link.step import IDLE, Begun, Read, Step
@@ -57,7 +56,7 @@ RULES = line_rules(alpha=4.0, largest_input=5.0)
 KEYS = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
 COIN = replace(KEYS, keyed=True)
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
-A, B, P = "a" * 16, "b" * 16, "c" * 16
+A, P = "a" * 16, "c" * 16
 CANDIDATES = ((1.5,), (-1.5,))
 RECORD = plant_record(session=S, k=3, x=(0.0,), u=(0.25,), transitions=2, controller=A)
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
@@ -200,41 +199,6 @@ def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
     assert (counted.coin, counted.u, counted.truth, counted.x_next) == (0, (1.5,), TRUTH, (1.5,))
     assert end.core.state.record.link.k == 4
     assert end.core.news.measured_k == -1
-
-
-@pytest.mark.parametrize("of", ["", S, T])
-def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
-    """Once: another life would count it again. Its session may have ended since."""
-    known = bool(of)
-    machine = Machine(acts=True, device=True)
-    machine.truth = TRUTH
-    step = Begun(offer(session=of), 1) if known else IDLE
-    end = Told(machine=machine, step=step, back=(9.0,))
-    began = gathered(end.core.start(0.0))
-    assert [type(e) for e in began.events] == [SessionBegan, Interrupted]
-    assert began.events[1] == Interrupted(
-        session=S,
-        k=3,
-        x=(0.0,),
-        u=(-1.5,) if known else (0.25,),
-        x_next=(9.0,),
-        candidates=CANDIDATES if known else (),
-        coin=1 if known else -1,
-        truth=TRUTH,
-    )
-    assert began.save == Save(end.core.state.record)
-    record = end.core.state.record
-    assert (record.link.k, record.link.x, record.applied.missed, record.link.transitions) == (
-        4,
-        (9.0,),
-        1,
-        2,
-    )
-    assert record.applied.u == machine.fallback, "the fallback is in force"
-    assert machine.asked == [
-        ("fall back", (9.0,), (-1.5,) if known else (0.25,)),
-        ("begin", 4, (9.0,), machine.fallback),
-    ]
 
 
 def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew() -> None:
@@ -448,31 +412,6 @@ def test_an_offer_after_its_step_is_late_once(news: PlantTelemetry) -> None:
 # --- phases and notices ---------------------------------------------------------------------------
 
 
-def test_a_session_that_is_taken_up_is_told_once(news: PlantTelemetry) -> None:
-    end = Told(news=news)
-    end.does(end.core.start(0.0))
-    assert status_of(end.core, 0.0).phase == "greeting"
-    asks = end.hears(hello(), 0.0)
-    assert asks == Asked(save=Save(end.core.state.record), publish=asks.publish)
-    (asked,) = asks.publish
-    assert asked == PlantHello(
-        instance=P,
-        session=S,
-        controller=A,
-        incarnation=1,
-        fingerprint=RULES.fingerprint,
-        transitions=2,
-        applied_k=-1,
-    )
-    accepts = hello(verdict="accepted", answers=P)
-    (notice,) = end.hears(accepts, 0.0).notices
-    assert (notice.level, notice.subject) == ("info", "")
-    assert A in notice.text
-    assert S in notice.text
-    assert status_of(end.core, 0.0).phase == "running"
-    assert end.hears(accepts, 0.1) == NOTHING
-
-
 @pytest.mark.parametrize("known", [True, False])
 def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
     known: bool, news: PlantTelemetry
@@ -505,16 +444,6 @@ def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
     assert end.wakes(1.0) == NOTHING
     assert [*codes, end.core.code] == [None, USAGE]
     assert fields(gathered(end.core.stop(2.0)).publish[-1])["phase"] == "refused"
-
-
-def test_two_controllers_are_both_named() -> None:
-    end = Told().met()
-    answer = end.hears(hello(instance=B, session=None), 0.0)
-    (notice,) = answer.notices
-    assert (notice.level, notice.subject) == ("warning", "incompatible")
-    assert A in notice.text
-    assert B in notice.text
-    assert [m.controller for m in published(answer, PlantHello)] == [A]
 
 
 NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
@@ -587,28 +516,6 @@ def test_an_offer_that_names_digits_where_none_serve_is_malformed(
 # --- steps ----------------------------------------------------------------------------------------
 
 
-def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
-    end = Told().met()
-    before = end.core.state.record
-    assert end.hears(OFFER, 0.25).publish == ()
-    assert end.machine.asked == [
-        ("toss", 2),
-        ("begin", 3, (0.0,), (1.5,)),
-        ("end", 3),
-        ("prepare", 3),
-        ("prepare", 4),
-    ]
-    first, second = end.all
-    assert first.save is not None
-    assert isinstance(first.save.step, Read)
-    assert first.save.step.coin == 0
-    report = first.save.step.report
-    assert (report.k, report.applied_k) == (4, 3)
-    assert first.record == before, "the record before it"
-    assert not first.save.durable
-    assert second.save is None, "the next step saves what was counted"
-
-
 def test_a_plant_that_acts_saves_its_coin_before() -> None:
     machine = Machine(acts=True, device=True)
     machine.coin = 1
@@ -678,22 +585,6 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
 
 
 # --- greetings, silence ---------------------------------------------------------------------------
-
-
-def test_hellos_come_so_often_until_somebody_answers() -> None:
-    end = Told()
-    end.does(end.core.start(0.0))
-    assert end.core.wake_at() == -inf
-    (first,) = end.wakes(0.0).publish
-    assert isinstance(first, PlantHello)
-    assert first.controller is None
-    assert end.core.wake_at() == HELLO_S
-    assert published(end.wakes(0.99 * HELLO_S), PlantHello) == []
-    assert len(published(end.wakes(HELLO_S), PlantHello)) == 1
-    end.hears(hello(), 2 * HELLO_S)
-    (asks,) = end.wakes(2 * HELLO_S).publish
-    assert isinstance(asks, PlantHello)
-    assert asks.controller == A
 
 
 def test_before_anybody_is_met_the_first_step_has_not_begun() -> None:
@@ -791,12 +682,6 @@ def keys_at_work(**more: Any) -> Told:
     assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
-
-
-def test_a_life_with_keys_asks_for_blocks_whose_rows_the_journal_has() -> None:
-    end = Told(KEYS, changed(RECORD, transitions=4), contributions=rows(4))
-    began = gathered(end.core.start(0.0))
-    assert [type(task).__name__ for task in began.tasks] == ["ClosedBlock"]
 
 
 @pytest.mark.parametrize("right", [True, False])

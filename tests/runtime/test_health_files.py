@@ -64,20 +64,6 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     assert (slow.written, other.written) == ([1, 999], [7])
 
 
-def test_a_writer_goes_on_whatever_becomes_of_a_status(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    free = threading.Event()
-    free.set()
-    writer = HealthWriter()
-    writer.put("a", OnDisk(tmp_path, free, RuntimeError("a fault of its own")), status(1))
-    good = OnDisk(tmp_path, free)
-    writer.put("b", good, status(2))
-    writer.close(30)
-    assert good.written == [2]
-    assert "a fault of its own" in caplog.text
-
-
 @pytest.mark.parametrize("fault", ["folder", "link", "full"])
 def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
     tmp_path: Path,
@@ -120,9 +106,3 @@ def test_a_status_begins_with_its_health_and_is_read_without_it(
     assert path.read_bytes().startswith(b'{"health":"ok: ')
     found = read_status(path, ControllerStatus)
     assert found.transitions == 2
-
-
-def test_a_writer_that_was_never_asked_starts_no_thread_and_ends() -> None:
-    before = set(threading.enumerate())
-    HealthWriter().close(30)
-    assert set(threading.enumerate()) <= before

@@ -211,13 +211,6 @@ def caught() -> bool:
     return False
 
 
-@pytest.mark.wrong_on_purpose
-@pytest.mark.parametrize("wrong", WRONG)
-def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    WRONG[wrong](monkeypatch)
-    assert caught()
-
-
 def dies_while_writing(world: KeyedPair) -> None:
     """The controller, over and over; some of what it writes is a step."""
     for _ in range(20):
@@ -240,9 +233,3 @@ def test_saving_before_sending_answers_the_same_step_once() -> None:
     dies_while_writing(world)
     assert world.deaths == 20
     world.close()
-
-
-@pytest.mark.slow
-def test_the_right_ends_pass_such_schedules() -> None:
-    for seed in range(size(20, 60)):
-        wander(seed)

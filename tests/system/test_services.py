@@ -19,7 +19,6 @@ from controller_service.service import ControllerConfig, ControllerService
 from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from protocol.link.effects import Save
-from protocol.link.step import IDLE
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -34,12 +33,11 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.errors import DONE, USAGE, Failure, UsageError
+from runtime.errors import DONE, USAGE, Failure
 from runtime.health import read_status
-from runtime.journal import ControllerJournal, PlantJournal
+from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import (
-    CONTROLLER_JOURNAL,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
     PLANT_JOURNAL,
@@ -222,34 +220,6 @@ def replies_on(management: MemoryBus) -> list[SendReply]:
     return replies
 
 
-def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System) -> None:
-    """A step decided before it came, counted again after it, would be taken for its start."""
-    management = MemoryBus(system.management)
-    replies: list[bytes] = []
-    management.subscribe(key_of(SendReply, "loop"), lambda _k, payload, _t: replies.append(payload))
-    path = system.run_dir / CONTROLLER_JOURNAL
-    with system.controller(), system.plant(steps=60):
-        system.wait(lambda: "plant" in system.codes)
-        died = {file: file.read_bytes() for file in path.parent.glob(f"{path.name}*")}
-    for file, content in died.items():  # as a death would have left it
-        file.write_bytes(content)
-    with ControllerJournal(path, system.scenario.fingerprint()) as journal:
-        before, offer, *_ = journal.load()
-        assert before is not None
-        assert offer is not None
-    with system.controller():
-        management.publisher(key_of(SendCommand, "loop")).put(
-            SendCommand(id="a", payload=b"late").wire()
-        )
-        system.wait(lambda: bool(replies))
-    with ControllerJournal(path, system.scenario.fingerprint()) as journal:
-        after, step, *_ = journal.load()
-        assert after is not None
-        assert after.link.k == before.link.k + 1
-        assert step == IDLE
-        assert journal.queued == 1
-
-
 def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     system: System,
 ) -> None:
@@ -268,12 +238,6 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
             service.run()
     status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
     assert status.k == 1003
-
-
-@pytest.mark.slow
-def test_a_journal_serves_one_process_at_a_time(system: System) -> None:
-    with system.plant(), pytest.raises(UsageError, match="another process"), system.plant():
-        pass
 
 
 def test_field_messages_look_the_same_in_both_states(system: System) -> None:
@@ -295,25 +259,6 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
 
 
 # --- forged and foreign ---------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("u", [1.7e308, 6.1])
-def test_an_offer_outside_u_is_malformed_and_changes_nothing(system: System, u: float) -> None:
-    forger = MemoryBus(system.field)
-    put = forger.publisher(key_of(Offer, "loop")).put
-    forged: list[int] = []
-
-    def forge(_key: str, payload: bytes, _t_ns: int) -> None:
-        m = Measurement.model_validate_json(payload)
-        if m.k >= 10 and len(forged) < 20:
-            forged.append(m.k)
-            put(Offer(session=m.session, k=m.k, candidates=((u,), (0.0,)), cipher=0).wire())
-
-    forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
-    with system.plant() as plant, system.controller(b"one"):
-        system.wait(lambda: system.recovered() == [b"one"])
-    assert status_of(plant.endpoint, time.monotonic()).malformed == len(forged) == 20
-    assert system.errors == {}
 
 
 def other_model(scenario: Scenario) -> Scenario:
