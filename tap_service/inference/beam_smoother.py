@@ -383,6 +383,8 @@ class BeamSmoother:
 
         ``left_open`` counts the directions in which nothing was read. Last, where each came from.
         """
+        if not len(now.weights):
+            return now, origin
         C = item.C
         off = item.y - np.einsum("pri,ci->cpr", C, now.means)
         S = C @ now.P[:, None] @ C.swapaxes(1, 2) + item.variance * np.eye(C.shape[1])

@@ -93,6 +93,7 @@ class Inference:
         self._certain = k.policy is not None and k.policy.certain
         self._other_set = k.noisy  # than D_c, on which the law's facets depend, is tested by
         self._planar = PlanarLaw.of(k)
+        self._offered: PlanarLaw | None = None  # of the width that offers alone showed
         self._law = KnownLaw.of(k)
 
     def gauges(self, t: Transition) -> list[float] | None:
@@ -170,6 +171,8 @@ class Inference:
 
     def _by_evidence(self, law: PlanarLaw, run: Sequence[Transition]) -> PlanarLaw:
         """The law of the width that makes offers likeliest, where no state was heard with one."""
+        if self._offered is not None:
+            return self._offered
         trial = run[TRANSIENT : TRANSIENT + SHORT]
         offers = [law.solved(np.array(t.candidates)) for t in trial if t.candidates is not None]
         if len(offers) < ENOUGH:
@@ -184,7 +187,10 @@ class Inference:
         width = max(WIDTHS, key=evidence)
         for finer in FINER:
             width = max((min(width * ratio, 1.0) for ratio in finer), key=evidence)
-        return replace(law.of_width(width), doubt=DOUBT * law.spread)
+        law = replace(law.of_width(width), doubt=DOUBT * law.spread)
+        if len(trial) == SHORT:
+            self._offered = law
+        return law
 
     # --- by lines ---------------------------------------------------------------------------------
 

@@ -129,7 +129,7 @@ def test_how_far_the_disturbance_reaches_is_found_by_the_offers() -> None:
 
 @pytest.mark.long
 def test_how_wide_the_set_is_is_found_by_the_bends_of_the_law() -> None:
-    """Two costs, no state heard: the facets that clip them are those of T_0 for an eighth of D_e."""
+    """Two costs, no state heard: the facets that clip them scale with D_c, an eighth of D_e."""
     runs = simulated("sustained", 90, 0)
     heard = heard_by(list(transcript(runs, transfer(runs, payloads=[]), 0)), View(view="offers"))
     low, high = Inference(runs.scenario.knowledge()).infer(heard).among
