@@ -56,7 +56,7 @@ SHORT: Final = 60
 WIDTHS: Final = tuple(np.geomspace(1.0, 1 / 24, 10).tolist())
 """Of D_c over D_e, which are then tried first."""
 
-FINER: Final = ((0.84, 0.92, 1.0, 1.09, 1.19), (0.96, 0.98, 1.0, 1.02, 1.04), (0.993, 1.0, 1.007))
+FINER: Final = ((0.84, 0.92, 1.0, 1.09, 1.19), (0.97, 1.0, 1.03))
 """Times the best of them, which are then tried."""
 
 SPREAD: Final = 0.85
@@ -64,6 +64,9 @@ SPREAD: Final = 0.85
 
 DOUBT: Final = 0.013
 """By how much such a law's answers may be off, over their spread."""
+
+ROUGHLY: Final = 1.2
+"""Ratio within which a width is then known."""
 
 SAMPLES: Final = 192
 """Trajectories drawn where the law is not known to the last digit."""
@@ -218,7 +221,7 @@ class Inference:
             return Inferred(steps, (0.0, 1.0))
         exact = law.scaled and law.known and not self._noise and not law.doubt
         if law.scaled and law.known and not self._other_set and self._shape.told is None:
-            room = 1.0005 if exact else 1.06
+            room = 1.0005 if exact else (ROUGHLY if law.doubt else 1.06)
             return Inferred(steps, (law.width / room, min(law.width * room, 1.0)))
         return Inferred(steps, thresholds_above(float(support.max())))
 
