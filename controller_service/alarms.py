@@ -1,36 +1,30 @@
 """When a transition makes an alarm at the controller."""
 
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.events import Alarm, Reason
-from protocol.link.records import SenderRecord
+from protocol.link.records import AlarmRecord
 from protocol.link.session import Counted, CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.stream import NOWHERE
 
 
 class Tested(NamedTuple):
-    """What the defence says of a transition, and what the record keeps of it.
+    """What the defence says of a transition.
 
-    ``expected`` is the candidate that a digit of the key stream chose, -1 where the transition is
-    unwatched. ``reason`` is why it makes an alarm; empty: it makes none. ``failed``, ``unwatched``
-    and ``halted`` are the record's.
+    ``record`` follows from the one before. ``expected`` is the candidate that a digit of the key
+    stream chose, -1 where the transition is unwatched. ``reason`` is why it makes an alarm; empty:
+    it makes none.
     """
 
-    expected: int
-    reason: Reason
-    failed: int
-    unwatched: float
-    halted: bool
+    record: AlarmRecord
+    expected: int = NO_SYMBOL
+    reason: Reason = ""
 
 
-NO_TEST: Final = Tested(NO_SYMBOL, "", 0, 0.0, halted=False)
-"""Where a measurement reports nothing new."""
-
-
-def tested(rules: Rules, record: SenderRecord, offer: Offer, counted: Counted) -> Tested:
-    """Test the transition that ``offer`` made of ``record``."""
+def tested(rules: Rules, record: AlarmRecord, offer: Offer, counted: Counted) -> Tested:
+    """Test the transition that ``offer`` made."""
     expected = counted.digits[0] if counted.digits and rules.keyed else NO_SYMBOL
     failure = _failure(rules, offer, counted, expected)
     alarm, failed = rules.alarm_rule.test(record.failed, failed=failure != "")
@@ -39,18 +33,26 @@ def tested(rules: Rules, record: SenderRecord, offer: Offer, counted: Counted) -
         unwatched, too_many = rules.watch.after(unwatched, watched=expected != NO_SYMBOL)
     reason: Reason = failure if alarm else "unwatched" if too_many else ""
     halted = record.halted or (reason != "" and rules.halts)
-    return Tested(expected, reason, failed, unwatched, halted)
+    return Tested(AlarmRecord(failed, unwatched, halted), expected, reason)
 
 
-def first(rules: Rules, record: SenderRecord) -> Tested:
+def first(rules: Rules, record: AlarmRecord) -> Tested:
     """A session's first measurement: no transition, and an alarm if too many had no digit.
 
     Whoever ends each session at its first step would otherwise have all of them unwatched, and none
     counted.
     """
     if not (rules.keyed and record.unwatched > rules.watch.burst):
-        return Tested(NO_SYMBOL, "", record.failed, record.unwatched, record.halted)
-    return Tested(NO_SYMBOL, "unwatched", record.failed, 0.0, record.halted or rules.halts)
+        return Tested(record)
+    alarmed = record._replace(unwatched=0.0, halted=record.halted or rules.halts)
+    return Tested(alarmed, reason="unwatched")
+
+
+def session_ended(rules: Rules, record: AlarmRecord) -> AlarmRecord:
+    """A session is over: of its last step nobody has heard."""
+    if not rules.keyed:
+        return record
+    return record._replace(unwatched=rules.watch.unheard(record.unwatched))
 
 
 def _failure(rules: Rules, offer: Offer, counted: Counted, expected: int) -> Reason:

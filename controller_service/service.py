@@ -9,12 +9,10 @@ from pathlib import Path
 from controller_service.core import ControllerCore
 from controller_service.laws.online import OnlineLaw
 from controller_service.telemetry import ControllerTelemetry
-from protocol.link.channel import Channel
-from protocol.link.networked import behind
+from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S
-from protocol.link.peer import Peer
+from protocol.link.records import ControllerRecord
 from protocol.link.session import rules_of
-from protocol.messages import Measurement
 from protocol.scenario import Scenario
 from protocol.streams import CIPHER
 from runtime.bus import Bus
@@ -78,7 +76,7 @@ def open_controller(
         journal = ControllerJournal(config.run_dir / CONTROLLER_JOURNAL, scenario.fingerprint())
         loaded = journal.load()
         if loaded.record is not None and config.clear_alarm:
-            loaded = loaded._replace(record=loaded.record._replace(halted=False))
+            loaded = loaded._replace(record=_going_on(loaded.record))
         predict = load_model(scenario, config.folder)
     except (JournalError, UserCodeError) as error:
         raise UsageError(str(error)) from None
@@ -88,7 +86,6 @@ def open_controller(
     trace = TraceWriter(
         config.run_dir / CONTROLLER_TRACE, "controller", scenario.identity(), config.bounds
     )
-    telemetry = ControllerTelemetry(config.law)
     core = ControllerCore(
         rules_of(scenario),
         config.law.candidates,
@@ -99,17 +96,17 @@ def open_controller(
         loaded=loaded,
         predict=predict,
         message=config.message,
-        telemetry=telemetry,
-        status_s=status_s,
+        news=ControllerTelemetry(config.law, status_s),
+        channel=channel_of(
+            scenario, "to_controller", config.folder, scale=config.pace.scale, seed=config.seed
+        ),
     )
     return core, Files(journal, trace, config.run_dir / CONTROLLER_STATUS)
 
 
-def _channel(config: ControllerConfig) -> Channel | None:
-    """The way of the measurements to this controller."""
-    return channel_of(
-        config.scenario, "to_controller", config.folder, scale=config.pace.scale, seed=config.seed
-    )
+def _going_on(record: ControllerRecord) -> ControllerRecord:
+    """The record, with offers going on that an alarm has ended."""
+    return record._replace(alarms=record.alarms._replace(halted=False))
 
 
 class ControllerService(EndService[ControllerCore]):
@@ -135,8 +132,6 @@ class ControllerService(EndService[ControllerCore]):
         super().__init__(
             config,
             open_controller(config),
-            _channel(config),
-            Measurement,
             log,
             field,
             management,
@@ -146,10 +141,10 @@ class ControllerService(EndService[ControllerCore]):
         core = self.endpoint
         log.info(
             "session %s, model %s, %d messages queued, %d delivered",
-            core.record.session or "none yet",
+            core.state.session.record.id or "none yet",
             config.scenario.fingerprint()[:8],
-            core.messages.queued,
-            core.record.message,
+            core.state.messages.queued,
+            core.state.frame.record.message,
         )
 
 
@@ -166,7 +161,7 @@ def run_controllers(
     """Run the controllers of a fleet on open buses; loops of one scenario share one law."""
     laws: dict[str, tuple[Scenario, OnlineLaw]] = {}
 
-    def open_end(loop: FleetLoop, _number: int) -> tuple[Peer, Files]:
+    def open_end(loop: FleetLoop, _number: int) -> tuple[Endpoint, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         if loop.scenario not in laws:
@@ -184,7 +179,6 @@ def run_controllers(
             bounds=bounds,
             folder=scenario_file_of(loop.scenario).parent,
         )
-        core, files = open_controller(config, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), core, Measurement), files
+        return open_controller(config, status_s=FLEET_STATUS_S)
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("controller"))

@@ -1,57 +1,42 @@
 """What the controller tells the dashboard."""
 
 import time
-from typing import Any, Final, Literal, Protocol
+from typing import Any, Final
 
 from controller_service.laws.online import OnlineLaw
+from controller_service.state import ControllerState
 from protocol.agreement import NO_SYMBOL
-from protocol.link.distiller import Distiller
 from protocol.link.events import Alarm
-from protocol.link.records import SenderRecord
-from protocol.link.session import CountedTransition, Rules
+from protocol.link.pacing import STATUS_S
+from protocol.link.session import CountedTransition
+from protocol.link.telemetry import Telemetry
 from protocol.messages import ControllerStatus
 from protocol.schemes.framing import frame_length
 from protocol.text import Shown
-
-Phase = Literal["greeting", "running", "outside", "alarmed", "stopped", "refused"]
-
 
 LARGEST_GAUGE: Final = 1e300
 """What a status says of one that is larger still: a message holds finite numbers only."""
 
 
-class MessageQueue(Protocol):
-    """The messages to deliver, in order, numbered from 0, as the journal has them."""
+class ControllerTelemetry(Telemetry):
+    """What a controller's status has beside its state; :meth:`status` puts both together.
 
-    queued: int
-    """How many there ever were."""
-
-    def payload(self, number: int) -> bytes | None:
-        """Message ``number``; None while it is not queued, and once it was delivered."""
-
-    def crc_of(self, identifier: str) -> int | None:
-        """The CRC-32 of the message that was queued under this identifier, or None."""
-
-    def identifier(self, number: int) -> str:
-        """Identifier of the queued message ``number``."""
-
-
-class ControllerTelemetry:
-    """What is worth telling beside the record; :meth:`status` puts both together.
-
-    ``phase`` and ``detail`` are the core's to set.
+    Parameters
+    ----------
+    law : OnlineLaw, optional
+        None: no status is published.
+    status_s : float
+        Seconds between statuses.
     """
 
-    def __init__(self, law: OnlineLaw) -> None:
-        self.phase: Phase = "greeting"
-        self.detail = ""
+    def __init__(self, law: OnlineLaw | None = None, status_s: float = STATUS_S) -> None:
+        super().__init__(None if law is None else status_s)
         self._unexplained = self._watched = self._unwatched = self._alarms = 0
         self._alarm: Alarm | None = None
         self._law = law
         self._sending = Shown()
         self._shown: tuple[int, bytes | None] = -1, None  # a queued message stays what it is
         self._delivered: bytes | None = None
-        self._seq = 0
 
     def counted(self, t: CountedTransition) -> None:
         """Take in a transition."""
@@ -68,22 +53,17 @@ class ControllerTelemetry:
         self._alarms += 1
         self._alarm = alarm
 
-    def status(
-        self,
-        record: SenderRecord,
-        rules: Rules,
-        keys: Distiller,
-        messages: MessageQueue,
-        malformed: int,
-    ) -> ControllerStatus:
-        """What the dashboard is told now."""
-        idle, shown = record.message >= messages.queued, record.message
+    def status(self, state: ControllerState, malformed: int) -> ControllerStatus:
+        """What the dashboard is told of the controller."""
+        session, link, _, frame, _, _ = state.record
+        messages, rules = state.messages, state.rules
+        idle, shown = frame.message >= messages.queued, frame.message
         if not idle and shown != self._shown[0]:
             self._shown = shown, messages.payload(shown)
         payload = self._delivered if idle else self._shown[1]
         length = 0 if payload is None else frame_length(len(payload), rules.size)
         try:
-            set_index = self._law.index(record.x) if record.x else -1
+            set_index = self._law.index(link.x) if self._law is not None and link.x else -1
         except LookupError:
             set_index = -1
         self._seq += 1
@@ -92,24 +72,24 @@ class ControllerTelemetry:
             t_ns=time.time_ns(),
             phase=self.phase,
             detail=self.detail,
-            session=record.session,
-            k=record.k,
+            session=session.id,
+            k=link.k,
             set_index=set_index,
-            transitions=record.transitions,
-            agreements=record.agreements,
+            transitions=link.transitions,
+            agreements=link.agreements,
             malformed=malformed,
-            automaton=record.s,
+            automaton=link.s,
             sending="" if payload is None else self._sending.text(payload),
-            frame_symbols=length if idle else record.offset,
+            frame_symbols=length if idle else frame.offset,
             frame_length=length,
-            queue=max(0, messages.queued - record.message - 1),
-            delivered=record.message,
+            queue=max(0, messages.queued - frame.message - 1),
+            delivered=frame.message,
             unexplained=self._unexplained,
             watched=self._watched,
             unwatched=self._unwatched if rules.keyed else 0,
             alarms=self._alarms,
             **self._last_alarm(),
-            **keys.status_fields(),
+            **state.keys.status_fields(),
         )
 
     def _last_alarm(self) -> dict[str, Any]:

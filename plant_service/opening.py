@@ -17,9 +17,10 @@ from plant_service.plant import (
     sensed,
 )
 from plant_service.status import PlantTelemetry
+from protocol.link.channel import Channel
 from protocol.link.fallback import Fallback
 from protocol.link.pacing import Pacing
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import AppliedRecord, LinkRecord, PlantRecord, PlantSessionRecord
 from protocol.link.session import rules_of
 from protocol.link.step import Read
 from protocol.scenario import Attack, Scenario
@@ -35,10 +36,13 @@ if TYPE_CHECKING:
     from attacker_service.attacker import Attacker
 
 
-def first_record(scenario: Scenario, session: str, x: Vector | None = None) -> ReceiverRecord:
+def first_record(
+    scenario: Scenario, session: str, x: Vector | None = None, sensor_seed: int = 0
+) -> PlantRecord:
     """The record of a plant that has not moved yet; ``x`` is its first reading, if it has one."""
-    start = scenario.initial_state if x is None else x
-    return ReceiverRecord(session=session, k=0, x=start, u=(0.0,) * scenario.m)
+    link = LinkRecord(0, scenario.initial_state if x is None else x)
+    applied = AppliedRecord((0.0,) * scenario.m, sensor_seed=sensor_seed)
+    return PlantRecord(PlantSessionRecord(session), link, applied)
 
 
 def clock_scale(scenario: Scenario, pacing: Pacing) -> float:
@@ -56,13 +60,14 @@ def open_core(
     pacing: Pacing,
     *,
     steps: int | None = None,
-    telemetry: PlantTelemetry | None = None,
+    news: PlantTelemetry | None = None,
     folder: Path = Path(),
     seed: int | None = None,
     sensors: Stream | None = None,
     own: Stepped | PlantAdapter | None = None,
     attack: Attack | None = None,
     nonces: NonceSource = fresh_nonce,
+    channel: Channel | None = None,
 ) -> PlantCore:
     """The core of a scenario's plant, as its journal has it; its plant is started.
 
@@ -72,7 +77,7 @@ def open_core(
     journal : PlantJournal
     coin : SymbolSource
         b_r; draw j belongs to transition j.
-    new_id, now, pacing, steps, telemetry
+    new_id, now, pacing, steps, news, nonces, channel
         As of :class:`plant_service.core.PlantCore`.
     noise : Stream
         Uniform numbers for the simulated disturbance; draw k belongs to step k.
@@ -87,7 +92,6 @@ def open_core(
         In place of the scenario's plant.
     attack : Attack, optional
         On this plant, or on its bus.
-    nonces : NonceSource
 
     Raises
     ------
@@ -99,7 +103,7 @@ def open_core(
     loaded = journal.load()
     record, step = loaded.record, loaded.step
     attacker = None if attack is None else _attacker(scenario, attack, seed)
-    sensor_seed = secrets.randbits(62) if record is None else record.sensor_seed
+    sensor_seed = secrets.randbits(62) if record is None else record.applied.sensor_seed
     spec, observer = scenario.plant.noise, scenario.observer
     if observer is not None and sensors is None:  # a step is made again with the same d
         widths = scenario.plant.disturbance.half_widths
@@ -129,14 +133,12 @@ def open_core(
         if isinstance(step, Read):
             last = (step.report, step.offer.candidates[step.coin])
         plant, x = sensed(plant, scenario, at_plant, draws, x, record, last)
-        if attacker is not None and telemetry is not None:
-            telemetry.attack = attacker.began.sentence()
+        if attacker is not None and news is not None:
+            news.attack = attacker.began.sentence()
         first = None
         if record is None:
             seeded = spec is not None or observer is not None
-            first = first_record(scenario, new_id(), x)._replace(
-                sensor_seed=sensor_seed if seeded else 0
-            )
+            first = first_record(scenario, new_id(), x, sensor_seed if seeded else 0)
         return PlantCore(
             rules_of(scenario),
             plant,
@@ -150,11 +152,12 @@ def open_core(
             first=first,
             back=x if plant.acts and record is not None else None,
             steps=steps,
-            telemetry=telemetry,
+            news=news,
             watchdog_s=scenario.link.watchdog_s,
             round_trip_s=round_trip_s(scenario, folder) * clock_scale(scenario, pacing),
             attack=None if attacker is None else attacker.began,
             nonces=nonces,
+            channel=channel,
         )
     except BaseException:  # it was started: whoever cannot go on leaves it safe
         plant.safe("its service could not start")

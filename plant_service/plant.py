@@ -13,7 +13,7 @@ from plant_service.adapters.operated import Operated
 from plant_service.disturbance import disturbance
 from protocol.agreement import predict
 from protocol.link.filters import Filter, read_through, sensors_of
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import PlantRecord
 from protocol.link.session import Truth
 from protocol.messages import FIELD, Measurement
 from protocol.scenario import Scenario
@@ -278,7 +278,7 @@ class FilteredPlant:
 
     def overheard(self, bus: Bus, loop: str) -> Bus:
         """The field bus, of which the filters that listen hear every message that passes here."""
-        listening = [one for one in self.filters if one.hears]
+        listening = [one for one in self.filters if one.listens]
         if not listening:
             return bus
         kinds = {key_of(kind, loop): kind for kind in FIELD}
@@ -300,7 +300,7 @@ def sensed(
     attack: Filter | None,
     draws: Stream,
     started: Vector | None,
-    record: ReceiverRecord | None,
+    record: PlantRecord | None,
     last: tuple[Measurement, Vector] | None,
 ) -> tuple[Plant, Vector | None]:
     """The plant behind its filters, and its first reading.
@@ -315,7 +315,7 @@ def sensed(
         Of the sensors' noise.
     started : tuple of float, optional
         Where the plant has started; None: where the scenario says.
-    record : ReceiverRecord, optional
+    record : PlantRecord, optional
         As read back from a journal.
     last : tuple of Measurement and tuple of float, optional
         What the journal's uncounted step came to, and the input that led there.
@@ -331,15 +331,15 @@ def sensed(
         report, u = last
         found.recall(report.k, report.x, u)
     if record is None or found.acts:  # it stands where it has started
-        y, found.x = read_through(sensors, 0 if record is None else record.k + 1, x)
+        y, found.x = read_through(sensors, 0 if record is None else record.link.k + 1, x)
         return found, y
     if outputs:
-        found.x = record.true_x or x
+        found.x = record.applied.true_x or x
         if last is not None:  # the step is made again
             report, u = last
             found.begin(report.applied_k, (), u)
             found.end(report.applied_k)
     elif last is None:
-        found.recall(record.k, record.x, ())
+        found.recall(record.link.k, record.link.x, ())
         found.truth = None
     return found, None

@@ -13,11 +13,8 @@ from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from plant_service.plant import FilteredPlant
 from plant_service.status import PlantTelemetry
-from protocol.link.channel import Channel
-from protocol.link.networked import behind
+from protocol.link.endpoint import Endpoint
 from protocol.link.pacing import STATUS_S, Pacing
-from protocol.link.peer import Peer
-from protocol.messages import Offer
 from protocol.scenario import Attack
 from protocol.streams import COIN, SENSOR, Stream
 from runtime.bus import Bus
@@ -86,17 +83,10 @@ def open_plant(
     return core, files
 
 
-def _channel(config: PlantConfig) -> Channel | None:
-    """The way of the offers to this plant."""
-    return channel_of(
-        config.scenario, "to_plant", config.folder, scale=config.pace.scale, seed=config.seed
-    )
-
-
 def let_go(core: PlantCore) -> None:
     """Leave the plant in its safe state when its service cannot start."""
-    core.plant.safe("its service could not start")
-    core.plant.close()
+    core.stepper.plant.safe("its service could not start")
+    core.stepper.plant.close()
 
 
 def _opened(
@@ -106,9 +96,9 @@ def _opened(
     scenario, seeded = config.scenario, config.seed is not None
     journal = PlantJournal(config.run_dir / PLANT_JOURNAL, scenario.fingerprint())
     undone.callback(journal.close)
-    telemetry = PlantTelemetry(scenario, config.pace.text, seeded=seeded, status_s=status_s)
+    news = PlantTelemetry.of(scenario, config.pace.text, seeded=seeded, status_s=status_s)
     if (last := journal.last_message()) is not None:
-        telemetry.last_message = last
+        news.last_message = last
     step_s = config.pace.step_s(scenario.plant.period_s)
     core = open_core(
         scenario,
@@ -119,13 +109,16 @@ def _opened(
         now,
         Pacing(step_s, scenario.link.repeats_per_period, now, phase),
         steps=config.steps,
-        telemetry=telemetry,
+        news=news,
         folder=config.folder,
         seed=config.seed,
         sensors=None
         if config.seed is None
         else Stream(config.seed, SENSOR, width=scenario.readings),
         attack=config.attack,
+        channel=channel_of(
+            scenario, "to_plant", config.folder, scale=config.pace.scale, seed=config.seed
+        ),
     )
     undone.callback(let_go, core)
     trace = TraceWriter(config.run_dir / PLANT_TRACE, "plant", scenario.identity(), config.bounds)
@@ -158,25 +151,23 @@ class PlantService(EndService[PlantCore]):
                 f"the plant is in its safe state: {why} (look at it, then wyner plant --clear-safe)"
             )
         log, opened = logger("plant"), open_plant(config, clock())
-        if isinstance(opened[0].plant, FilteredPlant):
-            field = opened[0].plant.overheard(field, config.loop)
+        plant = opened[0].stepper.plant
+        if isinstance(plant, FilteredPlant):
+            field = plant.overheard(field, config.loop)
         try:
-            channel = _channel(config)
-            super().__init__(
-                config, opened, channel, Offer, log, field, management, stopping, clock
-            )
+            super().__init__(config, opened, log, field, management, stopping, clock)
         except BaseException:
             let_go(opened[0])
             raise
-        record = self.endpoint.record
+        state = self.endpoint.state
         code = getattr(config.scenario.plant, "object", None)
         if code is not None:
             log.info("plant.object: running %s, from %s", code, config.folder.resolve())
         log.info(
             "session %s, model %s, step %d, pace %s",
-            record.session,
+            state.session.record.id,
             config.scenario.fingerprint()[:8],
-            record.k,
+            state.link.k,
             config.pace.text,
         )
 
@@ -211,7 +202,7 @@ def run_plants(
 ) -> int:
     """Run the plants of a fleet on open buses; returns the exit code."""
 
-    def open_end(loop: FleetLoop, number: int) -> tuple[Peer, Files]:
+    def open_end(loop: FleetLoop, number: int) -> tuple[Endpoint, Files]:
         folder = run_dir / loop.id
         keep_scenario(folder, loop.scenario)
         scenario = scenario_of(loop.scenario)
@@ -229,7 +220,6 @@ def run_plants(
             folder=scenario_file_of(loop.scenario).parent,
         )
         phase = number % SLOTS / SLOTS
-        core, files = open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
-        return behind(_channel(config), core, Offer), files
+        return open_plant(config, time.monotonic(), phase=phase, status_s=FLEET_STATUS_S)
 
     return run_fleet(fleet, open_end, field, management, stopping, logger("plant"))

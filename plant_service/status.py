@@ -4,17 +4,17 @@ import time
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Sequence
-from math import inf, isfinite
-from typing import Final, Literal
+from math import isfinite
+from typing import Final, Self
 
 from plant_service.punctuality import Punctuality, ReachWatch
-from protocol.link.distiller import Distiller
-from protocol.link.pacing import HEALTH_S, STATUS_S
-from protocol.link.records import ReceiverRecord
+from plant_service.state import PlantState
+from protocol.link.pacing import STATUS_S
+from protocol.link.records import LinkRecord
 from protocol.link.session import CountedTransition
-from protocol.messages import LATENCY_BOUNDS_S, PlantModel, PlantStatus
-from protocol.scenario import Scenario
-from protocol.schemes.framing import Deframer
+from protocol.link.telemetry import Telemetry
+from protocol.messages import LATENCY_BOUNDS_S, Message, PlantModel, PlantStatus
+from protocol.scenario import Calibration, Scenario
 from protocol.text import Shown, readable
 from protocol.vectors import Vector
 
@@ -33,52 +33,78 @@ MODEL_S: Final = 1.0
 MODEL_AFTER: Final = 4
 """Statuses from one publication of the model to the next, where statuses come seldom."""
 
-Phase = Literal["greeting", "running", "stopped", "refused"]
 
+class PlantTelemetry(Telemetry):
+    """What a plant's status has beside its state; :meth:`status` puts both together.
 
-class PlantTelemetry:
-    """What a status has beside the record; :meth:`status` puts both together.
-
-    ``phase``, ``detail``, ``late``, ``attack``, ``last_message``, ``message_k`` (the
-    step at which it came through) and ``health_at`` are set from outside; ``model`` is what does
-    not change.
+    ``late``, ``attack``, ``last_message`` and ``message_k`` (the step at which it came through) are
+    set from outside.
 
     Parameters
     ----------
-    scenario : Scenario
-    pace : str
-        As the operator gave it.
-    seeded : bool
-        Whether the run's symbols can be predicted.
+    model : PlantModel, optional
+        What does not change. None: no status is published.
+    calibration : Calibration, optional
+        What was promised of D_c.
+    hidden : int
+        Where outputs are read: states, which are told once they are estimated.
     status_s : float
         Seconds between statuses.
     """
 
     def __init__(
-        self, scenario: Scenario, pace: str, *, seeded: bool, status_s: float = STATUS_S
+        self,
+        model: PlantModel | None = None,
+        calibration: Calibration | None = None,
+        hidden: int = 0,
+        status_s: float = STATUS_S,
     ) -> None:
-        self.status_s = status_s
-        self.phase: Phase = "greeting"
-        self.detail = ""
+        super().__init__(None if model is None else status_s)
         self.late = 0
         self.last_message = b""
         self.message_k = -1
-        self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
-        self._tail: deque[CountedTransition] = deque(maxlen=TAIL)
-        self.punctuality = Punctuality()
-        self.watch = ReachWatch(scenario.defender.calibration)
         self.attack = ""
-        self.model = _model(scenario, pace, seeded=seeded)
-        self._hidden = 0 if scenario.plant.C is None else scenario.n
+        self.punctuality = Punctuality()
+        self.watch = ReachWatch(calibration)
+        self.measured_k, self.measured_at = -1, 0.0
+        self._latencies = [0] * (len(LATENCY_BOUNDS_S) + 1)
+        self._tail: deque[CountedTransition] = deque(maxlen=0 if model is None else TAIL)
+        self.model = model
+        self._hidden = hidden
         self._old = self._new = 0
         self._partial = Shown()
-        self._seq = 0
         self._rate_mark = (0.0, 0)
         self._rate_hz = 0.0
         self._published = 0
-        self.health_at = -inf
 
-    def answered(self, seconds: float) -> None:
+    @classmethod
+    def of(cls, scenario: Scenario, pace: str, *, seeded: bool, status_s: float = STATUS_S) -> Self:
+        """For a scenario's plant.
+
+        Parameters
+        ----------
+        scenario : Scenario
+        pace : str
+            As the operator gave it.
+        seeded : bool
+            Whether the run's symbols can be predicted.
+        status_s : float
+        """
+        hidden = 0 if scenario.plant.C is None else scenario.n
+        model = _model(scenario, pace, seeded=seeded)
+        return cls(model, scenario.defender.calibration, hidden, status_s)
+
+    def measured(self, k: int, now: float) -> None:
+        """Note when Measurement(k) left first."""
+        if k != self.measured_k:
+            self.measured_k, self.measured_at = k, now
+
+    def answered(self, k: int, now: float) -> None:
+        """The offer for step ``k`` came: count how long after its measurement."""
+        if k == self.measured_k:
+            self.took(now - self.measured_at)
+
+    def took(self, seconds: float) -> None:
         """Count an offer that came so long after its measurement."""
         self._latencies[bisect_left(LATENCY_BOUNDS_S, seconds)] += 1
 
@@ -88,44 +114,33 @@ class PlantTelemetry:
         self._new += 1
         return self.watch.counted(t.verdict, t.coin)
 
-    def model_is_due(self) -> bool:
-        """Whether the status to be published now is a whole one, with the model before it."""
+    def messages(self, state: PlantState, malformed: int) -> tuple[Message, ...]:
+        """A status, and once a second the model before it: who hears that lacks nothing."""
+        assert self.status_s is not None
+        assert self.model is not None
         whole = self._published % max(MODEL_AFTER, round(MODEL_S / self.status_s)) == 0
         self._published += 1
-        return whole
+        status = self.status(state, malformed, whole=whole)
+        return (self.model, status) if whole else (status,)
 
-    def health_is_due(self, now_s: float) -> bool:
-        """Whether a status is to be kept in the run's folder: once in :data:`HEALTH_S`."""
-        due = now_s >= self.health_at
-        if due:
-            self.health_at = now_s + HEALTH_S
-        return due
-
-    def _state(self, record: ReceiverRecord) -> Vector:
+    def _x(self, link: LinkRecord) -> Vector:
         """x(k) as it is read; where outputs are read, as it was estimated after the last offer."""
-        if record.estimate is not None:
-            return record.estimate.box.centre
-        return (0.0,) * self._hidden or record.x
+        if link.estimate is not None:
+            return link.estimate.box.centre
+        return (0.0,) * self._hidden or link.x
 
-    def status(
-        self,
-        record: ReceiverRecord,
-        deframer: Deframer,
-        keys: Distiller,
-        malformed: int,
-        now_s: float,
-        *,
-        whole: bool = True,
-    ) -> PlantStatus:
-        """What the dashboard is told at monotonic time ``now_s``.
+    def status(self, state: PlantState, malformed: int, *, whole: bool = True) -> PlantStatus:
+        """What the dashboard is told of the plant.
 
         A ``whole`` one shows all transitions that are remembered, for whoever has not heard the
         statuses before; the others what came since the last but one, should the last be lost.
         """
+        session, link, applied, frame, _ = state.record
+        deframer, now_s = state.frame.deframer, state.now
         mark, transitions = self._rate_mark
         if now_s - mark >= RATE_S:
-            self._rate_hz = max(0.0, (record.transitions - transitions) / (now_s - mark))
-            self._rate_mark = (now_s, record.transitions)
+            self._rate_hz = max(0.0, (link.transitions - transitions) / (now_s - mark))
+            self._rate_mark = (now_s, link.transitions)
         self._seq += 1
         shown = TAIL if whole else max(TAIL_AT_LEAST, self._old + self._new)
         self._old, self._new = self._new, 0
@@ -137,34 +152,34 @@ class PlantTelemetry:
             t_ns=time.time_ns(),
             phase=self.phase,
             detail=self.detail or self.watch.doubt,
-            session=record.session,
-            sessions=record.sessions,
-            k=record.k,
-            x=self._state(record),
-            transitions=record.transitions,
-            missed=record.missed,
+            session=session.id,
+            sessions=session.sessions,
+            k=link.k,
+            x=self._x(link),
+            transitions=link.transitions,
+            missed=applied.missed,
             late=self.late,
             malformed=malformed,
-            agreements=record.agreements,
-            symbol_errors=record.symbol_errors,
+            agreements=link.agreements,
+            symbol_errors=applied.symbol_errors,
             rate_hz=self._rate_hz,
-            automaton=record.s,
-            recovered_symbols=record.p,
-            messages=record.messages,
+            automaton=link.s,
+            recovered_symbols=link.p,
+            messages=frame.messages,
             last_message=readable(self.last_message),
             message_k=self.message_k,
             latency_counts=tuple(self._latencies),
             partial=self._partial.text(deframer.partial),
             frame_symbols=len(deframer.symbols),
             frame_length=deframer.expected_length,
-            frames_refused=record.frames_refused,
+            frames_refused=frame.refused,
             outside=self.watch.outside,
             unexplained=self.watch.unexplained,
             sampled_late_s=self.punctuality.sampled_late_s,
             actuated_after_s=self.punctuality.actuated_after_s,
             overruns=self.punctuality.overruns,
-            **keys.status_fields(),
-            key_blocks_begun=record.blocks_begun,
+            **state.keys.status_fields(),
+            key_blocks_begun=state.keys.record.begun,
             pictured_k=pictured.k if pictured else -1,
             pictured_x=_before(pictured) if pictured else (),
             pictured_candidates=pictured.candidates if pictured else (),
@@ -179,7 +194,7 @@ class PlantTelemetry:
             tail_automaton=tuple([t.s for t in tail]),
             tail_coin=tuple([t.coin for t in tail]),
             attack=self.attack,
-            true_x=true[-1] if true and tail[-1].k + 1 == record.k else (),
+            true_x=true[-1] if true and tail[-1].k + 1 == link.k else (),
             tail_true_x=true,
         )
 

@@ -151,8 +151,11 @@ class AgreementRule:
         Where D_e has a shape of its own: the gauge of D_e over alpha.
     apart : Gauge, optional
         Where sensors are noisy and ``gauge`` is that of W: the gauge of D_c. All candidates are
-        then possible for her where their centres are at most alpha - 1 apart in it, whatever x_next
+        then possible for Eve where their centres are at most alpha - 1 apart in it, whatever x_next
         is: d + B (u_b - u_i) is in D_e for every d in D_c, and gives the same readings for ever.
+    deviations : tuple of float, shape (n,), optional
+        Of a Gaussian d, a state each. The symbol is then the likeliest candidate, in every
+        transition and whatever the sets say, and it may be wrong.
     """
 
     A: Matrix
@@ -161,6 +164,7 @@ class AgreementRule:
     alpha: float
     reach: Gauge | None = None
     apart: Gauge | None = None
+    deviations: Vector | None = None
 
     def verdict(
         self, x: Sequence[float], candidates: Sequence[Sequence[float]], x_next: Sequence[float]
@@ -170,7 +174,7 @@ class AgreementRule:
         return self.verdict_at([predict(A, B, x, u) for u in candidates], x_next)
 
     def widest(self, predictions: Iterable[Sequence[float]], x_next: Sequence[float]) -> float:
-        """The largest gauge of D_e over alpha: up to alpha she finds every candidate possible."""
+        """The largest gauge of D_e over alpha: up to alpha Eve finds every candidate possible."""
         gauge = self.gauge if self.reach is None else self.reach
         if self.apart is not None:
             return 1.0 + spread(self.apart, list(predictions))
@@ -189,17 +193,30 @@ class AgreementRule:
             predictions = list(predictions)
             possible = 1.0 + spread(self.apart, predictions) <= alpha
             alpha = inf
+        unlikeliness = []
         for i, centre in enumerate(predictions):
             difference = tuple(map(sub, x_next, centre))
             g = gauge(difference)
             gauges.append(g)
+            if self.deviations is not None:
+                unlikeliness.append(deviation(difference, self.deviations))
             fits = g <= INSIDE  # no branch: the verdict must not show in the time it takes
             inside += fits
             symbol = i if fits else symbol
             possible &= (g if reach is None else reach(difference)) <= alpha
+        if unlikeliness:
+            return AgreementResult(tuple(gauges), unlikeliness.index(min(unlikeliness)), inside)
         return AgreementResult(
             tuple(gauges), symbol if inside == 1 and possible else NO_SYMBOL, inside
         )
+
+
+def deviation(v: Sequence[float], deviations: Sequence[float]) -> float:
+    """The sum of squares of ``v`` in standard deviations, added from the left."""
+    total = 0.0
+    for a, s in zip(v, deviations, strict=True):
+        total += (a / s) * (a / s)
+    return total
 
 
 def fails(gauges: Sequence[float], digit: int) -> bool:

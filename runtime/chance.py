@@ -3,6 +3,7 @@
 The protocol is handed all that is drawn (:mod:`protocol.streams`) and draws nothing itself.
 """
 
+import os
 import random
 import secrets
 from binascii import b2a_base64
@@ -13,7 +14,7 @@ from protocol.streams import DISTURBANCE, SeededSymbols, Stream, SymbolSource
 
 def fresh_nonce() -> str:
     """A nonce from the operating system's generator, in base64."""
-    return b2a_base64(secrets.token_bytes(NONCE_BYTES), newline=False).decode()
+    return b2a_base64(os.urandom(NONCE_BYTES), newline=False).decode()
 
 
 def seeded_nonces(seed: int, run: int) -> NonceSource:

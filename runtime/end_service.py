@@ -7,17 +7,14 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Generic, TypeVar
 
-from protocol.link.channel import Channel
-from protocol.link.networked import behind
-from protocol.link.peer import Peer
-from protocol.messages import Measurement, Offer
+from protocol.link.endpoint import Endpoint
 from protocol.scenario import Scenario
 from runtime.bus import Bus
 from runtime.host import Host
 from runtime.ports import Files
 from runtime.recording import Bounds
 
-E = TypeVar("E", bound=Peer)
+E = TypeVar("E", bound=Endpoint)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,10 +42,6 @@ class EndService(Generic[E]):
     config : EndConfig
     opened : tuple of Endpoint and Files
         The end of the loop as its journal has it.
-    channel : Channel, optional
-        What this end's messages pass before they arrive.
-    kind : type
-        `Measurement` or `Offer`, what the channel carries.
     log : logging.Logger
     field, management : Bus
         Already open; closed by whoever opened them.
@@ -62,8 +55,6 @@ class EndService(Generic[E]):
         self,
         config: EndConfig,
         opened: tuple[E, Files],
-        channel: Channel | None,
-        kind: type[Measurement] | type[Offer],
         log: logging.Logger,
         field: Bus,
         management: Bus,
@@ -73,8 +64,7 @@ class EndService(Generic[E]):
         self.endpoint, files = opened
         self.trace = files.trace
         self._host = Host(field, management, stopping, clock)
-        end = behind(channel, self.endpoint, kind)
-        self._host.add(config.loop, end, files, log)
+        self._host.add(config.loop, self.endpoint, files, log)
         if config.seed is not None:
             log.warning("seed %d: symbols are predictable, for experiments only", config.seed)
 

@@ -4,7 +4,7 @@ import logging
 import threading
 from collections.abc import Callable
 
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from runtime.bus import Bus
 from runtime.collection import freeze_startup
 from runtime.errors import Failure, UsageError
@@ -15,7 +15,7 @@ from runtime.ports import Files
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
 
-Open = Callable[[FleetLoop, int], tuple[Peer, Files]]
+Open = Callable[[FleetLoop, int], tuple[Endpoint, Files]]
 """Opens one end of a loop, the nth of its host, as its journal has it.
 
 It raises UsageError, Failure or OSError where that cannot be.

@@ -19,7 +19,7 @@ from math import inf
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from protocol.link.effects import Effects, Notice, Save
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
@@ -68,12 +68,13 @@ class _Extracted(NamedTuple):
 
 @dataclass(slots=True)
 class _Loop:
-    endpoint: Peer
+    endpoint: Endpoint
     ports: LoopPorts
     wakes_at: float = inf  # the earliest entry of the heap that is this one's
     started: bool = False
     failed: bool = False  # what it has done last may be carried out in part
     appearances: int = 0  # of a message of the field bus, as the endpoint was told; 0: not yet
+    look: bool = False  # whether its links are to be counted before it acts
 
 
 class Sparing:
@@ -160,7 +161,6 @@ class Host:
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
-        self._started = False
         self._code = DONE
 
     @property
@@ -168,12 +168,12 @@ class Host:
         """The loops that run."""
         return tuple(self._loops)
 
-    def add(self, loop: str, endpoint: Peer, files: Files, log: logging.Logger) -> None:
+    def add(self, loop: str, endpoint: Endpoint, files: Files, log: logging.Logger) -> None:
         """Take in one more end, under the id of its loop; its files are closed when it is over."""
         with self.turns:
             publishers = {
                 kind: self._bus(kind).publisher(key_of(kind, loop), many=self._fleet)
-                for kind in endpoint.says
+                for kind in endpoint.sends
             }
             extract = None
             if endpoint.makes_keys:
@@ -189,14 +189,12 @@ class Host:
                     tell=lambda block: self._inbox.put(_Extracted(loop, block), None),
                 )
             told = partial(self._health.put, loop, HealthFiles(files.health, log))
-            self._loops[loop] = _Loop(endpoint, LoopPorts(files, publishers, log, told, extract))
-            for kind in endpoint.hears:
+            ports = LoopPorts(files, publishers, log, told, extract)
+            self._loops[loop] = _Loop(endpoint, ports, look=endpoint.makes_keys)
+            for kind in endpoint.receives:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
-        for kind in endpoint.hears:
+        for kind in endpoint.receives:
             self.subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
-        if self._started:
-            with self.turns:
-                self._do(loop, endpoint.start)
 
     def subscribe(self, kind: type[Message], key_expr: str) -> None:
         """Hear what comes on a key, once for all loops."""
@@ -207,8 +205,6 @@ class Host:
             self.channels[key_expr] = channel
             thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
             self._threads.append(thread)
-            if self._started:
-                thread.start()
         elif key_expr not in self._heard_on_management:
             self._heard_on_management.add(key_expr)
             self._management.subscribe(
@@ -244,7 +240,6 @@ class Host:
         for loop in self.loops:
             with self.turns:
                 self._do(loop, self._loops[loop].endpoint.start)
-        self._started = True
         for thread in self._threads:
             thread.start()
         while (self._fleet or self._loops) and not self._stopping.is_set():
@@ -291,6 +286,7 @@ class Host:
                     continue
                 loop.wakes_at = inf
                 if loop.endpoint.wake_at() <= now:
+                    loop.look = loop.endpoint.makes_keys
                     self._do(name, loop.endpoint.wake)
                 else:
                     self._schedule(name, loop)
@@ -321,28 +317,36 @@ class Host:
 
     def _look_at_links(self, loop: _Loop) -> None:
         """Tell an end how often its messages leave, where that has changed."""
+        loop.look = False
         count = self._field.appearances()
         if count != loop.appearances:
             loop.appearances = count
             perform(loop.endpoint.appear(count), loop.ports)
 
     def _crowding(self, name: str) -> bool:
-        """Whether messages leave more often than the loop knew when it made its last one."""
+        """Whether messages leave more often than the loop knew when it made its last one.
+
+        It is asked before each message leaves; the loop is told before it acts again.
+        """
         loop = self._loops.get(name)
-        return loop is not None and self._field.appearances() > loop.appearances
+        if loop is None:
+            return False
+        count = self._field.appearances()
+        loop.look |= count != loop.appearances
+        return count > loop.appearances
 
     def _hear(self, key: str, payload: bytes) -> None:
         name, kind = self._by_key.get(key, ("", Message))
         loop = self._loops.get(name)
         if loop is not None:
-            self._do(name, partial(loop.endpoint.receive, kind, payload))
+            self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
 
     def _do(self, name: str, act: Callable[[float], Effects]) -> None:
         loop = self._loops[name]
         try:
-            if loop.started and loop.endpoint.makes_keys:
-                self._look_at_links(loop)
             if loop.started:  # a device may take its time to be found
+                if loop.look:
+                    self._look_at_links(loop)
                 self._turn.begin()
             perform(act(self._clock()), loop.ports)
             loop.started = True
@@ -376,7 +380,7 @@ class Host:
         loop = self._loops.pop(name, None)
         if loop is None:
             return
-        for kind in loop.endpoint.hears:
+        for kind in loop.endpoint.receives:
             self._by_key.pop(key_of(kind, name), None)
         try:
             with self._lost(loop, OSError, Failure):
@@ -421,6 +425,6 @@ class Host:
                 ends.callback(self._end, name)
 
 
-def _told(endpoint: Peer, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
+def _told(endpoint: Endpoint, block: ExtractedBlock | ExtractionFailed, _now: float) -> Effects:
     """Tell an end of its block."""
     return endpoint.extracted(block)

@@ -3,7 +3,10 @@
 A journal is one SQLite file. Its one row in the table ``step`` has the record of all that went
 before, and the messages of the step that follows it: the one received and the one about to be sent.
 That is all it takes to count the step again, so an end may send first and count afterwards, while
-its partner works. Other tables hold what would be too much to write again in each step.
+its partner works. The row has what keys need of every step, too: the newest transitions'
+contributions to their block, and the digits that are left of the key in use. So a step is one
+statement. Other tables hold what would be too much to write again in each step: contributions go
+there eight at a time, and keys a block at a time.
 
 Every save is one transaction: all or nothing. On return it survives ``kill -9`` of the process. A
 *durable* save is on the disk, and with it all saves before: it survives a power failure, too. The
@@ -20,47 +23,49 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from pathlib import Path
+from struct import Struct
 from typing import Any, ClassVar, Final, Generic, Self
 from zlib import crc32
 
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import NO_ROWS
 from protocol.link.effects import Save
-from protocol.link.records import INITIAL_ID, Loaded, R, ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRecord, R
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part
+from protocol.secret.stream import NO_PART, Held, Keys, Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
-JOURNAL_VERSION: Final = 12
-
-KEYS_AT_MOST: Final = 65536
-"""Keys of a block, at most: the matrix that makes them has no more rows."""
+JOURNAL_VERSION: Final = 14
 
 REMEMBERED: Final = 1000
 """Delivered messages whose identifiers are remembered, so that none is queued twice."""
 
+BATCH: Final = 8
+"""Contributions that go to their table together; until then they stand in the step's row."""
+
 PAGE_BYTES: Final = 2048
-"""A step takes 700 to 1,500 bytes: its row is one page, and a save writes no more than that."""
+"""A step takes 700 to 1,900 bytes: its row is one page, and a save writes no more than that."""
 
 CHECKPOINT_PAGES: Final = 2000
 """Pages of the write-ahead log after which SQLite copies it into the file, with two syncs."""
 
 BOOT_ID: Final = Path("/proc/sys/kernel/random/boot_id")
 
-_STEP: Final = (
-    "INSERT INTO step VALUES (?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET"
-    " record = excluded.record, offer = excluded.offer, coin = excluded.coin,"
-    " measurement = excluded.measurement, check_ = excluded.check_"
-)
-"""Writes over the row, which takes a third of the time of a new one in its place."""
+_STEP: Final = "INSERT OR REPLACE INTO step VALUES (0, ?, ?, ?, ?, ?, ?)"
 
+_CONTRIBUTION: Final = Struct(">qqB32s32s")
+"""As it stands in the step's row: j, steps, which of the two nonces count, and both."""
+
+_PART: Final = Struct(">qqH")
+"""Of the key in use: block, the first digit's number, and how many digits follow."""
 
 Statement = tuple[str, tuple[Any, ...]]
 """An SQL statement, and its values."""
@@ -90,10 +95,9 @@ class Journal(ABC, Generic[R]):
     adapter: ClassVar[TypeAdapter[Any]]
     tables: ClassVar[tuple[str, ...]] = (
         "step (id INTEGER PRIMARY KEY, record BLOB, offer BLOB, coin INTEGER, measurement BLOB,"
-        " check_ INTEGER)",
-        "row (j INTEGER PRIMARY KEY, steps INTEGER, offer BLOB, measurement BLOB, check_ INTEGER)",
-        "stream (place INTEGER PRIMARY KEY, block INTEGER, number INTEGER, first INTEGER,"
-        " digits BLOB, check_ INTEGER)",
+        " keys BLOB, check_ INTEGER)",
+        "row (batch INTEGER PRIMARY KEY, rows BLOB, check_ INTEGER)",
+        "stream (block INTEGER PRIMARY KEY, first INTEGER, keys BLOB, check_ INTEGER)",
     )
     """The last column of each is the check of the others."""
 
@@ -107,6 +111,8 @@ class Journal(ABC, Generic[R]):
         """This boot, as long as the session that another one cut has not ended."""
         self._saved: R | None = None
         """The record that was saved last."""
+        self._rows: dict[int, bytes] = {}
+        """Contributions that are in the step's row, by transition."""
         try:
             if path is not None:
                 make_folder(path.parent)
@@ -191,15 +197,18 @@ class Journal(ABC, Generic[R]):
 
     def load(self) -> Loaded[R]:
         """What was saved last."""
-        rows = tuple(Contribution(*row) for row in self._get("row"))
-        parts = tuple(Part(*part) for _, *part in self._get("stream"))
-        for _, record, offer, coin, measurement in self._get("step"):
+        self._saved, self._rows = None, {}
+        batches = [rows for _, rows in self._get("row")]
+        keys = tuple(Keys(*row) for row in self._get("stream"))
+        for _, record, offer, coin, measurement, of_keys in self._get("step"):
+            part, newest = _keys_of(of_keys)
+            self._rows = {row.j: _packed(row) for row in _unpacked(newest)}
             try:
                 loaded: Loaded[R] = Loaded(
                     self.adapter.validate_json(record),
                     _step_of(offer, coin, measurement),
-                    rows,
-                    parts,
+                    tuple(_unpacked(b"".join((*batches, newest)))),
+                    Held(part, keys),
                     self._symbols(),
                     self._fell_back,
                 )
@@ -220,13 +229,12 @@ class Journal(ABC, Generic[R]):
         try:
             if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            step = (0, self.adapter.dump_json(save.record), *_columns(save.step))
-            beside = [*self._rows(save), *self._more(save)]
+            beside = [*self._of_keys(save), *self._more(save)]
             if beside:
                 execute("BEGIN IMMEDIATE")
-            execute(_STEP, (*step, check_of(*step)))  # by itself it is a transaction
-            for statement, values in beside:
-                execute(statement, values)
+                for statement in beside:
+                    execute(*statement)
+            execute(_STEP, self._step(save))  # by itself it is a transaction
             if beside:
                 execute("COMMIT")
             if save.durable:
@@ -237,34 +245,66 @@ class Journal(ABC, Generic[R]):
             raise JournalError(f"{self.path}: {error}") from None
         self._saved = save.record  # type: ignore[assignment]
 
-    def _rows(self, save: Save) -> Iterator[Statement]:
-        """What is written of key blocks and of the key stream."""
-        if self._saved is None or save.record.session != self._saved.session:
+    def _step(self, save: Save) -> tuple[Any, ...]:
+        """The columns of the step's row."""
+        record = self.adapter.serializer.to_json(save.record)
+        offer, coin, measurement = _columns(save.step)
+        keys = b""
+        if self._rows or save.rows.part is not NO_PART:
+            block, first, digits = save.rows.part
+            part = _PART.pack(block, first, len(digits))
+            keys = b"".join((part, digits, *self._rows.values()))
+        check = check_of(0, record, offer, coin, measurement, keys)
+        return record, offer, coin, measurement, keys, check
+
+    def _of_keys(self, save: Save) -> Sequence[Statement]:
+        """What is written of key blocks and of the key stream beside the step's row."""
+        same = self._saved is not None and save.record.session.id == self._saved.session.id
+        return () if same and save.rows is NO_ROWS else tuple(self._changed(save))
+
+    def _changed(self, save: Save) -> Iterator[Statement]:
+        if self._saved is None or save.record.session.id != self._saved.session.id:
+            self._rows = {}
             if self._boot_due is not None:
                 yield "UPDATE meta SET value = ? WHERE name = 'boot'", (self._boot_due,)
                 self._boot_due = None
             for table in self.of_session:
                 yield f"DELETE FROM {table}", ()
+        obsolete = save.rows.obsolete_rows
+        for over in obsolete:
+            yield from self._without(over)
         for row in save.rows.contributions:
-            yield self._row("row", *row)
-        for over in save.rows.obsolete_rows:
-            yield "DELETE FROM row WHERE j >= ? AND j < ?", (over.start, over.stop)
-        for part in save.rows.parts:
-            place = part.block * KEYS_AT_MOST + part.number
-            if part.digits:
-                yield self._row("stream", place, *part)
+            if not any(row.j in over for over in obsolete):
+                self._rows[row.j] = _packed(row)
+            if row.j % BATCH == BATCH - 1 and self._rows:
+                yield self._row("row", row.j // BATCH, b"".join(self._rows.values()))
+                self._rows = {}
+        for keys in save.rows.keys:
+            if keys.keys:
+                yield self._row("stream", *keys)
             else:
-                yield "DELETE FROM stream WHERE place = ?", (place,)
+                yield "DELETE FROM stream WHERE block = ?", (keys.block,)
+
+    def _without(self, over: range) -> Iterator[Statement]:
+        """Drop the contributions of these transitions; of a batch at an edge the others stay."""
+        self._rows = {j: packed for j, packed in self._rows.items() if j not in over}
+        first, last = over.start // BATCH, (over.stop - 1) // BATCH
+        for batch, rows in self._get("row", "batch IN (?, ?)", first, last):
+            left = b"".join(_packed(row) for row in _unpacked(rows) if row.j not in over)
+            if left:
+                yield self._row("row", batch, left)
+            else:
+                yield "DELETE FROM row WHERE batch = ?", (batch,)
+        yield "DELETE FROM row WHERE batch > ? AND batch < ?", (first, last)
 
     @abstractmethod
-    def _more(self, save: Save) -> Iterable[Statement]:
+    def _more(self, save: Save) -> Iterator[Statement]:
         """What is written in this side's own tables."""
 
     def forget(self) -> None:
         """Lose all that was saved; for simulations."""
         for table in self.tables:
             self.db.execute(f"DELETE FROM {table.split()[0]}")
-        self._saved = None
         self.load()
 
     def close(self) -> None:
@@ -280,7 +320,7 @@ class Journal(ABC, Generic[R]):
         self.close()
 
 
-class ControllerJournal(Journal[SenderRecord]):
+class ControllerJournal(Journal[ControllerRecord]):
     """The controller's, with the queue of messages that it has to deliver.
 
     A message that was delivered leaves its number, its identifier and a CRC-32.
@@ -292,7 +332,7 @@ class ControllerJournal(Journal[SenderRecord]):
     """
 
     kind = "controller"
-    adapter = TypeAdapter(SenderRecord)
+    adapter = TypeAdapter(ControllerRecord)
     tables = (
         *Journal.tables,
         "outbox (number INTEGER PRIMARY KEY, id TEXT UNIQUE, crc INTEGER, payload BLOB,"
@@ -301,7 +341,7 @@ class ControllerJournal(Journal[SenderRecord]):
 
     queued: int
 
-    def load(self) -> Loaded[SenderRecord]:
+    def load(self) -> Loaded[ControllerRecord]:
         """What was saved last."""
         last = self._get("outbox", "number = (SELECT MAX(number) FROM outbox)")
         self.queued = last[0][0] + 1 if last else 0
@@ -309,11 +349,11 @@ class ControllerJournal(Journal[SenderRecord]):
 
     def _more(self, save: Save) -> Iterator[Statement]:
         record = save.record
-        assert isinstance(record, SenderRecord)
+        assert isinstance(record, ControllerRecord)
         if save.queued is not None:
             yield self._queue(save.queued)
-        delivered = 0 if self._saved is None else self._saved.message
-        for number in range(delivered, record.message):
+        delivered = 0 if self._saved is None else self._saved.frame.message
+        for number in range(delivered, record.frame.message):
             for _, identifier, crc, _ in self._get("outbox", "number = ?", number):
                 yield self._row("outbox", number, identifier, crc, None)
             old = (number - REMEMBERED, INITIAL_ID)
@@ -356,11 +396,11 @@ class ControllerJournal(Journal[SenderRecord]):
         return [(number, identifier, payload) for number, identifier, _, payload in rows]
 
 
-class PlantJournal(Journal[ReceiverRecord]):
+class PlantJournal(Journal[PlantRecord]):
     """The plant's, with the symbols of the frame under way and the message received last."""
 
     kind = "plant"
-    adapter = TypeAdapter(ReceiverRecord)
+    adapter = TypeAdapter(PlantRecord)
     tables = (
         *Journal.tables,
         "frame (place INTEGER PRIMARY KEY, symbols TEXT, check_ INTEGER)",
@@ -372,11 +412,11 @@ class PlantJournal(Journal[ReceiverRecord]):
 
     def _more(self, save: Save) -> Iterator[Statement]:
         record = save.record
-        assert isinstance(record, ReceiverRecord)
-        if self._saved is not None and record.stored < self._saved.stored:
+        assert isinstance(record, PlantRecord)
+        if self._saved is not None and record.frame.stored < self._saved.frame.stored:
             yield "DELETE FROM frame", ()
         if save.symbols:
-            yield self._row("frame", record.stored, save.symbols)
+            yield self._row("frame", record.frame.stored, save.symbols)
         if save.received is not None:
             yield self._row("inbox", 0, save.received)
 
@@ -407,6 +447,28 @@ def _step_of(offer: bytes, coin: int, measurement: bytes) -> Step:
     if coin == NO_SYMBOL:
         return Answered(said, Offer.from_wire(offer))
     return Read(Offer.from_wire(offer), coin, said)
+
+
+def _keys_of(keys: bytes) -> tuple[Part, bytes]:
+    """The key in use, and the newest contributions, of this column."""
+    if not keys:
+        return NO_PART, b""
+    block, first, count = _PART.unpack_from(keys)
+    rest = keys[_PART.size :]
+    return Part(block, first, rest[:count]), rest[count:]
+
+
+def _packed(row: Contribution) -> bytes:
+    return _CONTRIBUTION.pack(
+        row.j, row.steps, row.counts, row.offer or b"", row.measurement or b""
+    )
+
+
+def _unpacked(rows: bytes) -> Iterator[Contribution]:
+    for j, steps, counts, offer, measurement in _CONTRIBUTION.iter_unpack(rows):
+        yield Contribution(
+            j, steps, offer if counts & 1 else None, measurement if counts & 2 else None
+        )
 
 
 def check_of(*values: str | bytes | float | None) -> int:

@@ -286,8 +286,6 @@ class ZenohBus(Bus):
         Talk through the router at ``connect`` only.
     tls : TlsFiles, optional
         Mutual TLS: both sides show a certificate of the same authority.
-    scouting : bool
-        Find peers of the local network by multicast as well.
     patience_s : float
         How long a client waits for its router.
     extra : mapping, optional
@@ -306,7 +304,6 @@ class ZenohBus(Bus):
         connect: Sequence[str] = (),
         client: bool = False,
         tls: TlsFiles | None = None,
-        scouting: bool = False,
         patience_s: float = inf,
         extra: Mapping[str, Any] | None = None,
     ) -> None:
@@ -323,16 +320,15 @@ class ZenohBus(Bus):
         self._client = client
         self._groups = sum(map(is_group, listen))
         self._endpoints = (*listen, *connect)
-        self._settings = settings_of(
-            Addresses(tuple(listen), tuple(connect), client, tls, scouting)
-        ) | dict(extra or {})
+        addresses = Addresses(tuple(listen), tuple(connect), client, tls)
+        self._settings = settings_of(addresses) | dict(extra or {})
         self._parts: list[ZenohPublisher | ZenohChannel | _Subscription] = []
         self._changing = threading.Lock()
         self._closing = threading.Event()
         self.received = 0
         until = time.monotonic() + patience_s if client else -inf
         self._session = _open(self._settings, self._endpoints, retry_until=until)
-        self._links: tuple[tuple[str, str], ...] = ()
+        self._links: list[zenoh.Link] = []
         self._appearances = self._count()
 
     @property
@@ -368,7 +364,8 @@ class ZenohBus(Bus):
         )
 
     def _count(self) -> int:
-        return appearances(self._links, self._groups, routed=self._client)
+        pairs = [(link.src, link.dst) for link in self._links if link.group is None]
+        return appearances(pairs, self._groups, routed=self._client)
 
     def appearances(self) -> int:
         """How often a message that is put now leaves, by the links that are open; 1 at least.
@@ -379,7 +376,7 @@ class ZenohBus(Bus):
         message that has left by a link.
         """
         try:
-            links = tuple((x.src, x.dst) for x in self._session.info.links() if x.group is None)
+            links = self._session.info.links()
         except self._refused:  # closed
             return self._appearances
         if links != self._links:
@@ -549,7 +546,6 @@ def open_bus(endpoints: Addresses, patience_s: float = inf) -> ZenohBus:
         connect=endpoints.connect,
         client=endpoints.client,
         tls=endpoints.tls,
-        scouting=endpoints.scouting,
         patience_s=patience_s,
     )
 

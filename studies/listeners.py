@@ -13,9 +13,9 @@ from protocol.relabelling import best_labels, pairs_of, right_under
 from protocol.scenario import Scenario
 from protocol.statistics import Interval, share_over_runs
 from studies.registry import Lines, Row
-from studies.secrecy.study import offline
-from tap_service.capture.channel import View, WiretapChannel
-from tap_service.capture.transcript import Transcript, Transition
+from studies.secrecy.study import offline, put_together
+from tap_service.capture.channel import View
+from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import named
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
@@ -47,16 +47,6 @@ def heard_by(transitions: Sequence[Transition], view: View) -> list[Transition]:
     if view.clear:
         return list(transitions)
     return put_together(_messages(transitions), view)
-
-
-def put_together(messages: Iterable[FieldMessage], view: View) -> list[Transition]:
-    """The transitions that a tap with this view puts together of messages."""
-    channel, made = WiretapChannel(view), Transcript()
-    out: list[Transition] = []
-    for message in messages:
-        for _, seen in channel.hear(0, message):
-            out += made.hear(seen)
-    return out + made.flush()
 
 
 def _messages(transitions: Sequence[Transition]) -> Iterator[FieldMessage]:

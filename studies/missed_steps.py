@@ -9,9 +9,10 @@ from typing import Any, Final, NamedTuple
 
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.scenario import Scenario, parse_scenario
-from studies.listeners import SESSION, Counts, by_condition, counted, one_run, put_together, told
+from studies.listeners import SESSION, Counts, by_condition, counted, one_run, told
 from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
+from studies.secrecy.study import put_together
 from studies.signalling import changed
 from tap_service.capture.channel import View
 from wyner.simulate.engine import Runs, Transfer

@@ -30,7 +30,7 @@ from protocol.link.key_events import Appearances
 from protocol.link.session import CountedTransition
 from protocol.messages import ADVERSARY, FIELD, MANAGEMENT, Message, SendCommand
 from protocol.schemes.base import Scheme
-from protocol.schemes.registry import SCHEMES, make_scheme
+from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.topics import key_of
 from runtime.errors import DONE, USAGE
 from runtime.files import PUBLIC_FILE, write_atomically
@@ -105,38 +105,25 @@ def wire_table(kinds: Sequence[type[Message]]) -> str:
     return "\n".join([*lines, ""])
 
 
-def session_table(
-    states: dict[Any, str],
-    heard: dict[Any, str],
-    answers: dict[Any, str],
-    table: dict[Any, Any],
-) -> str:
-    """How an end stands with its partner, what it may hear, and what comes of it."""
-    columns = [state for state in states if state != "refused"]
-    lines = ["| state | |", "|---|---|"]
-    lines += [f"| *{state}* | {meaning} |" for state, meaning in states.items()]
-    lines += ["", "| what is heard | |", "|---|---|"]
-    lines += [f"| {name} | {meaning} |" for name, meaning in heard.items()]
-    lines += ["", "| answer | |", "|---|---|"]
-    lines += [f"| **{answer}** | {meaning} |" for answer, meaning in answers.items()]
-    lines += ["", "| heard, in state | " + " | ".join(f"*{state}*" for state in columns) + " |"]
+def session_table(table: dict[Any, Any]) -> str:
+    """What comes of what happens to an end, state by state."""
+    columns = [state for state in dict.fromkeys(state for state, _ in table) if state != "refused"]
+    lines = ["| what happens, in state | " + " | ".join(f"*{state}*" for state in columns) + " |"]
     lines.append("|---|" + "---|" * len(columns))
-    for name in heard:
-        cells = [_cell(state, table[state, name]) for state in columns]
-        lines.append(f"| {name} | " + " | ".join(cells) + " |")
+    for what in dict.fromkeys(what for _, what in table):
+        cells = [_cell(state, table[state, what]) for state in columns]
+        lines.append(f"| {what} | " + " | ".join(cells) + " |")
     return "\n".join([*lines, ""])
 
 
 def plant_session() -> str:
     """The plant's."""
-    return session_table(plants.STATES, plants.HEARD, plants.ANSWERS, plants.TABLE)
+    return session_table(plants.TABLE)
 
 
 def controller_session() -> str:
     """The controller's."""
-    return session_table(
-        controllers.STATES, controllers.HEARD, controllers.ANSWERS, controllers.TABLE
-    )
+    return session_table(controllers.TABLE)
 
 
 def _cell(state: str, row: tuple[str, str]) -> str:
@@ -237,9 +224,12 @@ def rooms() -> str:
     return "\n".join([*lines, "```", ""])
 
 
+DRAWN: Final = tuple(name for name in SCHEMES if not scheme_named(name).corrects)
+"""Schemes whose states are few; one that corrects has a state for each word."""
+
 PARTS: Final[dict[str, Callable[[], str]]] = {
     "rooms": rooms,
-    **{name: _drawing(name) for name in SCHEMES},
+    **{name: _drawing(name) for name in DRAWN},
     "field": lambda: wire_table(FIELD),
     "management": lambda: wire_table(MANAGEMENT),
     "adversary": lambda: wire_table(ADVERSARY),

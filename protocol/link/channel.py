@@ -4,17 +4,21 @@ Every draw is a function of (seed, direction, step, copy), so that the same mess
 fate in the simulation, in the engine and live.
 """
 
+import heapq
 import random
 from collections import OrderedDict
 from math import inf
 from typing import Final
 
 from protocol.fates import Fates
+from protocol.messages import FieldMessage, Message
 from protocol.scenario.network import ChannelTable
 
 REMEMBERED: Final = 64
 """Steps of which copies are counted; an older one starts from its first copy again."""
 
+UNDER_WAY: Final = 4096
+"""Messages that are on their way at most; one more is lost."""
 
 COPIES: Final = 128
 """More than a step has with a deadline. In lock-step a step may have any number: after so many the
@@ -86,3 +90,40 @@ class Channel:
             # The number seeds a draw: Python has no quantile of the distribution.
             return random.Random(uniform).gammavariate(shape, table.delay_s / shape)
         return table.delay_s
+
+
+class UnderWay:
+    """The messages of one direction that are on their way, for the end where they arrive.
+
+    Parameters
+    ----------
+    channel : Channel
+        Of messages of the field bus; everything else arrives at once.
+    """
+
+    def __init__(self, channel: Channel) -> None:
+        self._channel = channel
+        self._messages: list[tuple[float, int, FieldMessage]] = []
+        self._number = 0
+
+    def takes(self, message: Message, now: float) -> bool:
+        """Whether a message that was sent ``now`` is lost, or comes later."""
+        if not isinstance(message, FieldMessage):
+            return False
+        arrives = self._channel.arrival(message.k, now)
+        if arrives is None or len(self._messages) >= UNDER_WAY:
+            return True
+        if arrives <= now:
+            return False
+        self._number += 1
+        heapq.heappush(self._messages, (arrives, self._number, message))
+        return True
+
+    @property
+    def due_at(self) -> float:
+        """When the next one arrives."""
+        return self._messages[0][0] if self._messages else inf
+
+    def arrived(self) -> FieldMessage:
+        """The next one, which has arrived."""
+        return heapq.heappop(self._messages)[2]

@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from hmac import compare_digest
 from typing import Any, Final, Literal, NamedTuple
 
+from protocol.link.records import KeyRecord, LinkRecord
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import NO_TAG, ClosedBlock, ExtractedBlock, OpenBlock, Schedule
 from protocol.secret.nonces import (
@@ -23,7 +24,16 @@ from protocol.secret.nonces import (
     NonceSource,
     contribution_of,
 )
-from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from protocol.secret.stream import (
+    NO_PART,
+    NOTHING_HELD,
+    NOWHERE,
+    Held,
+    Keys,
+    KeyStream,
+    Part,
+    Position,
+)
 
 UNCONFIRMED: Final = 2
 """Most blocks that are extracted and not confirmed: the one announced, and the next, whose tag is
@@ -56,13 +66,16 @@ class KeyRows(NamedTuple):
         Of transitions that were counted since the last save.
     obsolete_rows : tuple of range
         Transitions whose rows no block needs any more.
-    parts : tuple of Part
-        Digits of the stream; a part without any is to be erased.
+    keys : tuple of Keys
+        Of blocks whose row in the stream changes; one without any is to be erased.
+    part : Part
+        The stream's key in use, as it is now.
     """
 
     contributions: tuple[Contribution, ...] = ()
     obsolete_rows: tuple[range, ...] = ()
-    parts: tuple[Part, ...] = ()
+    keys: tuple[Keys, ...] = ()
+    part: Part = NO_PART
 
 
 NO_ROWS: Final = KeyRows()
@@ -83,11 +96,8 @@ class Distiller:
     ----------
     session : str
         Empty while there is none.
-    block, tag : int, str
-        What was announced last.
-    confirmed : int
-        The newest block whose digits have joined the stream.
-    stream : Stream
+    record : KeyRecord
+    stream : KeyStream
     made, lost : int
         Keys made, and blocks that made none, since this process began.
     last : tuple of int
@@ -98,6 +108,8 @@ class Distiller:
         Why no key is made any more; empty where some are.
     appearances : int
         Times that a message leaves this end, as its host has counted last.
+    unequal : bool
+        A block differs from the partner's, and :meth:`ended` has told so.
     """
 
     def __init__(self, schedule: Schedule | None, size: int, fresh: NonceSource) -> None:
@@ -108,45 +120,47 @@ class Distiller:
         self.appearances = 1
         self._size = size
         self._fresh = fresh
-        self.begin("")
+        self.resume("", KeyRecord())
 
-    def begin(
+    def begin(self, session: str) -> None:
+        """Begin a session, or (empty) none: keys of the one before are void."""
+        kept = KeyRecord(begun=self.record.begun, refuted=self.record.refuted)
+        self.resume(session, kept)
+
+    def resume(
         self,
         session: str,
-        block: int = -1,
-        tag: str = "",
-        confirmed: int = -1,
+        record: KeyRecord,
         rows: Iterable[Contribution] = (),
-        parts: Iterable[Part] = (),
+        held: Held = NOTHING_HELD,
         after: Position = NOWHERE,
     ) -> None:
-        """Begin a session, or go on with it from what was read back.
+        """Go on with a session from what was read back.
 
         Parameters
         ----------
         session : str
-        block, tag, confirmed
-            As the attributes.
+        record : KeyRecord
         rows : iterable of Contribution
             Of transitions whose block is open, not confirmed or not announced.
-        parts : iterable of Part
-            Digits of the stream that are left.
+        held : Held
+            What is left of the stream.
         after : Position
             Digits before it may have served.
         """
         self.session = session
-        self.block, self.tag, self.confirmed = block, tag or self.no_tag, confirmed
-        self.stream = Stream(self._size, parts, after)
-        self.began = False
-        """Whether the transition counted last was the first one of a block."""
+        self.record = record._replace(tag=record.tag or self.no_tag)
+        self.broken = self.broken or record.refuted
+        self.stream = KeyStream(self._size, held, after)
         self._newest = -1
+        self._number = self._following = -1  # of the open block, and where the next one begins
         self._closed: list[ClosedBlock] = []
         self._wanted: set[int] = set()
         self._extracted: dict[int, ExtractedBlock] = {}
-        self._unequal = False
+        self.unequal = self._unequal = False
         self._over: set[int] = set()
         self._ended: list[BlockEnded] = []
-        self._parts: list[Part] = []
+        self._keys: list[Keys] = []
         self._rows: list[Contribution] = []
         self.stopped = ""
         if self.schedule is not None:
@@ -204,44 +218,38 @@ class Distiller:
 
     # --- rows and blocks --------------------------------------------------------------------------
 
-    def count(
-        self, j: int, steps: int, offer: Offer, applied_copy: int, measurement: str
-    ) -> Contribution | None:
-        """What transition ``j`` contributes (rule 9).
-
-        Parameters
-        ----------
-        j, steps : int
-        offer : Offer
-            That was applied, in its copy ``applied_copy``.
-        measurement : str
-            Nonce of copy 0 of the measurement that it answers.
-        """
-        if self.schedule is None or not self.session or j == 0:
+    def count(self, link: LinkRecord, offer: Offer, applied_copy: int) -> Contribution | None:
+        """What the transition that ``offer``, applied in its ``applied_copy``, made of ``link``
+        contributes (rule 9)."""
+        if self.schedule is None or not self.session or link.transitions == 0:
             return None  # a session's first transition only fixes where block 0 begins
         row = contribution_of(
-            j=j,
-            steps=steps,
+            j=link.transitions,
+            steps=offer.k - link.applied_k,
             offer=offer.nonce,
             applied_copy=applied_copy,
-            measurement=measurement,
+            measurement=link.nonce,
             heard=offer.heard,
         )
+        if self._open.empty:
+            self.record = self.record._replace(begun=self.record.begun + 1)
         self._count(self.schedule, row)
         self._rows.append(row)
         return row
 
     def _count(self, schedule: Schedule, row: Contribution) -> None:
-        self.began = self._open.empty
+        if self._open.empty:
+            self._number = schedule.block_of(row.j)
+            self._following = schedule.begins(self._number + 1)
         self._open.add(row)
         self._newest = row.j
-        number = schedule.block_of(row.j)
-        if row.j + 1 != schedule.begins(number + 1):
+        if row.j + 1 != self._following:
             return
+        number = self._number
         closed = self._open.close(self.session, number, row.j)
         self._open = OpenBlock(schedule.assumption)
         assert closed.transitions == schedule.length(number), "a row is missing"
-        if number <= min(self.confirmed, self.block):
+        if number <= min(self.record.confirmed, self.record.block):
             self._over.add(number)
         elif closed.makes_keys:
             self._closed.append(closed)
@@ -253,12 +261,17 @@ class Distiller:
         """Note the tag and keys of a block; those of former sessions are ignored."""
         if block.session == self.session and block.number in self._wanted:
             self._extracted[block.number] = block
-            if block.number <= self.confirmed:
+            if block.number <= self.record.confirmed:
                 self._over.add(block.number)
 
     def fail(self, why: str) -> None:
         """Make no key from here on: blocks cannot be extracted, or the claim is refuted."""
         self.broken = self.broken or why
+
+    def refute(self, why: str) -> None:
+        """The claim that keys rest on does not hold: make none, in this session or a later one."""
+        self.record = self.record._replace(refuted=why)
+        self.fail(why)
 
     def announcement(self) -> tuple[int, str]:
         """The block to announce in the next new message, with its tag.
@@ -267,16 +280,18 @@ class Distiller:
         block's last transition. Otherwise an end put back from a copy could count that one
         differently, in the same session.
         """
-        if self.schedule is not None and not self.broken and self.confirmed >= self.block:
-            following = min((n for n in self._extracted if n > self.block), default=None)
+        record = self.record
+        if self.schedule is not None and not self.broken and record.confirmed >= record.block:
+            following = min((n for n in self._extracted if n > record.block), default=None)
             if following is not None and self._newest >= self.schedule.begins(following + 1):
-                self.block, self.tag = following, self._extracted[following].tag
-        return self.block, self.tag
+                self.record = record._replace(block=following, tag=self._extracted[following].tag)
+        return self.record.block, self.record.tag
 
-    def heard(self, message: Measurement | Offer) -> None:
+    def compare(self, message: Measurement | Offer) -> None:
         """Compare the partner's announcement: it confirms blocks, or shows that one differs."""
         mine = self._extracted.get(message.block)
-        if mine is None or message.block <= self.confirmed or self._unequal or self.broken:
+        confirmed = self.record.confirmed
+        if mine is None or message.block <= confirmed or self._unequal or self.broken:
             return
         if not compare_digest(message.tag, mine.tag):
             self._unequal = True
@@ -284,7 +299,7 @@ class Distiller:
             self._end(ended, "differs from the partner's")
             return
         for number in sorted(self._extracted):
-            if self.confirmed < number <= message.block:
+            if confirmed < number <= message.block:
                 self._confirm(self._extracted[number])
 
     def awaits(self, block: int) -> bool:
@@ -293,13 +308,13 @@ class Distiller:
         So it is after a death, until the block is extracted again; or while the next block, which
         the partner has announced by now, is not extracted here.
         """
-        return self.confirmed < block <= self.block and not self.broken
+        return self.record.confirmed < block <= self.record.block and not self.broken
 
     def _confirm(self, block: ExtractedBlock) -> None:
         assert self.schedule is not None
-        self.confirmed = block.number
+        self.record = self.record._replace(confirmed=block.number)
         self._over.add(block.number)
-        self._parts += self.stream.add(block.number, block.keys)
+        self._keys += self.stream.add(block.number, block.keys)
         self.made += len(block.keys)
         self.last = (len(block.keys), self.schedule.length(block.number))
         self._end(BlockEnded(self.session, block.number, "confirmed", len(block.keys)))
@@ -314,20 +329,21 @@ class Distiller:
     def used(self, position: Position, count: int) -> None:
         """``count`` digits at a position have served: they and all before them are erased."""
         if position != NOWHERE:
-            self._parts += self.stream.drop_before(Position(position.block, position.at + count))
+            self._keys += self.stream.drop_before(Position(position.block, position.at + count))
 
     # --- what is to be done -----------------------------------------------------------------------
 
     def ended(self) -> tuple[BlockEnded, ...]:
         """What became of blocks since the last time."""
         ended, self._ended = tuple(self._ended), []
+        self.unequal = self._unequal
         return ended
 
     def tasks(self) -> tuple[ClosedBlock, ...]:
         """Blocks to be extracted now; each once."""
         tasks: list[ClosedBlock] = []
         while self._closed and not self.broken:
-            if sum(number > self.confirmed for number in self._wanted) >= UNCONFIRMED:
+            if sum(number > self.record.confirmed for number in self._wanted) >= UNCONFIRMED:
                 break
             tasks.append(self._closed.pop(0))
             self._wanted.add(tasks[-1].number)
@@ -337,16 +353,19 @@ class Distiller:
         """What the journal must save with the record, once."""
         if self.schedule is None:
             return NO_ROWS
-        over = {n for n in self._over if n <= self.block or n not in self._wanted}
+        obsolete = self._obsolete(self.schedule) if self._over else ()
+        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._keys), self.stream.part)
+        self._rows, self._keys = [], []
+        return rows
+
+    def _obsolete(self, schedule: Schedule) -> tuple[range, ...]:
+        """Transitions of blocks that are over, and no longer announced in an older message."""
+        over = {n for n in self._over if n <= self.record.block or n not in self._wanted}
         self._over -= over
         for number in over:
             self._extracted.pop(number, None)
             self._wanted.discard(number)
-        begins = self.schedule.begins
-        obsolete = tuple(range(begins(n), begins(n + 1)) for n in sorted(over))
-        rows = KeyRows(tuple(self._rows), obsolete, tuple(self._parts))
-        self._rows, self._parts = [], []
-        return rows
+        return tuple(range(schedule.begins(n), schedule.begins(n + 1)) for n in sorted(over))
 
     def status_fields(self) -> dict[str, Any]:
         """Fields of a status on keys."""

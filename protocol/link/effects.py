@@ -10,7 +10,7 @@ from typing import Literal, NamedTuple
 
 from protocol.link.distiller import NO_ROWS, KeyRows
 from protocol.link.events import Event
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.step import IDLE, Step
 from protocol.messages import Message, SendCommand, Status
 from protocol.secret.blocks import ClosedBlock
@@ -21,7 +21,7 @@ class Save(NamedTuple):
 
     Parameters
     ----------
-    record : SenderRecord or ReceiverRecord
+    record : ControllerRecord or PlantRecord
         What came of all that went before.
     step : Step
         That follows the record: all it takes to count it again.
@@ -38,7 +38,7 @@ class Save(NamedTuple):
         It must survive a power failure, too.
     """
 
-    record: SenderRecord | ReceiverRecord
+    record: ControllerRecord | PlantRecord
     step: Step = IDLE
     rows: KeyRows = NO_ROWS
     symbols: str = ""

@@ -22,12 +22,12 @@ class Filter:
     ----------
     acts : bool
         It keeps something that stands in no journal: a step through it cannot be made twice.
-    hears : bool
+    listens : bool
         It wants to hear the messages that pass beside the plant; there they go on as they came.
     """
 
     acts = False
-    hears = False
+    listens = False
 
     def sensor(self, k: int, x: Vector, y: Vector) -> Vector:  # noqa: ARG002
         """What is read of x(k), of which the filter before read ``y``."""

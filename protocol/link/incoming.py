@@ -2,6 +2,7 @@
 
 from typing import Final, NamedTuple
 
+from protocol.link.records import IncomingRecord
 from protocol.schemes.framing import Deframer
 
 SYMBOLS_AT_ONCE: Final = 64
@@ -17,12 +18,10 @@ def hex_digits(size: int) -> int:
 class Taken(NamedTuple):
     """What came of a message symbol.
 
-    ``partial`` and ``stored`` are for the record, ``symbols`` have left it. ``payload`` is that of
-    a frame that is whole; ``refused``: it failed its check.
+    ``symbols`` have left the record. ``payload`` is that of a frame that is whole; ``refused``: it
+    failed its check.
     """
 
-    partial: str
-    stored: int
     symbols: str = ""
     payload: bytes | None = None
     refused: bool = False
@@ -33,6 +32,10 @@ class Taken(NamedTuple):
         return self.refused or self.payload is not None
 
 
+NOTHING_TAKEN: Final = Taken()
+"""Where a transition carried no message symbol."""
+
+
 class Incoming:
     """The frame under way.
 
@@ -40,33 +43,37 @@ class Incoming:
     ----------
     size : int
         M.
-    kept : str
-        Its symbols, as they were read back.
+    record : IncomingRecord
+    stored : str
+        Its symbols that stand in the journal's table.
     """
 
-    def __init__(self, size: int, kept: str) -> None:
+    def __init__(self, size: int, record: IncomingRecord, stored: str = "") -> None:
+        self.record = record
         self.deframer = Deframer(size)
         self._digits = hex_digits(size)
-        for i in range(0, len(kept), self._digits):
-            self.deframer.push(int(kept[i : i + self._digits], 16))
-        self.lacks_one = self.deframer.lacks_one
-        """Whether the next symbol is the frame's last; known before a step hangs on it."""
+        symbols = stored + record.partial
+        for i in range(0, len(symbols), self._digits):
+            self.deframer.push(int(symbols[i : i + self._digits], 16))
 
-    def take(self, symbol: int, partial: str, stored: int) -> Taken:
-        """Take a message symbol, where the record has ``partial`` and ``stored``."""
-        deframer, symbols = self.deframer, ""
-        refused = deframer.refused
+    def take(self, symbol: int) -> Taken:
+        """Take a message symbol."""
+        deframer, record, symbols = self.deframer, self.record, ""
+        before = deframer.refused
         payload = deframer.push(symbol)
-        self.lacks_one = deframer.lacks_one
-        partial = f"{partial}{symbol:0{self._digits}x}"
+        refused = deframer.refused > before
+        partial, stored = f"{record.partial}{symbol:0{self._digits}x}", record.stored
         if len(partial) >= SYMBOLS_AT_ONCE * self._digits:
             partial, symbols = "", partial
             stored += len(symbols)
         if not deframer.symbols:
             partial, symbols, stored = "", "", 0
-        return Taken(partial, stored, symbols, payload, deframer.refused > refused)
+        self.record = IncomingRecord(
+            partial, stored, record.messages + (payload is not None), record.refused + refused
+        )
+        return Taken(symbols, payload, refused)
 
     def reset(self) -> None:
         """Forget the frame under way."""
         self.deframer.reset()
-        self.lacks_one = False
+        self.record = self.record._replace(partial="", stored=0)

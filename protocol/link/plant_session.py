@@ -1,16 +1,17 @@
 """The plant's side of a session: how it stands with a controller, and what it answers.
 
 Rule 6 says that a session belongs to the one controller that the plant asked to take it up. Here is
-how the plant finds that one, keeps to it, and lets another in. What was heard is given a name by
-:func:`heard`, relative to the record. :data:`TABLE` has a row for each state and name: the answer,
-and the state after it. docs/protocol.md shows the same table, generated from this one.
+how the plant finds that one, keeps to it, and lets another in. What happens is given a name by
+:func:`event_of`, relative to the record. :data:`TABLE` has a row for each state and name: the
+answer, and the state after it. docs/protocol.md says what the names mean, and shows the same table.
 """
 
 from math import inf
-from typing import Final, Literal, NamedTuple, get_args
+from typing import Final, Literal, get_args
 
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import LinkRecord, PlantRecord
 from protocol.link.session import SILENCE_S
+from protocol.link.session_table import Row, whole
 from protocol.messages import ControllerHello, PlantHello
 
 HELLO_S: Final = 0.1
@@ -18,17 +19,7 @@ HELLO_S: Final = 0.1
 
 State = Literal["looking", "returned", "asked", "unanswered", "accepted", "silent", "refused"]
 
-STATES: Final[dict[State, str]] = {
-    "looking": "It has asked nobody, and any controller will do.",
-    "returned": "It is back with a session that has transitions, and has asked nobody yet.",
-    "asked": "It has asked one controller process, which has not accepted yet.",
-    "unanswered": "It has asked one in vain for two seconds: any other will do.",
-    "accepted": "The controller that it asked works in its session.",
-    "silent": "The controller that accepted has been silent for two seconds: any other will do.",
-    "refused": "The only controller that it ever heard has another model: the plant ends.",
-}
-
-Heard = Literal[
+Event = Literal[
     "greeting of the one asked",
     "greeting of a former incarnation",
     "greeting in the session",
@@ -45,50 +36,11 @@ Heard = Literal[
     "blocks differ",
 ]
 
-HEARD: Final[dict[Heard, str]] = {
-    "greeting of the one asked": "The controller process that was asked greets, in any session.",
-    "greeting of a former incarnation": "A greeting names the session, and an incarnation before "
-    "the one that was asked last.",
-    "greeting in the session": "Another process greets, and names the session.",
-    "greeting in another": "Another process greets, and names another session or none.",
-    "greeting, session unused": "The same, while the session has no transition, and another "
-    "controller was asked to take it up.",
-    "accepted": "The controller that was asked takes up the session.",
-    "unknown session": "The controller that was asked does not know the session.",
-    "answer of another": "Another controller answers in place of the one asked.",
-    "answer to another": "An answer to another plant process, or for another session.",
-    "another model": "A controller has another fingerprint; the plant has met one of its own.",
-    "another model, never met": "A controller has another fingerprint; the plant never met one of "
-    "its own.",
-    "silence": "The controller has not answered for two seconds.",
-    "offer applied": "An offer was applied and counted.",
-    "blocks differ": "A key block differs from the controller's.",
-}
-
 Answer = Literal[
     "nothing", "ask", "begin and ask", "begin anew", "work", "say whose", "say model", "give up"
 ]
 
-ANSWERS: Final[dict[Answer, str]] = {
-    "nothing": "Nothing is said.",
-    "ask": "The plant notes who greeted, saves, and asks that one to take up the session.",
-    "begin and ask": "A new session begins, and the one that greeted is asked to take it up.",
-    "begin anew": "A new session begins, and the plant says hello again.",
-    "work": "Measurements go out.",
-    "say whose": "The plant logs both names, and its hello says whose the session is.",
-    "say model": "The plant logs it, and answers a greeting with its hello.",
-    "give up": "The plant logs it, and ends with exit code 2.",
-}
-
-
-class Row(NamedTuple):
-    """What the plant answers, and how it stands afterwards."""
-
-    answer: Answer
-    next: State
-
-
-DEFAULT: Final[dict[Heard, tuple[Answer, State | None]]] = {
+DEFAULT: Final[dict[Event, tuple[Answer, State | None]]] = {
     "greeting of the one asked": ("nothing", None),
     "greeting of a former incarnation": ("say whose", None),
     "greeting in the session": ("ask", "asked"),
@@ -107,7 +59,7 @@ DEFAULT: Final[dict[Heard, tuple[Answer, State | None]]] = {
 """What is answered to what is heard, and the state after it (None: the same), unless :data:`EXCEPT`
 says otherwise."""
 
-EXCEPT: Final[dict[tuple[State, Heard], Row]] = {
+EXCEPT: Final[dict[tuple[State, Event], Row[Answer, State]]] = {
     ("looking", "greeting of a former incarnation"): Row("nothing", "looking"),
     ("looking", "accepted"): Row("nothing", "looking"),
     ("looking", "unknown session"): Row("nothing", "looking"),
@@ -134,15 +86,11 @@ EXCEPT: Final[dict[tuple[State, Heard], Row]] = {
     ("silent", "another model, never met"): Row("say model", "silent"),
     ("silent", "offer applied"): Row("nothing", "accepted"),
     ("silent", "blocks differ"): Row("begin anew", "unanswered"),
-    **{("refused", name): Row("nothing", "refused") for name in get_args(Heard)},
+    **{("refused", name): Row("nothing", "refused") for name in get_args(Event)},
 }
 
-TABLE: Final[dict[tuple[State, Heard], Row]] = {
-    (state, event): EXCEPT.get((state, event), Row(answer, following or state))
-    for state in get_args(State)
-    for event, (answer, following) in DEFAULT.items()
-}
-"""(state, what was heard) to the answer and the next state."""
+TABLE: Final = whole(get_args(State), DEFAULT, EXCEPT)
+"""(state, what happened) to the answer and the next state."""
 
 TO_ANYONE: Final = frozenset[State](("looking", "unanswered", "silent"))
 """States in which the plant's hello names nobody, and any controller may greet."""
@@ -151,27 +99,26 @@ WORKING: Final = frozenset[State](("accepted", "silent"))
 """States in which the plant publishes measurements."""
 
 
-def first_state(record: ReceiverRecord) -> State:
-    """How a process stands that has just read ``record``, or made it."""
-    return "returned" if record.transitions else "looking"
+def first_state(link: LinkRecord) -> State:
+    """How a process stands that has just read its journal, or made one."""
+    return "returned" if link.transitions else "looking"
 
 
-def heard(
+def event_of(
     hello: ControllerHello,
-    record: ReceiverRecord,
+    record: PlantRecord,
     *,
     instance: str,
     fingerprint: str,
     asked: str | None,
     met: bool,
-) -> Heard:
+) -> Event:
     """What a controller's hello is to a plant.
 
     Parameters
     ----------
     hello : ControllerHello
-    record : ReceiverRecord
-        The plant's.
+    record : PlantRecord
     instance, fingerprint : str
         The plant process's id, and its model's.
     asked : str, optional
@@ -181,16 +128,17 @@ def heard(
     """
     if hello.fingerprint != fingerprint:
         return "another model" if met else "another model, never met"
-    in_session = hello.session == record.session
+    session = record.session
+    in_session = hello.session == session.id
     if hello.verdict == "greeting":
-        if in_session and hello.incarnation < record.incarnation:
+        if in_session and hello.incarnation < session.incarnation:
             return "greeting of a former incarnation"
         if hello.instance == asked:
             return "greeting of the one asked"
         if in_session:
             return "greeting in the session"
-        promised = record.controller not in ("", hello.instance)
-        if promised and not record.transitions:
+        promised = session.controller not in ("", hello.instance)
+        if promised and not record.link.transitions:
             return "greeting, session unused"
         return "greeting in another"
     if hello.answers != instance or not in_session:
@@ -207,12 +155,13 @@ class PlantSession:
     ----------
     instance, fingerprint : str
         The process's id, and its model's.
-    record : ReceiverRecord
+    record : PlantRecord
         As it was read, or made.
     now : float
 
     Attributes
     ----------
+    record : PlantSessionRecord
     state : State
     controller : str or None
         The controller process that this process asked last, if any.
@@ -220,13 +169,14 @@ class PlantSession:
         When a hello is due, and when the controller was heard.
     """
 
-    def __init__(self, instance: str, fingerprint: str, record: ReceiverRecord, now: float) -> None:
+    def __init__(self, instance: str, fingerprint: str, record: PlantRecord, now: float) -> None:
         self.instance, self.fingerprint = instance, fingerprint
+        self.record = record.session
         self.controller: str | None = None
-        self.state: State = first_state(record)
+        self.state: State = first_state(record.link)
         self.hello_at = -inf
         self.answered_at = now
-        self._met = record.transitions > 0 or record.sessions > 1
+        self._met = record.link.transitions > 0 or record.session.sessions > 1
         self._taken_up = ("", "")
 
     @property
@@ -234,14 +184,14 @@ class PlantSession:
         """Whether the controller asked has accepted this session since this process began."""
         return self.state in WORKING
 
-    def on(self, event: Heard) -> Answer:
+    def on(self, event: Event) -> Answer:
         """What the table says to an event; its state follows."""
         answer, self.state = TABLE[self.state, event]
         return answer
 
-    def hears(self, hello: ControllerHello, record: ReceiverRecord, now: float) -> Answer:
+    def answer(self, hello: ControllerHello, record: PlantRecord, now: float) -> Answer:
         """The controller spoke: what is to be answered."""
-        what = heard(
+        what = event_of(
             hello,
             record,
             instance=self.instance,
@@ -252,14 +202,21 @@ class PlantSession:
         answer = self.on(what)
         if answer in ("ask", "begin and ask"):
             self.controller = hello.instance
+            self.record = self.record._replace(
+                controller=hello.instance, incarnation=hello.incarnation
+            )
         if hello.instance == self.controller:
             self.answered_at = now
         return answer
 
-    def took_up(self, session: str) -> bool:
-        """The controller has taken up ``session``; True where that is news."""
+    def begin(self, session: str) -> None:
+        """Begin a session."""
+        self.record = self.record._replace(id=session, sessions=self.record.sessions + 1)
+
+    def took_up(self) -> bool:
+        """The controller has taken up the session; True where that is news."""
         self._met = True
-        before, self._taken_up = self._taken_up, (self.controller or "", session)
+        before, self._taken_up = self._taken_up, (self.controller or "", self.record.id)
         return before != self._taken_up
 
     def due_at(self, *, waiting: bool) -> float:
@@ -281,14 +238,14 @@ class PlantSession:
             self.hello_at = now + HELLO_S
         return due
 
-    def hello(self, record: ReceiverRecord) -> PlantHello:
+    def hello(self, link: LinkRecord) -> PlantHello:
         """Ask the controller to take up this session, or look for one."""
         return PlantHello(
             instance=self.instance,
-            session=record.session,
+            session=self.record.id,
             controller=None if self.state in TO_ANYONE else self.controller,
-            incarnation=record.incarnation,
+            incarnation=self.record.incarnation,
             fingerprint=self.fingerprint,
-            transitions=record.transitions,
-            applied_k=record.applied_k,
+            transitions=link.transitions,
+            applied_k=link.applied_k,
         )

@@ -28,7 +28,7 @@ automata agree on every transition both have counted; no key symbol serves two m
 """
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Final, Literal, NamedTuple, Self
 
@@ -46,7 +46,7 @@ from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.defence.watch import UNWATCHED, Watch
 from protocol.link.fallback import Fallback
 from protocol.link.outputs import OutputRule
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import LinkRecord
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.scenario import Scenario
 from protocol.schemes.base import Carry, Scheme
@@ -66,15 +66,15 @@ class Counted(NamedTuple):
     Parameters
     ----------
     verdict : AgreementResult
-    state : tuple of int
-        The scheme's, after it.
+    link : LinkRecord
+        What follows from the one before; step, reading and nonce are the end's to set.
     carry : Carry
     digits : tuple of int
         Those of the key stream that served.
     """
 
     verdict: AgreementResult
-    state: tuple[int, ...]
+    link: LinkRecord
     carry: Carry
     digits: tuple[int, ...]
 
@@ -107,6 +107,12 @@ class Rules:
         An alarm ends the offers.
     outputs : OutputRule, optional
         In the place of ``agreement``, where some outputs alone are read.
+
+    Attributes
+    ----------
+    digits : int
+        Digits of the key stream that an offer takes: one for the coin, which is the first, and one
+        for a sealed symbol.
     """
 
     agreement: AgreementRule
@@ -122,6 +128,10 @@ class Rules:
     alarm_rule: AlarmRule = AT_ONCE
     halts: bool = False
     outputs: OutputRule | None = None
+    digits: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "digits", self.keyed + self.scheme.from_stream)
 
     @property
     def size(self) -> int:
@@ -150,23 +160,39 @@ class Rules:
 
     def count(
         self,
-        record: SenderRecord | ReceiverRecord,
+        link: LinkRecord,
         offer: Offer,
         x_next: Vector,
         digits: tuple[int, ...],
+        coin: int = NO_SYMBOL,
     ) -> Counted:
-        """Judge the transition that an applied offer made of ``record``; advance the automaton.
+        """Judge the transition that an applied offer made of ``link``; advance the automaton.
 
         The key is what the test returns (equations 21 and 22), at both ends. Under the key stream
-        it is the last of the ``digits`` that served.
+        it is the last of the ``digits`` that served. Where words are corrected the plant, which
+        has a ``coin``, gathers that.
         """
         scheme = self.scheme
-        box = self.box(record.estimate, record.k - record.applied_k - 1, record.x)
-        verdict = self.judge(record.x, offer.candidates, offer.predictions, x_next, box)
-        state, carry = scheme.follow(record.state, verdict.symbol)
+        box = self.box(link.estimate, link.k - link.applied_k - 1, link.x)
+        verdict = self.judge(link.x, offer.candidates, offer.predictions, x_next, box)
+        state, symbol = link.state, verdict.symbol
+        if scheme.corrects and coin != NO_SYMBOL:
+            state, symbol = scheme.hear(state, offer.cipher), coin
+        state, carry = scheme.follow(state, symbol)
         if scheme.from_stream and digits:
             carry = carry._replace(pad=digits[-1])
-        return Counted(verdict, state, carry, digits)
+        following = LinkRecord(
+            link.k,
+            link.x,
+            offer.k,
+            state,
+            link.transitions + 1,
+            link.p + (carry.pad != NO_SYMBOL),
+            link.agreements + (carry.agreed != NO_SYMBOL),
+            link.nonce,
+            verdict.estimate,
+        )
+        return Counted(verdict, following, carry, digits)
 
     def fails(self, verdict: AgreementResult, expected: int) -> bool:
         """Whether a transition fails its test.
@@ -205,14 +231,6 @@ class Rules:
             return offer.predictions[candidate]
         return predict(self.agreement.A, self.agreement.B, x, offer.candidates[candidate])
 
-    @property
-    def digits(self) -> int:
-        """Digits of the key stream that an offer takes: one for the coin, one for a sealed symbol.
-
-        The coin's is the first.
-        """
-        return self.keyed + self.scheme.from_stream
-
     def malformed_digits(self, name: str, *said: object) -> str:
         """What is wrong with a message's fields of the key stream, which begin with ``name``."""
         if not self.digits:
@@ -247,6 +265,7 @@ def rules_of(scenario: Scenario) -> Rules:
             alpha=scenario.secrecy.alpha,
             reach=None if hers is None else Gauge.from_rows(*hers.rows()),
             apart=Gauge.from_rows(*D_c.rows()) if noisy else None,
+            deviations=scenario.defender.deviations,
         ),
         scheme=make_scheme(scenario.secrecy.scheme, scenario.secrecy.candidates),
         states=scenario.readings,
@@ -272,9 +291,9 @@ def _output_rule(scenario: Scenario) -> OutputRule | None:
     return OutputRule(observer, gauge, scenario.secrecy.alpha, Fallback.of(scenario))
 
 
-def reports(record: SenderRecord, measurement: Measurement) -> bool:
-    """Whether a measurement reports a transition that the controller's record does not have yet."""
-    return record.offer is not None and measurement.applied_k != record.applied_k
+def reports(link: LinkRecord, offer: Offer | None, measurement: Measurement) -> bool:
+    """Whether a measurement reports that ``offer``, the controller's last one, was applied."""
+    return offer is not None and measurement.applied_k != link.applied_k
 
 
 class Truth(NamedTuple):
@@ -350,7 +369,7 @@ class CountedTransition(NamedTuple):
     def of(
         cls,
         scheme: Scheme[Any],
-        record: SenderRecord | ReceiverRecord,
+        before: LinkRecord,
         offer: Offer,
         x_next: Vector,
         counted: Counted,
@@ -364,14 +383,14 @@ class CountedTransition(NamedTuple):
         recovered: bytes | None = None,
         refused: bool = False,
     ) -> Self:
-        """The transition that an applied offer made of ``record``, which came before it."""
+        """The transition that an applied offer made of the link ``before`` it."""
         verdict, after, carry, digits = counted
         carried, position = carry.pad != NO_SYMBOL, offer.position
         return cls(  # by place, which takes half the time: both ends do it in each step
             offer.session,
-            record.transitions,
+            before.transitions,
             offer.k,
-            record.x,
+            before.x,
             offer.candidates,
             offer.cipher,
             x_next,
@@ -380,9 +399,9 @@ class CountedTransition(NamedTuple):
             carry.agreed,
             carry.pad,
             message_symbol,
-            record.p + carried,
-            after[0],
-            scheme.tests(record.state),
+            after.p,
+            after.s,
+            scheme.tests(before.state),
             0 if contribution is None else contribution.counts,
             offer.predictions,
             None if position == NOWHERE else position,

@@ -1,7 +1,7 @@
 """What all messages share: the wire's version, the types of fields, the encoding."""
 
 from dataclasses import dataclass
-from typing import Annotated, ClassVar, Final, Literal
+from typing import Annotated, ClassVar, Final, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints
 
@@ -46,6 +46,17 @@ class Message(BaseModel):
 
     topic: ClassVar[str]
     v: Literal[4] = SCHEMA
+
+    @classmethod
+    def from_wire(cls, payload: bytes) -> Self:
+        """The message that ``payload`` is.
+
+        Raises
+        ------
+        pydantic.ValidationError
+            When it is none.
+        """
+        return cls.model_validate_json(payload)
 
     def wire(self) -> bytes:
         """The message as it travels: JSON in UTF-8."""

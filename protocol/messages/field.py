@@ -1,6 +1,7 @@
 """Field messages, which everyone reads: no key, plaintext or state, and one form in all states."""
 
 from collections.abc import Mapping
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field
@@ -27,14 +28,8 @@ class StepMessage(Message):
 
     @classmethod
     def from_wire(cls, payload: bytes) -> Self:
-        """The message that ``payload`` is.
-
-        Raises
-        ------
-        pydantic.ValidationError
-            When it is none.
-        """
-        message = cls.model_validate_json(payload)
+        """The message that ``payload`` is, which it keeps."""
+        message = super().from_wire(payload)
         message.__dict__["_bytes"] = payload
         return message
 
@@ -49,7 +44,8 @@ class StepMessage(Message):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""
         copy = super().model_copy(update=update, deep=deep)
-        copy.__dict__.pop("_bytes", None)
+        for made in ("_bytes", "position"):
+            copy.__dict__.pop(made, None)
         return copy
 
 
@@ -134,7 +130,7 @@ class Offer(StepMessage):
     stream_block: BlockNumber | None = None
     stream_at: Count | None = None
 
-    @property
+    @cached_property
     def position(self) -> Position:
         """Where in the key stream its digits begin; :data:`NOWHERE` where it has none."""
         if self.stream_block is None or self.stream_at is None or self.stream_block < 0:

@@ -44,6 +44,8 @@ class Defender(ScenarioTable):
     """A nonlinear f_c: the function predict(x, u), as 'file.py:predict'; A and B linearise it."""
     disturbance: Resisted
     """D_c, which both ends know and Eve does not: it decides what a key is."""
+    deviations: tuple[Positive, ...] | None = None
+    """Standard deviations of a Gaussian d, n numbers: a symbol is then the likeliest candidate."""
     noise: NoiseSet | None = None
     """N, what both ends take the sensors to add at most; none where not given."""
     bounds: tuple[Positive, ...] | None = None
@@ -68,6 +70,10 @@ class Defender(ScenarioTable):
             yield from compact_problem("defender.noise", self.noise)
         if self.bounds is not None:
             yield from shape_problem("defender.bounds", len(self.bounds), n)
+        if self.deviations is not None:
+            yield from shape_problem("defender.deviations", len(self.deviations), n)
+            if self.noise is not None:
+                yield "defender.deviations: expected none beside defender.noise"
 
     def covers(self, d: Disturbance) -> bool:
         """Whether the box that ``d`` is drawn from lies within D_c."""

@@ -29,7 +29,7 @@ from protocol.scenario.plant import PlantTable
 from protocol.scenario.secrecy import Secrecy
 from protocol.scenario.sets import ConvexSet
 from protocol.scenario.tap import TapView
-from protocol.schemes.registry import scheme_named
+from protocol.schemes.registry import make_scheme, scheme_named
 from protocol.vectors import FiniteMatrix, FiniteVector
 
 RULES_VERSION = 3
@@ -263,6 +263,10 @@ class Scenario(Brief, ScenarioTable):
         if scheme_named(self.secrecy.scheme).from_stream:
             problems += needs_keys(f"secrecy.scheme: {self.secrecy.scheme!r}", self.keys)
         try:
+            make_scheme(self.secrecy.scheme, self.secrecy.candidates)
+        except ValueError as error:
+            problems.append(str(error))
+        try:
             _ = self.alarm_rule
         except ValueError as error:
             problems.append(f"defence.{error}")
@@ -363,6 +367,8 @@ class Scenario(Brief, ScenarioTable):
         )
         if self.defender.noise is not None:
             shape |= {"N": self.defender.noise.model_dump(exclude_none=True)}
+        if self.defender.deviations is not None:
+            shape |= {"deviations": self.defender.deviations}
         if self.plant.C is not None:  # what is predicted of a missed step follows the fallback
             shape |= {
                 "C": self.plant.C,
@@ -400,7 +406,7 @@ class Scenario(Brief, ScenarioTable):
         if self.network is None:
             untold.add("network")
         rest = self.model_dump(mode="json", exclude={*untold, *apart})
-        for name in ("noise", "bounds"):
+        for name in ("noise", "bounds", "deviations"):
             if getattr(self.defender, name) is None:
                 del rest["defender"][name]
         stated = self.model_dump(mode="json", include=apart, exclude_unset=True)
@@ -448,6 +454,10 @@ class Scenario(Brief, ScenarioTable):
     def knowledge(self) -> Knowledge:
         """What the paper's eavesdropper knows: f_c, D_e and the control policy, not D_c."""
         H, h = self.eavesdropper_set.rows()
+        policy, deviations = self.control.policy(self.n, self.m), self.defender.deviations
+        if deviations is not None:  # the likeliest candidate is always there
+            policy = policy.model_copy(update={"certain": True})
+            deviations = tuple(self.secrecy.alpha * s for s in deviations)
         return Knowledge(
             scenario=self.name,
             period_s=self.plant.period_s,
@@ -457,7 +467,8 @@ class Scenario(Brief, ScenarioTable):
             B=self.B,
             disturbance_H=H,
             disturbance_h=h,
-            policy=self.control.policy(self.n, self.m),
+            policy=policy,
+            deviations=deviations,
             noisy=self.defender.noise is not None,
             C=self.plant.C,
             keys=None if self.keys is None else self.keys.assumption(),

@@ -69,6 +69,11 @@ class Scheme(ABC, Generic[S]):
     initial: S
     from_stream: ClassVar[bool] = False
     """Whether its pads are digits of the key stream, in place of keys that transitions agree on."""
+    corrects: ClassVar[bool] = False
+    """Whether the plant takes its coin for the verdict, and corrects by what it hears in clear.
+
+    The two ends' states may then differ until a word of verdicts is corrected. Both gain the keys
+    of a word where they spend them."""
 
     def __init__(self, alphabet: int) -> None:
         self.alphabet = alphabet
@@ -107,6 +112,18 @@ class Scheme(ABC, Generic[S]):
     @abstractmethod
     def tests(self, state: S) -> bool:
         """Whether the verdict of the transition to come can make a difference."""
+
+    def clear(self, state: S) -> int:  # noqa: ARG002
+        """What the transition to come carries in clear, or NO_SYMBOL; of one that corrects."""
+        return NO_SYMBOL
+
+    def hear(self, state: S, cipher: int) -> S:  # noqa: ARG002
+        """The plant's state once it has this transition's symbol; of one that corrects."""
+        return state
+
+    def differs(self, state: S) -> bool:  # noqa: ARG002
+        """Whether the plant knows that its word is not the controller's: the session ends."""
+        return False
 
     def restore(self, values: Sequence[int]) -> S:
         """The state from its journalled values; the initial state where there are none."""

@@ -43,7 +43,7 @@ def _problems(scheme: Scheme[Any]) -> Iterator[str]:
                         yield f"{told} a state of whole numbers"
                     if carry.pad != pad:
                         yield f"{told} pad {pad!r}, as pad() says"
-                    if carry.agreed not in (NO_SYMBOL, verdict):
+                    if carry.agreed not in (symbols if scheme.corrects else (NO_SYMBOL, verdict)):
                         yield f"{told} agreed to be the verdict, or -1"
                     if after not in states and len(states) < EXPLORED:
                         states.append(after)
@@ -57,6 +57,8 @@ SCHEMES: Final = {
     "switched": "protocol.schemes.switched:Switched",
     "pipelined": "protocol.schemes.pipelined:Pipelined",
     "sealed": "protocol.schemes.sealed:Sealed",
+    "reconciled": "protocol.schemes.reconciled:Reconciled",
+    "reconciled-31": "protocol.schemes.reconciled:Reconciled31",
 }
 """Where the shipped ones are."""
 

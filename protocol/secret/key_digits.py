@@ -15,13 +15,15 @@ counts it.
 Once x(k+1) is out, the digit is public: everybody sees which candidate explains it.
 """
 
+import struct
 from functools import lru_cache
 from typing import Final
 
 WORD_BITS: Final = 32
 """A key is read in words of so many bits, big-endian."""
 
-KEY_BITS: Final = 256
+KEY_BYTES: Final = 32
+KEY_BITS: Final = 8 * KEY_BYTES
 
 
 @lru_cache(maxsize=64)
@@ -63,8 +65,8 @@ def digits(key: bytes, size: int) -> tuple[int, ...]:
     ValueError
         When the key has another length, or ``size`` is below 2.
     """
-    if len(key) * 8 != KEY_BITS:
-        raise ValueError(f"key: got {len(key)} bytes, expected {KEY_BITS // 8}")
+    if len(key) != KEY_BYTES:
+        raise ValueError(f"key: got {len(key)} bytes, expected {KEY_BYTES}")
     count, values = digits_per_word(size)
     out = []
     for at in range(0, len(key), WORD_BITS // 8):
@@ -74,3 +76,12 @@ def digits(key: bytes, size: int) -> tuple[int, ...]:
                 word, digit = divmod(word, size)
                 out.append(digit)
     return tuple(out)
+
+
+def number_of_digits(keys: bytes, size: int) -> int:
+    """How many digits these keys give, which stand one behind the other."""
+    count, values = digits_per_word(size)
+    words: tuple[int, ...] = struct.unpack(f">{len(keys) * 8 // WORD_BITS}I", keys)
+    if values == 1 << WORD_BITS:
+        return count * len(words)
+    return count * sum(word < values for word in words)

@@ -6,16 +6,19 @@ on. A new offer takes the next digits whether or not it is applied, and a repeat
 position. The plant takes digits that it still holds, and drops them and all that stand before them
 once they have served, so no digit serves twice.
 
+A journal has the keys as they were extracted, a row for each block, and with each step the digits
+that are left of the key in use. So a digit that has served is written over with the next step, and
+a key is written once.
+
 The stream holds the :data:`BLOCKS` newest blocks. The controller leaves the oldest
 :data:`UNUSED` of these unused. So the plant may be one block ahead, and either end may confirm two
 blocks at once while an offer is on its way, and both still hold every digit that is named.
 """
 
-from bisect import bisect_right
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
-from protocol.secret.key_digits import digits
+from protocol.secret.key_digits import KEY_BYTES, digits, number_of_digits
 
 BLOCKS: Final = 6
 """Newest blocks that the stream holds."""
@@ -44,20 +47,18 @@ NOWHERE: Final = Position(-1, 0)
 
 
 class Part(NamedTuple):
-    """The unused digits of one key of a block, as the journal keeps them.
+    """The digits that are left of the key in use.
 
     Parameters
     ----------
-    block, number : int
-        The block, and which of its keys.
+    block : int
     first : int
         Number within the block of the first digit that is left.
     digits : bytes
-        The digits that are left, one a byte. A part without any is to be erased.
+        One a byte.
     """
 
     block: int
-    number: int
     first: int
     digits: bytes
 
@@ -68,38 +69,82 @@ class Part(NamedTuple):
 
     def since(self, position: Position) -> "Part":
         """This part without the digits that stand before ``position``."""
-        if position <= self.begins:
+        if position <= (self.block, self.first):
             return self
         if position.block > self.block:
             return self._replace(digits=b"")
         gone = min(position.at - self.first, len(self.digits))
-        return self._replace(first=self.first + gone, digits=self.digits[gone:])
+        return Part(self.block, self.first + gone, self.digits[gone:])
 
 
-class Stream:
+NO_PART: Final = Part(-1, 0, b"")
+"""No key is in use."""
+
+
+class Keys(NamedTuple):
+    """The keys of a block that were not used yet.
+
+    Parameters
+    ----------
+    block : int
+    first : int
+        Number within the block of their first digit.
+    keys : bytes
+        32 bytes each, one behind the other.
+    """
+
+    block: int
+    first: int
+    keys: bytes
+
+    def begun(self, size: int) -> tuple[Part, "Keys"]:
+        """The digits of the first key, and the keys behind it."""
+        part = Part(self.block, self.first, bytes(digits(self.keys[:KEY_BYTES], size)))
+        rest = Keys(self.block, self.first + len(part.digits), self.keys[KEY_BYTES:])
+        return part, rest
+
+
+class Held(NamedTuple):
+    """What an end holds of the stream, as its journal keeps it: in order, one ``Keys`` a block."""
+
+    part: Part = NO_PART
+    keys: tuple[Keys, ...] = ()
+
+
+NOTHING_HELD: Final = Held()
+
+
+class KeyStream:
     """One end's digits of one session, sans I/O.
 
     Parameters
     ----------
     size : int
         M.
-    parts : iterable of Part
+    held : Held
         As read back from the journal.
     after : Position
         Digits before this one have served, or may have: none of them is named again.
+
+    Attributes
+    ----------
+    part : Part
+        The key in use; what it holds stands before all else.
     """
 
-    def __init__(self, size: int, parts: Iterable[Part] = (), after: Position = NOWHERE) -> None:
+    def __init__(self, size: int, held: Held = NOTHING_HELD, after: Position = NOWHERE) -> None:
         self._size = size
-        self._parts = sorted(part for part in parts if part.digits)
+        self.part = held.part
+        self._keys = list(held.keys)
         self._after = after
 
     @property
     def left(self) -> int:
         """Digits that are held."""
-        return sum(len(part.digits) for part in self._parts)
+        whole = sum(number_of_digits(of_block.keys, self._size) for of_block in self._keys)
+        return len(self.part.digits) + whole
 
-    def add(self, block: int, keys: Sequence[bytes]) -> tuple[Part, ...]:
+    def add(self, block: int, keys: Sequence[bytes]) -> tuple[Keys, ...]:
         """Add the keys of a block that both ends have confirmed.
 
         Parameters
@@ -111,19 +156,14 @@ class Stream:
 
         Returns
         -------
-        tuple of Part
-            Rows of the journal that change: the new ones, and those of blocks that have become too
-            old, without digits.
+        tuple of Keys
+            Rows of the journal that change: the new one, and those of blocks that have become too
+            old, without keys.
         """
-        made: list[Part] = []
-        first = 0
-        for number, key in enumerate(keys):
-            part = Part(block, number, first, bytes(digits(key, self._size)))
-            first += len(part.digits)
-            if part.digits:
-                made.append(part)
-        self._parts += made
-        return (*self.drop_before(Position(block - BLOCKS + 1, 0)), *made)
+        changed = self.drop_before(Position(block - BLOCKS + 1, 0))
+        made = Keys(block, 0, b"".join(keys))
+        self._keys.append(made)
+        return (*changed, made)
 
     def name(self, count: int, up_to: int) -> Position:
         """The next ``count`` digits that no offer has named; :data:`NOWHERE` where there are none.
@@ -131,44 +171,53 @@ class Stream:
         All of them are digits of one key, of block ``up_to`` or an earlier one. The position moves
         on, whatever becomes of the offer.
         """
-        newest = self._parts[-1].block if self._parts else -1
+        newest = self._keys[-1].block if self._keys else self.part.block
         after = max(self._after, Position(newest - BLOCKS + 1 + UNUSED, 0))
-        for part in self._parts[max(0, self._place(after)) :]:
-            left = part.since(after)
+        for part in self._since(after):
             if part.block > up_to:
                 break
-            if len(left.digits) >= count:
-                self._after = Position(left.block, left.first + count)
-                return left.begins
+            if len(part.digits) >= count:
+                self._after = Position(part.block, part.first + count)
+                return part.begins
         return NOWHERE
 
     def at(self, position: Position, count: int) -> tuple[int, ...] | None:
         """The ``count`` digits at a position, or None where they are not held."""
-        place = self._place(position)
-        if position.block < 0 or place < 0:
+        if position.block < 0:
             return None
-        part = self._parts[place]
-        found = part.since(position).digits[:count]
-        if part.block != position.block or len(found) < count:
-            return None
-        return tuple(found)
+        part = self.part
+        start = position.at - part.first
+        if position.block != part.block or not 0 <= start < len(part.digits):
+            part, start = next(self._since(position), NO_PART), 0
+            if part.begins != position:
+                return None
+        found = part.digits[start : start + count]
+        return tuple(found) if len(found) == count else None
 
-    def drop_before(self, position: Position) -> tuple[Part, ...]:
+    def drop_before(self, position: Position) -> tuple[Keys, ...]:
         """Erase all digits that stand before ``position``; the rows of the journal that change."""
-        place = max(0, self._place(position))
-        changed = [part._replace(digits=b"") for part in self._parts[:place]]
-        del self._parts[:place]
-        if self._parts:
-            left = self._parts[0].since(position)
-            if left is not self._parts[0]:
-                changed.append(left)
-                self._parts[:1] = [left] if left.digits else []
-        return tuple(changed)
+        changed: dict[int, Keys] = {}
+        self.part = self.part.since(position)
+        while self._keys and not self.part.digits:
+            keys = self._keys[0]
+            if keys.block < position.block:
+                rest = keys._replace(keys=b"")
+            else:
+                part, rest = keys.begun(self._size)
+                self.part = part.since(position)
+            changed[rest.block] = rest
+            self._keys[:1] = [rest] if rest.keys else []
+        return tuple(changed.values())
 
-    def _place(self, position: Position) -> int:
-        """Number of the last part that begins at ``position`` or before; -1 where none does."""
-        return bisect_right(self._parts, position, key=_begins) - 1
-
-
-def _begins(part: Part) -> Position:
-    return part.begins
+    def _since(self, position: Position) -> Iterator[Part]:
+        """What is held from ``position`` on, key by key, without what stands before it."""
+        part = self.part.since(position)
+        if part.digits:
+            yield part
+        for keys in self._keys:
+            rest = keys
+            while rest.keys and rest.block >= position.block:
+                part, rest = rest.begun(self._size)
+                left = part.since(position)
+                if left.digits:
+                    yield left

@@ -300,15 +300,6 @@ TAGS: Final = Field(WORD_BITS, 0x1_0000_008D)
 """x^32 + x^7 + x^3 + x^2 + 1."""
 
 
-def forging(words: int, field: Field = TAGS) -> float:
-    """The most that one try at a message of so many words can succeed with.
-
-    Whatever the forger can compute (Wegman and Carter, 1981; den Boer, 1993). A measurement of two
-    states, with its step, has 6 words and 1.6e-9.
-    """
-    return float((words + 1) / 2**field.bits)
-
-
 def tag_of(point: Words, pad: Words, words: Words) -> Words:
     """Tags of messages, shapes (...,), (...,) and (..., w) to (...,)."""
     wide = [words[..., i].astype(np.uint64) for i in range(words.shape[-1])]

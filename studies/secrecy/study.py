@@ -3,11 +3,12 @@
 import hashlib
 import random
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from protocol.knowledge import Knowledge
+from protocol.messages import FieldMessage
 from studies.registry import study
 from studies.secrecy.runs import Run, simulate, text_of
 from tap_service.capture.channel import View, WiretapChannel
@@ -114,16 +115,17 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
                 yield Task("view", condition, tap, seed, view=View(seed=seed, **knobs))
 
 
+def put_together(messages: Iterable[FieldMessage], view: View) -> list[Transition]:
+    """The transitions that a tap with this view puts together of messages."""
+    channel, made = WiretapChannel(view), Transcript()
+    seen = [heard for message in messages for _, heard in channel.hear(0, message)]
+    seen += [heard for _, heard in channel.rest()]
+    return [t for message in seen for t in made.hear(message)] + made.flush()
+
+
 def heard_by(run: Run, view: View) -> list[Transition]:
     """The transitions that a tap with this view puts together."""
-    channel, transcript = WiretapChannel(view), Transcript()
-    out: list[Transition] = []
-    for message in run.messages:
-        for _, seen in channel.hear(0, message):
-            out += transcript.hear(seen)
-    for _, seen in channel.rest():
-        out += transcript.hear(seen)
-    return out + transcript.flush()
+    return put_together(run.messages, view)
 
 
 def knowledge_for(run: Run, kind: type[Eavesdropper], view: View) -> Knowledge:

@@ -8,6 +8,7 @@ from typing import Final
 
 from protocol.knowledge import Knowledge
 from protocol.plugins import UnknownError, checked_class, load_class
+from protocol.schemes.registry import scheme_named
 from protocol.secret.blocks import schedule_of
 from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, KnowledgeError
 
@@ -43,6 +44,9 @@ DEFAULT: Final = ("set-membership", "nearest-centre", "list-decoder")
 DEFAULT_UNCLEAR: Final = ("set-membership", "nearest-centre", "list-decoder", "text")
 """The same where the tap hears badly."""
 
+DEFAULT_CORRECTED: Final = ("set-membership", "nearest-centre")
+"""The same where the scheme corrects words: the others do not follow it."""
+
 
 KEY_SOLVER: Final = "key-solver"
 """The one who goes for keys: she listens by default where any are made."""
@@ -58,7 +62,9 @@ def default_names(knowledge: Knowledge, *, clear: bool) -> tuple[str, ...]:
         Whether the tap hears everything as it is.
     """
     names: tuple[str, ...] = DEFAULT
-    if not clear:
+    if scheme_named(knowledge.scheme).corrects:
+        names = DEFAULT_CORRECTED
+    elif not clear:
         names = DEFAULT_UNCLEAR if knowledge.C is None else (*DEFAULT, "smoother")
     makes_keys = knowledge.keys is not None and schedule_of(knowledge.keys) is not None
     return (*names, KEY_SOLVER) if makes_keys else names

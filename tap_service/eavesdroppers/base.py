@@ -7,6 +7,7 @@ she believes of the message. Live and offline she is fed the same things by the 
 
 from abc import ABC, abstractmethod
 from array import array
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
@@ -14,12 +15,13 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 from pydantic import BaseModel, ConfigDict
 
 from protocol.agreement import NO_SYMBOL, Gauge, predict
+from protocol.errors import WynerError
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
 from protocol.plugins import UnknownError
 from protocol.schemes.base import Scheme, decrypt
 from protocol.schemes.framing import Deframer
-from protocol.schemes.registry import make_scheme
+from protocol.schemes.registry import make_scheme, scheme_named
 from protocol.vectors import Matrix, Vector
 from tap_service.capture.transcript import Transition
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
@@ -31,7 +33,7 @@ IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
 
 
-class KnowledgeError(Exception):
+class KnowledgeError(WynerError):
     """An eavesdropper that is not told what it needs; the text names what is missing."""
 
 
@@ -166,6 +168,15 @@ class Belief:
     given: str = ""
     keys: KeysHeld | None = None
 
+    def read_of(self, messages: Sequence[bytes]) -> tuple[int, int]:
+        """How many of the messages she had whole, and of how many that can be told.
+
+        She keeps the last of hers alone, so they stand beside as many of the last messages.
+        """
+        if self.whole_count > len(self.whole):
+            messages = messages[-len(self.whole) :]
+        return (Counter(messages) & Counter(self.whole)).total(), len(messages)
+
 
 class Eavesdropper(ABC):
     """Base of all eavesdroppers.
@@ -177,7 +188,8 @@ class Eavesdropper(ABC):
     handed every message besides, right before the transitions that it finishes. One with
     ``guesses = False`` goes for something else than the loop's own symbols: what she answers for a
     transition is no guess, and she is not scored by it. One with ``reads_outputs = False`` wants
-    whole states, and cannot listen where a plant is read through some outputs alone.
+    whole states, and cannot listen where a plant is read through some outputs alone. One with
+    ``corrects`` follows a scheme that corrects words, and guesses at the keys that come of them.
 
     Attributes
     ----------
@@ -201,13 +213,14 @@ class Eavesdropper(ABC):
     hears_messages: ClassVar[bool] = False
     guesses: ClassVar[bool] = True
     reads_outputs: ClassVar[bool] = True
+    corrects: ClassVar[bool] = False
 
     def __init__(self, knowledge: Knowledge) -> None:
         self.knowledge = knowledge
         self.size = knowledge.candidates
-        self.suits(knowledge)
         try:
             self.scheme = make_scheme(knowledge.scheme, knowledge.candidates)
+            self.suits(knowledge)
         except UnknownError as error:
             raise KnowledgeError(f"knowledge.scheme: {error}") from None
         self.certain = knowledge.policy is not None and knowledge.policy.certain
@@ -220,8 +233,14 @@ class Eavesdropper(ABC):
         Raises
         ------
         KnowledgeError
-            Where some outputs alone are read, and she wants whole states.
+            Where some outputs alone are read, and she wants whole states; where the scheme corrects
+            words, and she does not.
         """
+        if scheme_named(knowledge.scheme).corrects and cls.guesses and not cls.corrects:
+            raise KnowledgeError(
+                f"{cls.name}: does not follow a scheme that corrects words ({knowledge.scheme}); "
+                "set-membership, nearest-centre and oracle do"
+            )
         if knowledge.C is not None and not cls.reads_outputs:
             raise KnowledgeError(
                 f"{cls.name}: wants whole states, and this plant is read through "
@@ -404,14 +423,18 @@ class Follower:
         """Whether she takes the next transition for one that is tested."""
         return self._scheme.tests(self._state)
 
-    def step(self, k: int, symbol: int, cipher: int | None) -> None:
-        """Count one transition on which her test says ``symbol`` (or -1)."""
-        self._state, carry = self._scheme.advance(self._state, symbol)
-        if carry.pad == NO_SYMBOL:
-            return
+    def step(self, k: int, symbol: int, cipher: int | None) -> int:
+        """Count one transition on which her test says ``symbol`` (or -1); the key that it gains."""
+        state = self._state if cipher is None else self._scheme.hear(self._state, cipher)
+        self._state, carry = self._scheme.advance(state, symbol)
+        if carry.pad != NO_SYMBOL:
+            self._carried(k, carry.pad, cipher)
+        return carry.agreed
+
+    def _carried(self, k: int, pad: int, cipher: int | None) -> None:
         value = IDLE_GUESS
         if cipher is not None:
-            value = decrypt(cipher, carry.pad, self._scheme.alphabet)
+            value = decrypt(cipher, pad, self._scheme.alphabet)
         self._steps.append(k)
         self._symbols.append(value)
         if len(self._steps) >= 2 * KEPT_SYMBOLS:
@@ -462,8 +485,12 @@ class Following(Eavesdropper):
             self.follower.step(t.k, NO_SYMBOL, t.cipher)
             return Guess(t.k, self.even, 0.5)
         symbol, guess = self.judged(t, t.x, t.candidates, t.x_next)
-        self.follower.step(t.k, symbol, t.cipher)
-        return guess
+        key = self.follower.step(t.k, symbol, t.cipher)
+        if not self.scheme.corrects:
+            return guess
+        if key == NO_SYMBOL:
+            return Guess(t.k, self.even, 0.0)
+        return Guess(t.k, tuple(float(i == key) for i in range(self.size)), 1.0)
 
     @abstractmethod
     def judged(

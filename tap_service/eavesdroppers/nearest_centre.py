@@ -6,16 +6,18 @@ every alpha. Only *when* a key was agreed is hidden, behind a threshold. Her est
 largest nearest gauge so far, times a margin: the disturbance fills its set, so that the estimate
 grows towards the set's edge from inside. Under a law of which it is public that every transition
 agrees, *when* is no question, and she needs no threshold. Where the plant's sensors are noisy she
-measures along the one row of D_e that tells the candidates apart. Where outputs alone are read she
+measures along the one row of D_e that tells the candidates apart; where d is Gaussian, in the
+deviations that she was told. Where outputs alone are read she
 measures readings; where all agree but a session's first steps, she follows the scheme under every
 number of those, and takes the one whose frame has its check. What the ends may have lost after a
 stretch of missed steps she takes for agreed.
 """
 
 from collections.abc import Sequence
+from operator import sub
 from typing import TYPE_CHECKING, ClassVar
 
-from protocol.agreement import NO_SYMBOL
+from protocol.agreement import NO_SYMBOL, deviation, predict
 from protocol.knowledge import Knowledge
 from protocol.vectors import Vector
 from tap_service.capture.transcript import Transition
@@ -40,6 +42,7 @@ class NearestCentre(Following):
     """Takes the candidate whose centre is nearest to x(k+1) in the shape of D_e."""
 
     name: ClassVar[str] = "nearest-centre"
+    corrects: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
@@ -88,6 +91,12 @@ class NearestCentre(Following):
         settled = self.model.settled
         measure = self.model.along_the_widest if self.noisy else self.model.gauges
         gauges = measure(x, candidates, x_next, t.predictions)
+        if (deviations := self.knowledge.deviations) is not None:
+            centres = t.predictions or [
+                predict(self.model.A, self.model.B, x, u) for u in candidates
+            ]
+            off = [tuple(map(sub, x_next, centre)) for centre in centres]
+            gauges = [deviation(v, deviations) for v in off]
         nearest = min(gauges)
         ties = gauges.count(nearest)
         self._largest = max(self._largest, nearest)

@@ -20,6 +20,7 @@ class Oracle(Following):
 
     name: ClassVar[str] = "oracle"
     reads_outputs: ClassVar[bool] = False
+    corrects: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)
@@ -35,7 +36,15 @@ class Oracle(Following):
         apart = None
         if knowledge.noisy:
             reach, apart = None, reach
-        self._rule = AgreementRule(self.model.A, self.model.B, gauge, knowledge.alpha, reach, apart)
+        self._rule = AgreementRule(
+            self.model.A,
+            self.model.B,
+            gauge,
+            knowledge.alpha,
+            reach,
+            apart,
+            knowledge.deviations,
+        )
 
     def judged(
         self, t: Transition, x: Vector, candidates: Sequence[Vector], x_next: Vector

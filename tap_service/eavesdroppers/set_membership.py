@@ -20,6 +20,7 @@ class SetMembership(Following):
     """Excludes the candidates whose Reach^e misses x(k+1); guesses evenly among the others."""
 
     name: ClassVar[str] = "set-membership"
+    corrects: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge) -> None:
         super().__init__(knowledge)

@@ -1,9 +1,6 @@
 """Plants that act: the order of a step, what dies in between, watchdog, safe state, doubt."""
 
 import json
-import os
-import subprocess
-import sys
 import threading
 from functools import partial
 from itertools import chain
@@ -18,14 +15,13 @@ from plant_service import opening
 from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from plant_service.opening import open_core
-from plant_service.punctuality import Punctuality, ReachWatch
+from plant_service.punctuality import ReachWatch
 from plant_service.service import PlantConfig, PlantService
 from plant_service.status import PlantTelemetry
 from protocol.agreement import AgreementResult
 from protocol.link.effects import Effects, Publish, Save, Tell
 from protocol.link.events import Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.session import CountedTransition
 from protocol.link.step import Begun
 from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario import Calibration, Scenario
@@ -40,7 +36,6 @@ from tests.adapters.plants import Device
 from tests.support.journals import NO_STEP, CopiedPlantJournal, plant_journal, step_of
 from tests.support.mail import mail
 from tests.support.memory_bus import MemoryBus, MemoryHub
-from tests.support.patience import PATIENCE_S
 from tests.support.safety import violations
 from tests.support.size import size
 from tests.support.told import log_of
@@ -99,7 +94,7 @@ class Bench:
         self.journal = journal or plant_journal()
         self.names = 0
         scenario = line(**link)
-        self.news = PlantTelemetry(scenario, "realtime", seeded=True)
+        self.news = PlantTelemetry.of(scenario, "realtime", seeded=True)
         self.endpoint = open_core(
             scenario,
             self.journal,
@@ -108,7 +103,7 @@ class Bench:
             self.name,
             0.0,
             Pacing(1.0, scenario.link.repeats_per_period, 0.0),
-            telemetry=self.news,
+            news=self.news,
             own=device,
         )
         self.events: list[Any] = []
@@ -120,7 +115,7 @@ class Bench:
 
     @property
     def record(self) -> Any:
-        return self.endpoint.record
+        return self.endpoint.state.record
 
     def name(self) -> str:
         self.names += 1
@@ -138,19 +133,21 @@ class Bench:
 
     def answer(self, now: float, verdict: str) -> None:
         receiver = self.endpoint
-        session = receiver.record.session
+        session = receiver.state.record.session.id
         self.hear(now, verdict=verdict, session=session, answers=receiver.instance)
 
     def hear(self, now: float, **said: Any) -> None:
-        fingerprint = self.endpoint.rules.fingerprint
+        fingerprint = self.endpoint.state.rules.fingerprint
         hello = ControllerHello(instance="2" * 16, incarnation=1, fingerprint=fingerprint, **said)
         self.do(self.endpoint.receive(ControllerHello, hello.wire(), now))
 
     def offer(self, now: float, u: float = 0.5) -> Effects:
         rows = tuple((u * sign,) for sign in (1.0, -1.0, 0.5, -0.5))
-        size = self.endpoint.rules.size
+        size = self.endpoint.state.rules.size
         candidates = rows[:size]
-        offer = Offer(session=self.record.session, k=self.record.k, candidates=candidates, cipher=0)
+        offer = Offer(
+            session=self.record.session.id, k=self.record.link.k, candidates=candidates, cipher=0
+        )
         return self.endpoint.receive(Offer, offer.wire(), now)
 
     def do(self, effects: Effects) -> None:
@@ -168,7 +165,7 @@ class Bench:
 
 def test_coin_journal_apply_sample_journal_report() -> None:
     bench = Bench(Device())
-    assert bench.endpoint.plant.acts
+    assert bench.endpoint.stepper.plant.acts
     bench.device.calls.clear()
     effects = iter(bench.offer(0.2))
     begun = next(effects)
@@ -189,7 +186,7 @@ def test_coin_journal_apply_sample_journal_report() -> None:
     assert (measurement.k, measurement.applied_k) == (1, 0)
     assert step_of(bench.journal) == (offer, coin, measurement)
     assert measurement.x == tuple(v / 2 for v in bench.device.y)
-    assert bench.record.transitions == 1
+    assert bench.record.link.transitions == 1
     assert bench.news.punctuality.sampled_late_s[2] == pytest.approx(0.05)
     assert bench.news.punctuality.actuated_after_s[2] == pytest.approx(0.2)
 
@@ -198,13 +195,13 @@ def test_a_device_keeps_its_input_through_a_missed_step_and_then_gets_the_fallba
     bench = Bench(Device(), fallback="zero")
     bench.do(bench.offer(0.2))
     bench.do(bench.endpoint.wake(1.0))
-    in_force = bench.record.u
+    in_force = bench.record.applied.u
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(2.0))
     assert bench.device.calls == ["sample", "apply", "save"]
     (missed,) = [e for e in bench.events if isinstance(e, Missed)]
     assert missed.u == in_force != (0.0,)
-    assert bench.record.u == (0.0,) == (bench.device.u,)
+    assert bench.record.applied.u == (0.0,) == (bench.device.u,)
     bench.device.calls.clear()
     bench.do(bench.endpoint.wake(3.0))
     assert bench.device.calls == ["sample", "save"]
@@ -220,17 +217,22 @@ def test_a_death_between_coin_and_sample_makes_a_missed_step() -> None:
     bench.do(bench.offer(0.2))  # applied, and then the process dies
     offer, coin, _ = step_of(bench.journal)
     assert offer is not None
-    session = bench.record.session
+    session = bench.record.session.id
     back = Bench(Device(), bench.journal)
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
     assert event.coin == coin
     assert event.u == offer.candidates[coin]
     assert (event.k, event.x_next) == (0, tuple(v / 2 for v in back.device.y))
     record = back.record
-    assert (record.session, record.k, record.transitions, record.missed) == (session, 1, 0, 1)
-    assert record.applied_k == -1  # never reported, so tested by neither end
+    assert (record.session.id, record.link.k, record.link.transitions, record.applied.missed) == (
+        session,
+        1,
+        0,
+        1,
+    )
+    assert record.link.applied_k == -1  # never reported, so tested by neither end
     again = Bench(Device(), bench.journal)
-    assert again.record.k == 2  # whoever is away for a while has missed a step again
+    assert again.record.link.k == 2  # whoever is away for a while has missed a step again
 
 
 @pytest.mark.long
@@ -252,108 +254,7 @@ def test_exactly_once_with_plants_that_die(seed: int, law: CandidateLaw) -> None
     assert history.crashes > 0
 
 
-SUICIDAL = """
-import os
-import time
-from pathlib import Path
-from tests.adapters.plants import PythonLine
-
-class Line(PythonLine):
-    steps = 0
-    def step(self, u, period_s):
-        Line.steps += 1
-        flag = Path(__file__).with_name("killed")
-        if Line.steps == 7 and not flag.exists():
-            flag.write_text("once")
-            os.kill(os.getpid(), 9)  # the service
-            time.sleep(60)
-        return super().step(u, period_s)
-"""
-
-
-@pytest.mark.long
-@pytest.mark.integration
-def test_kill_9_between_coin_and_sample(tmp_path: Path) -> None:
-    """Three real processes; the plant's code kills its service, and the check knows such a step."""
-    (tmp_path / "line.py").write_text(SUICIDAL)
-    from wyner.fit.toml import as_toml
-
-    tables = line("line.py:Line").model_dump(mode="json", exclude_none=True)
-    (tmp_path / "line.toml").write_text(as_toml(tables))
-    run_dir = tmp_path / "run"
-    root = Path(__file__).resolve().parents[2]
-    environment = {**os.environ, "PYTHONPATH": str(root)}
-    command = [sys.executable, "-m", "wyner.cli.main"]
-    done = subprocess.run(
-        [
-            *command,
-            "up",
-            "--scenario",
-            str(tmp_path / "line.toml"),
-            "--headless",
-            "--pace",
-            "fast",
-            "--until-delivered",
-            "--message",
-            "Hi",
-            "--run-dir",
-            str(run_dir),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=environment,
-    )
-    assert done.returncode == 0, done.stderr + done.stdout
-    assert (tmp_path / "killed").exists()
-    lines = [json.loads(x) for x in (run_dir / "plant/trace.jsonl").read_text().splitlines()]
-    (event,) = [x for x in lines if x["event"] == "interrupted"]
-    assert event["u"] == event["candidates"][event["coin"]]
-    check = subprocess.run(
-        [*command, "check", str(run_dir)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-        env=environment,
-    )
-    assert check.returncode == 0, check.stdout
-    assert "0 FAIL" in check.stdout
-
-
 # --- what ends in between -------------------------------------------------------------------------
-
-
-def test_a_step_whose_session_ends_before_it_is_read_counts_in_neither() -> None:
-    bench = Bench(Device())
-    bench.do(bench.offer(0.2))
-    bench.do(bench.endpoint.wake(1.0))
-    old = bench.record.session
-    bench.do(bench.offer(1.2))
-    in_force = bench.device.u / 2
-    bench.refuse(1.5)
-    assert (bench.record.session, bench.record.transitions) != (old, 1)
-    bench.published.clear()
-    bench.device.calls.clear()
-    bench.do(bench.endpoint.wake(1.9))
-    assert bench.published == []  # the plant still acts: there is no state to report
-    bench.do(bench.endpoint.wake(2.0))
-    assert bench.device.calls == ["sample", "save"]
-    (event,) = [e for e in bench.events if isinstance(e, Interrupted)]
-    assert (event.session, event.k, event.u) == (bench.record.session, 1, (in_force,))
-    assert event.u == event.candidates[event.coin]
-    assert event.x_next == bench.record.x
-    record = bench.record
-    assert (record.k, record.transitions, record.applied_k, record.missed) == (2, 0, -1, 1)
-    assert record.u == event.u
-    counted = [e for e in bench.events if isinstance(e, CountedTransition)]
-    assert [(t.session, t.j) for t in counted] == [(old, 0)]
-    bench.accept(2.1)
-    bench.do(bench.offer(2.2))
-    bench.do(bench.endpoint.wake(3.0))
-    counted = [e for e in bench.events if isinstance(e, CountedTransition)]
-    assert [(t.session, t.j) for t in counted] == [(old, 0), (record.session, 0)]
 
 
 @pytest.mark.parametrize("fallback", ["hold", "zero"])
@@ -371,16 +272,18 @@ def test_a_death_after_a_word_of_the_controllers_still_knows_the_step_under_way(
     else:
         bench.greet(0.5)
     assert step_of(bench.journal) == chosen
-    session = bench.record.session
+    session = bench.record.session.id
     back = Bench(Device(), bench.journal, fallback=fallback)  # and then the process dies
     (event,) = [e for e in back.events if isinstance(e, Interrupted)]
     assert (event.session, event.coin) == (session, coin)
     assert event.u == offer.candidates[coin] != (0.0,)
-    assert (back.record.transitions, back.record.missed) == (0, 1)
+    assert (back.record.link.transitions, back.record.applied.missed) == (0, 1)
     assert step_of(back.journal) == NO_STEP
     # whether the input was applied is not known: the plant is told what the step to come is given
     assert back.device.calls[:2] == ["start", "apply"]
-    assert back.record.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
+    assert (
+        back.record.applied.u == (event.u if fallback == "hold" else (0.0,)) == (back.device.u / 2,)
+    )
     bench.journal.close()
 
 
@@ -454,7 +357,7 @@ def test_a_slow_reading_costs_ticks_that_are_never_made_up_for() -> None:
     bench.do(bench.offer(0.2))
     bench.do(bench.endpoint.wake(3.4))
     assert bench.news.punctuality.overruns == 2
-    assert bench.record.k == 1
+    assert bench.record.link.k == 1
     assert bench.endpoint.wake_at() > 3.4
 
 
@@ -482,7 +385,7 @@ def test_the_safe_state_outlives_the_process_until_it_is_cleared(tmp_path: Path)
     management = MemoryHub()
     buses = MemoryBus(MemoryHub()), MemoryBus(management)
     service = PlantService(config, *buses, threading.Event())
-    assert service.endpoint.plant.acts
+    assert service.endpoint.stepper.plant.acts
     taken_up(service, management)
     with pytest.raises(PlantError, match="RuntimeError: the belt is torn"):
         service.run()
@@ -497,12 +400,16 @@ def taken_up(service: PlantService, management: MemoryHub) -> None:
     hello = ControllerHello(
         instance="2" * 16,
         incarnation=1,
-        fingerprint=core.rules.fingerprint,
+        fingerprint=core.state.rules.fingerprint,
         verdict="greeting",
     )
     put = MemoryBus(management).publisher(key_of(ControllerHello, "loop")).put
     put(hello.wire())
-    answer = {"verdict": "accepted", "session": core.record.session, "answers": core.instance}
+    answer = {
+        "verdict": "accepted",
+        "session": core.state.record.session.id,
+        "answers": core.instance,
+    }
     put(hello.model_copy(update=answer).wire())
 
 
@@ -561,17 +468,6 @@ def test_a_service_that_cannot_start_leaves_its_device_safe(
 
 
 # --- punctuality and doubt ------------------------------------------------------------------------
-
-
-def test_percentiles_are_of_the_newest_steps() -> None:
-    p = Punctuality()
-    assert p.as_event(0) is None
-    for i in range(1, 1001):
-        p.ticked(i / 1000, 0)
-    assert p.sampled_late_s == (0.5, 0.991, 1.0)
-    event = p.as_event(7)
-    assert event is not None
-    assert (event.k, event.steps, event.actuated_after_s) == (7, 1000, ())
 
 
 def test_exits_are_counted_and_a_broken_promise_is_told_once() -> None:

@@ -18,7 +18,7 @@ from protocol.scenario import Scenario, parse_scenario
 from runtime.scenario_file import load_scenario
 from runtime.user_code import UserCodeError, load_attribute, made
 from tests.adapters.plants import build_fmu
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 
 
 def test_runge_kutta_is_of_fourth_order() -> None:
@@ -128,17 +128,6 @@ def test_what_is_no_fmu_is_one_line(tmp_path: Path) -> None:
         Fmu(tmp_path / "y.fmu", "", ["u"], ["y"])
 
 
-def test_the_files_of_an_fmu_go_when_it_is_closed(fmu: tuple[Path, str]) -> None:
-    from plant_service.adapters.fmu import Fmu
-
-    plant = Fmu(*fmu, ["u"], ["place", "speed"])
-    folder = plant.folder
-    plant.reset(None)
-    assert folder.is_dir()
-    plant.close()
-    assert not folder.exists()
-
-
 def test_what_a_killed_plant_left_of_an_fmu_goes_at_the_next_start(fmu: tuple[Path, str]) -> None:
     """And nothing of one that lives."""
     from plant_service.adapters.fmu import Fmu
@@ -195,20 +184,6 @@ def test_environments_that_do_not_fit(
 
     with pytest.raises(PlantError, match=says):
         make(id_, state, None, period_s)
-
-
-def test_an_attribute_that_is_not_there_and_an_episode_that_ends() -> None:
-    pytest.importorskip("gymnasium")
-    from plant_service.adapters.gymnasium_env import make
-
-    plant = make("Pendulum-v1", "angle", None, 0.05)
-    with pytest.raises(PlantError, match="has no attribute 'angle'"):
-        plant.reset(1)
-    car = make("MountainCarContinuous-v0", "state", (0.44, 0.07), 1.0)
-    car.reset(1)
-    with pytest.raises(PlantError, match="episode has ended"):
-        for _ in range(20):
-            car.step((1.0,), 1.0)
 
 
 ENVIRONMENTS = """
@@ -359,7 +334,7 @@ def test_tables_of_free_names_make_a_live_plant(
     """`plant.arguments` and `plant.start`: the loop's rules are looked up by their scenario."""
     pytest.importorskip("gymnasium")
     more = '\n[plant.arguments]\ng = 10.0\nrender_mode = "rgb_array"\n'
-    loop = RecordedLoop(tmp_path / "run", b"", "gymnasium-pendulum", more=more)
+    loop = RecordedPair(tmp_path / "run", name="gymnasium-pendulum", more=more)
     loop.run(lambda: loop.transitions >= 20)
     loop.stop()
     assert loop.wrong() == []

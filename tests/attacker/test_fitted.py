@@ -8,7 +8,7 @@ from protocol.agreement import INSIDE
 from protocol.scenario import Attack
 from runtime.run_folder import CONTROLLER_TRACE
 from runtime.scenario_file import scenario_of
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 from tests.support.traces import read_trace
 
 pytestmark = pytest.mark.slow
@@ -33,16 +33,16 @@ violation = 0.0098
 confidence = 0.95
 law_fingerprint = "{law}"
 """
-    loop = RecordedLoop(
+    loop = RecordedPair(
         tmp_path,
         name="packed",
         more=promise,
-        change=("half_widths = [0.1, 0.1]", wide),
+        changes=(("half_widths = [0.1, 0.1]", wide),),
         attack=Attack(kind="stuck", onset=ONSET),
     )
     scenario = loop.scenario
     assert scenario.defence.rule(scenario.defender.calibration, 0.1, 4) == (2, 6)
-    loop.run(lambda: loop.plant.record.k >= ONSET + 60)
+    loop.run(lambda: loop.plant.state.link.k >= ONSET + 60)
     loop.stop()
     told = read_trace(tmp_path / CONTROLLER_TRACE).events
     steps = [e for e in told if e["event"] == "transition"]

@@ -6,7 +6,7 @@ import pytest
 
 from protocol.scenario import attack_of
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 from tests.support.size import size
 from tests.support.traces import read_trace
 
@@ -19,13 +19,13 @@ WITHIN = 10
 
 def attacked(folder: Path, *, hears_all: bool) -> tuple[list[int], float]:
     """Steps at which there was an alarm, and how far the plant was led."""
-    loop = RecordedLoop(
+    loop = RecordedPair(
         folder,
         name="watched",
         attack=attack_of(f"ghost@{ONSET}"),
-        change=HEARS_ALL if hears_all else ("", ""),
+        changes=(HEARS_ALL,) if hears_all else (),
     )
-    loop.run(lambda: loop.plant.record.k >= ONSET + STEPS)
+    loop.run(lambda: loop.plant.state.record.link.k >= ONSET + STEPS)
     loop.stop()
     alarms = [e["k"] for e in read_trace(folder / CONTROLLER_TRACE).of("alarm")]
     off = [

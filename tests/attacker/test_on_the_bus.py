@@ -10,7 +10,7 @@ from attacker_service.attacker import Attacker
 from protocol.scenario import attack_of
 from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 from tests.support.traces import Resolved
 
 pytestmark = pytest.mark.slow
@@ -49,22 +49,22 @@ def told(folder: Path, onset: int = 0) -> dict[str, Any]:
 
 def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
     attack = attack_of("covert@1")
-    loop = RecordedLoop(tmp_path, name="keys", more=KEYED, pace="realtime")
+    loop = RecordedPair(tmp_path, name="keys", more=KEYED)
 
     def steps(number: int) -> int:
         """Steps of the next so many that a key chose the input of."""
         watched = 0
         for _ in range(number):
-            loop.run(partial(is_at, loop.plant.record.k + 1))
-            watched += loop.plant.record.keyed
+            loop.run(partial(is_at, loop.plant.state.record.link.k + 1))
+            watched += loop.plant.state.record.applied.keyed
         return watched
 
     def is_at(k: int) -> bool:
-        return loop.plant.record.k >= k
+        return loop.plant.state.record.link.k >= k
 
     while steps(LOOK) < LOOK:
-        assert loop.plant.record.k < 5000, "keys never come"
-    onset = loop.plant.record.k
+        assert loop.plant.state.record.link.k < 5000, "keys never come"
+    onset = loop.plant.state.record.link.k
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
     assert steps(60) == 60
@@ -79,10 +79,10 @@ def test_covert_is_never_seen_by_a_keyed_coin(tmp_path: Path) -> None:
 def test_covert_over_a_network_that_loses_is_labelled_and_never_seen(tmp_path: Path) -> None:
     """It rewrites what leaves; a message that is lost after it moves nothing, as it reckons."""
     attack = attack_of("covert@50")
-    loop = RecordedLoop(tmp_path, name="network", pace="realtime", attack=attack)
+    loop = RecordedPair(tmp_path, name="network", attack=attack)
     attacker = Attacker(loop.scenario, attack, None)
     loop.relay = attacker
-    loop.run(lambda: loop.plant.record.k >= 200)
+    loop.run(lambda: loop.plant.state.record.link.k >= 200)
     assert attacker.failed == ""
     loop.stop()
     found = told(tmp_path)

@@ -4,7 +4,7 @@ All that an end does next follows from itself and from what it hears: :meth:`End
 So that it is, every draw is named by what it is for (a nonce by its process, session and step), and
 an end's clock stands at 0 before each event, all times being relative to it.
 
-It is no :mod:`tests.support.two_ends`, whose partner is there: here each step of one end is made
+It is no :mod:`tests.support.pair`, whose partner is there: here each step of one end is made
 once, without the other, and looked up afterwards.
 """
 
@@ -20,20 +20,19 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.distiller import BlockEnded
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Alarm, Event, SessionBegan
-from protocol.link.records import ReceiverRecord, SenderRecord
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
-from protocol.link.step import Answered, Read
+from protocol.link.step import Read
 from protocol.messages import Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock, ExtractedBlock
 from protocol.secret.extractor import extracted
 from protocol.secret.nonces import NONCE_BYTES
-from protocol.secret.stream import NOWHERE, Part, Position
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Position
 from runtime import perform as shell
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import Crashed, CrashingPorts, CrashPoint
 from tests.campaigns.loop import propose
 from tests.support.journals import controller_journal, handed_over, plant_journal
-from tests.support.line_ends import (
+from tests.support.line import (
     ActingLine,
     LineDevice,
     LinePlant,
@@ -42,6 +41,8 @@ from tests.support.line_ends import (
     line_plant,
 )
 from tests.support.mail import Mail, mail
+from tests.support.recorded_pair import reported
+from tests.support.safety import first_held
 
 Side = Literal["plant", "controller"]
 
@@ -108,7 +109,7 @@ class View(NamedTuple):
     session: str | None = None
     announced: int = -1
     confirmed: int = -1
-    parts: tuple[Part, ...] = ()
+    held: Held = NOTHING_HELD
     received: int = 0
     forgot: bool = False
 
@@ -202,7 +203,7 @@ class End:
         sessions = 0
         if self.line is not None:
             assert isinstance(self.endpoint, PlantCore)
-            sessions = self.endpoint.record.sessions
+            sessions = self.endpoint.state.record.session.sessions
         return f"{self.lives:08x}{sessions:08x}"
 
     def symbol(self, transition: int, size: int) -> int:
@@ -216,11 +217,11 @@ class End:
         """A nonce that tells what it is for."""
         if self.side == "controller":
             assert isinstance(self.endpoint, ControllerCore)
-            session, k = self.endpoint.record.session, self._heard_k
+            session, k = self.endpoint.state.record.session.id, self._heard_k
         else:
             assert isinstance(self.endpoint, PlantCore)
-            record = self.endpoint.record
-            session, k = record.session, record.k
+            record = self.endpoint.state.record
+            session, k = record.session.id, record.link.k
         drawn = _nonce(f"{self.side} {self.lives} {session} {k} {len(self._nonces)}")
         self._nonces.append(drawn)
         return drawn
@@ -291,7 +292,7 @@ class End:
         if self.rules.scheme.from_stream:
             return
         assert isinstance(self.endpoint, ControllerCore)
-        j = self.endpoint.reported
+        j = reported(self.endpoint)
         for session, known, cipher in self._ciphers:
             if (session, known) == (offer.session, j) and cipher != offer.cipher:
                 raise Broken(f"transition {j} was offered ciphers {cipher} and {offer.cipher}")
@@ -376,13 +377,13 @@ class End:
             if isinstance(endpoint, ControllerCore):
                 self._heard_k = _k_of(payload) if kind is Measurement else -1
                 self.now += LONG_S if doing.pace == "late" else 0.0
-                endpoint.session.greeting_at = inf if doing.pace == "soon" else -inf
+                endpoint.state.session.greeting_at = inf if doing.pace == "soon" else -inf
             elif self.line is not None:
                 self.line.coin, self.line.d = doing.coin, 0.3
             self._perform(endpoint.receive(kind, payload, self.now))
         elif doing.what == "wakes":
             if doing.pace == "late" and isinstance(endpoint, PlantCore):
-                endpoint.session.answered_at = -SILENCE_S
+                endpoint.state.session.answered_at = -SILENCE_S
             self.now = max(self.now, min(endpoint.wake_at(), self.now + LONG_S))
             self._perform(endpoint.wake(self.now))
         elif doing.what == "extracts":
@@ -408,16 +409,11 @@ class End:
         if record is None:
             held = View()
         else:
-            said: SenderRecord | ReceiverRecord | Measurement | Offer = record
-            if isinstance(loaded.step, Read):
-                said = loaded.step.report
-            elif isinstance(loaded.step, Answered):
-                said = loaded.step.offer
-            announced = said.block
-            held = View((), record.session, announced, record.confirmed, loaded.parts)
+            announced = record.keys.block
+            held = View((), record.session.id, announced, record.keys.confirmed, loaded.held)
             served = self._taken[1 if self.side == "plant" else 0]  # with the save after the count
             over = served.end(self.rules.digits)
-            if served.session == record.session and any(p.begins < over for p in loaded.parts):
+            if served.session == record.session.id and first_held(loaded.held) < over:
                 raise Broken(f"a digit that served step {served.k} is still in the journal")
         self.view = held._replace(
             counted=self.view.counted, received=self.view.received, forgot=self.view.forgot
@@ -426,20 +422,19 @@ class End:
     def _set_clock(self) -> None:
         """The clock stands at 0 again; what is long past is past, and no more than that."""
         now, self.now, endpoint = self.now, 0.0, self.endpoint
-        endpoint.now = 0.0
+        endpoint.state.now = 0.0
         if isinstance(endpoint, ControllerCore):
-            away = now - endpoint.session.plant_at >= endpoint.session.running_s
-            endpoint.session.plant_at = -inf if away else 0.0
+            away = now - endpoint.state.session.plant_at >= endpoint.state.session.running_s
+            endpoint.state.session.plant_at = -inf if away else 0.0
             # a greeting that comes too soon after another and one that is lost are the same to all
-            endpoint.session.greeting_at = -inf
-            endpoint.stale_at = -inf
+            endpoint.state.session.greeting_at = -inf
+            endpoint.chooser.stale_at = -inf
             return
-        pacing = endpoint.pacing
-        endpoint.session.hello_at = max(0.0, round(endpoint.session.hello_at - now, 6))
-        silent = now - endpoint.session.answered_at >= SILENCE_S
-        self.answered = endpoint.session.answered_at == now
-        endpoint.session.answered_at = -SILENCE_S if silent else -JUST_NOW_S
-        endpoint.measured_at, endpoint.measured_k = 0.0, -1  # told, and not looked at
+        pacing = endpoint.state.pacing
+        endpoint.state.session.hello_at = max(0.0, round(endpoint.state.session.hello_at - now, 6))
+        silent = now - endpoint.state.session.answered_at >= SILENCE_S
+        self.answered = endpoint.state.session.answered_at == now
+        endpoint.state.session.answered_at = -SILENCE_S if silent else -JUST_NOW_S
         pacing.late_s, pacing.overruns = 0.0, 0
         pacing.deadline = round(pacing.deadline - now, 6)
         pacing.repeat_at = max(0.0, round(pacing.repeat_at - now, 6))

@@ -15,7 +15,7 @@ from protocol.schemes.switched import Switched
 from protocol.secret import key_digits, stream
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
 
 SHIFT: Final = 1.5
 SCHEMES: Final[dict[str, type[Scheme[Any]]]] = {

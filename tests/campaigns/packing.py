@@ -7,7 +7,11 @@ from collections.abc import Callable
 from functools import lru_cache
 from typing import Any, Final
 
+from controller_service.state import ControllerState
+from controller_service.telemetry import ControllerTelemetry
 from plant_service.core import PlantCore
+from plant_service.state import PlantState
+from plant_service.status import PlantTelemetry
 from protocol.link.session import Rules
 from protocol.messages import FIELD, MANAGEMENT, Message
 from protocol.secret.blocks import Schedule
@@ -15,7 +19,7 @@ from runtime.journal import ControllerJournal, PlantJournal
 from tests.campaigns.end import End
 from tests.campaigns.loop import BLOCK, rules_of
 from tests.support.journals import contents, controller_journal, fill, plant_journal
-from tests.support.line_ends import ActingLine, LineDevice, LinePlant
+from tests.support.line import ActingLine, LineDevice, LinePlant
 
 PASSING: Final = frozenset(
     (
@@ -75,6 +79,8 @@ _SHARED: Final[dict[type, Callable[[Any], Any]]] = {
     LineDevice: lambda _: (_part, ("device",)),
     ControllerJournal: lambda _: (_part, ("journal",)),
     PlantJournal: lambda _: (_part, ("journal",)),
+    **dict.fromkeys((PlantState, ControllerState), lambda _: (_part, ("state",))),
+    **dict.fromkeys((PlantTelemetry, ControllerTelemetry), lambda _: (_part, ("news",))),
     Rules: _rules_of,
     Schedule: lambda _: (_schedule, ()),
     **dict.fromkeys((*FIELD, *MANAGEMENT), _message_of),
@@ -102,7 +108,8 @@ def pack(end: End) -> bytes:
     """The end as bytes."""
     own = {name: value for name, value in vars(end).items() if name not in PASSING}
     file = io.BytesIO()
-    for part in (end.side, contents(end.journal), _acted(end.device), own):
+    state = vars(end.endpoint.state)
+    for part in (end.side, contents(end.journal), _acted(end.device), state, own):
         _Packer(file, pickle.HIGHEST_PROTOCOL).dump(part)
     return file.getvalue()
 
@@ -118,11 +125,17 @@ def unpack(packed: bytes) -> End:
         vars(end.device).update(acted)
     _whole.clear()
     end.journal = fill(_JOURNALS[side], rows)
-    _whole.update(End=end, journal=end.journal, device=end.device)
+    plant = side == "plant"
+    state: Any = object.__new__(PlantState if plant else ControllerState)
+    news = PlantTelemetry() if plant else ControllerTelemetry()
+    _whole.update(End=end, journal=end.journal, device=end.device, state=state, news=news)
+    vars(state).update(pickle.load(file))
     vars(end).update(pickle.load(file))
     end.mortal()
     end.line = None
     if isinstance(end.endpoint, PlantCore):
-        assert isinstance(end.endpoint.plant, LinePlant | ActingLine)
-        end.line = end.endpoint.coin = end.endpoint.plant  # one thing, written twice
+        assert isinstance(end.endpoint.stepper.plant, LinePlant | ActingLine)
+        end.line = end.endpoint.stepper.coin = (
+            end.endpoint.stepper.plant
+        )  # one thing, written twice
     return end

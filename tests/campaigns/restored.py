@@ -20,8 +20,8 @@ from protocol.messages import Offer
 from protocol.secret.stream import NOWHERE
 from tests.support.mail import Mail
 from tests.support.once import Digits
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.two_ends import SIDES, Name
+from tests.support.pair import SIDES, Name
+from tests.support.recorded_pair import RecordedPair
 
 COINED: Final = '\n[defence]\ncoin = "keys"\n'
 MESSAGE: Final = bytes(range(256)) * 4
@@ -34,13 +34,13 @@ SINCE: Final = (0, 1, 2, 5, 30, 100)
 """Steps that the end makes after the copy, and that are then lost."""
 
 
-class Wire(RecordedLoop):
+class Wire(RecordedPair):
     """A loop of which every offer is looked at."""
 
     def __init__(self, folder: Path) -> None:
         self.counts: Counter[str] = Counter()
         self.doubled: list[str] = []
-        super().__init__(folder, MESSAGE, "sealed", COINED)
+        super().__init__(folder, MESSAGE, name="sealed", more=COINED)
         self._digits = Digits(rules_of(self.scenario).digits)
 
     def said(self, side: Name, message: Mail) -> None:
@@ -62,15 +62,15 @@ class Wire(RecordedLoop):
         """Copy an end's folder, go on, kill the end, and begin again with the copy."""
         copy = folder / "copy"
         shutil.copytree(self.folder / side, copy)
-        before = self.plant.record.session
-        self.run(lambda target=self.plant.record.k + since: self.plant.record.k >= target)  # type: ignore[misc]
+        before = self.plant.state.record.session.id
+        self.run(lambda target=self.plant.state.link.k + since: self.plant.state.link.k >= target)  # type: ignore[misc]
         self.kill(side)
         shutil.rmtree(self.folder / side)
         copy.rename(self.folder / side)
         self.start(side)
-        self.run(lambda target=self.plant.record.k + 3: self.plant.record.k >= target)  # type: ignore[misc]
+        self.run(lambda target=self.plant.state.link.k + 3: self.plant.state.link.k >= target)  # type: ignore[misc]
         self.counts[f"{side} put back"] += 1
-        self.counts["sessions ended"] += self.plant.record.session != before
+        self.counts["sessions ended"] += self.plant.state.record.session.id != before
 
 
 def restored(count: int, seed: int) -> Wire:
@@ -79,8 +79,8 @@ def restored(count: int, seed: int) -> Wire:
     with tempfile.TemporaryDirectory() as folder:
         loop = Wire(Path(folder) / "run")
         for _ in range(count):
-            target = loop.plant.record.k + draw.randint(*BEFORE)
-            loop.run(lambda target=target: loop.plant.record.k >= target)  # type: ignore[misc]
+            target = loop.plant.state.link.k + draw.randint(*BEFORE)
+            loop.run(lambda target=target: loop.plant.state.link.k >= target)  # type: ignore[misc]
             loop.put_back(draw.choice(SIDES), draw.choice(SINCE), Path(folder))
         loop.stop()
     return loop

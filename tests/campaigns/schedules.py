@@ -35,10 +35,10 @@ from protocol.scenario.keys import Keys
 from protocol.secret import key_digits, stream
 from protocol.vectors import Vector
 from runtime.perform import CrashPoint
-from tests.support.line_ends import disowned
+from tests.support.line import disowned
 from tests.support.once import Copies, Digits
+from tests.support.recorded_pair import law_of
 from tests.support.safety import differing_key, violations
-from tests.support.small_run import law_of
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import Side, Simulation
 
@@ -224,7 +224,7 @@ class Watched(Simulation):
     def _end_the_session(self) -> None:
         """The controller was misled, or holds other keys: it does not know the session any more."""
         end = self.ends["plant"]
-        if end.endpoint is None or self.plant.session.controller is None:
+        if end.endpoint is None or self.plant.state.session.controller is None:
             return
         self.history.amnesias += 1
         self.deliver("plant", disowned(self.plant))
@@ -245,7 +245,7 @@ class Watched(Simulation):
             return
         if isinstance(event, CountedTransition) and event.coin == NO_SYMBOL:
             return  # the controller's
-        assert event.session == self.plant.record.session, "counted in another session"
+        assert event.session == self.plant.state.record.session.id, "counted in another session"
         if device.u is None:  # of a process before, or before an input was known
             return
         assert event.x_next == device.x, "a step led elsewhere than its trace says"
@@ -313,8 +313,8 @@ def outcome_of(seed: int, *, networks: bool = False) -> Outcome:
     if not keyed:
         return Outcome(0, link.cut, 0, tuple(lines))
     mine, theirs = (link.ends[side].journal.load() for side in ("controller", "plant"))
-    if mine.record and theirs.record and mine.record.session == theirs.record.session:
-        lines += filter(None, [differing_key(mine.parts, theirs.parts)])
+    if mine.record and theirs.record and mine.record.session.id == theirs.record.session.id:
+        lines += filter(None, [differing_key(scenario.secrecy.candidates, mine.held, theirs.held)])
     return Outcome(sum(link.blocks.values()), link.cut, len(link.digits.watched), tuple(lines))
 
 

@@ -86,7 +86,7 @@ class Space:
         self.remembered = remembered
         self.messages = Messages()
         rules = rules_of(scheme, keys=keys, coin=coin)
-        self.keys, self.coin = keys, coin
+        self.keys, self.coin, self.size = keys, coin, rules.size
         self.ends = tuple(
             [
                 Ends(
@@ -176,7 +176,7 @@ class Space:
                 return "a message arrived again"
             if outcome.ended:
                 return "a session ended, and no journal was lost"
-        return _keys_differ(mine, other) or _keys_differ(other, mine)
+        return _keys_differ(self.size, mine, other) or _keys_differ(self.size, other, mine)
 
     # --- when all is well -------------------------------------------------------------------------
 
@@ -278,16 +278,17 @@ class Space:
         return starts
 
 
-def _keys_differ(mine: View, other: View) -> str:
+def _keys_differ(size: int, mine: View, other: View) -> str:
     """Where the keys of one end do not go with those of the other; empty where they do."""
     if mine.session is None or mine.session != other.session:
         return ""
     if mine.confirmed > other.announced:
         return f"block {mine.confirmed} was confirmed, and the other end has not announced it"
-    early = [part.block for part in mine.parts if part.block > mine.confirmed]
+    of_blocks = (mine.held.part.block, *[keys.block for keys in mine.held.keys])
+    early = [block for block in of_blocks if block > mine.confirmed]
     if early:
         return f"digits of block {early[0]} are held before it is confirmed"
-    return differing_key(mine.parts, other.parts)
+    return differing_key(size, mine.held, other.held)
 
 
 class Start(NamedTuple):

@@ -6,12 +6,12 @@ from typing import Any
 
 import pytest
 
-from controller_service import core as controller_core
 from controller_service import outgoing
-from plant_service import core as plant_core
-from protocol.link import distiller
-from protocol.link.controller_session import TABLE, Row
+from plant_service import stepper
+from protocol.link import controller_session, distiller
+from protocol.link.controller_session import TABLE
 from protocol.link.distiller import Distiller
+from protocol.link.session_table import Row
 from protocol.messages import Offer
 from protocol.secret.blocks import ExtractedBlock
 from protocol.secret.nonces import Contribution, contribution_of
@@ -97,13 +97,13 @@ def test_a_step_that_is_looked_up_is_what_the_live_end_does() -> None:
 
 def redecide(patch: Patch) -> None:
     """Rule 3: a step that is counted again decides its symbol again."""
-    broken(patch, outgoing, "if decided is not None:", "if False:")
+    broken(patch, outgoing, "if cover is None:", "if True:")
 
 
 def apply_stale(patch: Patch) -> None:
     """Rule 5: an offer for a step gone by is applied."""
-    right = 'return "current" if offer.k == self.record.k else "stale"'
-    broken(patch, plant_core, right, 'return "current"')
+    right = 'return "current" if offer.k == self.state.link.k else "stale"'
+    broken(patch, stepper, right, 'return "current"')
 
 
 def publish_first(patch: Patch) -> None:
@@ -128,7 +128,7 @@ def end_on_a_late_hello(patch: Patch) -> None:
 def count_no_lives(patch: Patch) -> None:
     """Rule 6: a controller that was started again takes itself for the one before."""
     right = "return min(incarnation + 1, LARGEST_COUNT)"
-    broken(patch, controller_core, right, "return incarnation")
+    broken(patch, controller_session, right, "return incarnation")
 
 
 def as_it_is(_: Patch) -> None:
@@ -157,7 +157,7 @@ def same_nonce_in_repeats(patch: Patch) -> None:
 
 def copy_0_after_a_death(patch: Patch) -> None:
     """Rule 8: a plant that was started again takes its next copy for the first."""
-    broken(patch, plant_core, *FIRST_COPY)
+    broken(patch, stepper, *FIRST_COPY)
 
 
 def count_any_copy(patch: Patch) -> None:
@@ -176,7 +176,7 @@ def announce_at_once(patch: Patch) -> None:
     def wrong(self: Distiller, block: ExtractedBlock) -> None:
         extracted(self, block)
         said = {"block": block.number, "tag": block.tag}
-        self.heard(Offer(session=block.session, k=0, candidates=(), cipher=0, **said))
+        self.compare(Offer(session=block.session, k=0, candidates=(), cipher=0, **said))
 
     patch.setattr(Distiller, "extracted", wrong)
 

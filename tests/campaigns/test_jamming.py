@@ -2,7 +2,7 @@
 
 import pytest
 
-from controller_service import core as controller_core
+from controller_service import alarms
 from protocol.link.session import rules_of
 from runtime.scenario_file import scenario_of
 from tests.campaigns import jamming
@@ -34,9 +34,9 @@ def test_who_ends_each_session_at_its_first_step_is_alarmed(
     assert found.alarms["unwatched"] >= 2
     broken(
         monkeypatch,
-        controller_core,
-        "self.rules.watch.unheard(unwatched)",
-        "unwatched",
+        alarms,
+        "rules.watch.unheard(record.unwatched)",
+        "record.unwatched",
     )
     assert run(jamming.end_each_session_uncounted).excess > MOST
 

@@ -4,7 +4,7 @@ import logging
 
 import pytest
 
-from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, KeyStream, Position
 from tests.campaigns.restored import restored
 from tests.support.size import size
 
@@ -23,12 +23,12 @@ def test_a_controller_that_forgets_which_digits_it_has_named_is_caught(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.CRITICAL)
-    begin = Stream.__init__
+    begin = KeyStream.__init__
 
     def forgetful(
-        self: Stream, size: int, parts: tuple[Part, ...] = (), _: Position = NOWHERE
+        self: KeyStream, size: int, held: Held = NOTHING_HELD, _: Position = NOWHERE
     ) -> None:
-        begin(self, size, parts)
+        begin(self, size, held)
 
-    monkeypatch.setattr(Stream, "__init__", forgetful)
+    monkeypatch.setattr(KeyStream, "__init__", forgetful)
     assert restored(20, seed=2).doubled

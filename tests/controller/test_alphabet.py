@@ -103,19 +103,6 @@ def test_largest_progression_is_the_largest_set(sigma: int, omega: int, length: 
     assert line_size(sep, 8.0, float(length)) == points == math.ceil(Fraction(span, sigma))
 
 
-def test_box_and_its_rows_give_the_same_alphabet() -> None:
-    rows = ConvexSet(H=((1, 0), (-1, 0), (0, 1), (0, -1)), h=(0.12,) * 4)
-    assert Separation.of(PAPER_B, rows).sigma() == Separation.of(PAPER_B, PAPER_D).sigma()
-
-
-def test_unsymmetric_polytope_by_its_longest_chord() -> None:
-    """A triangle: differences fill a hexagon, and both signs must be within alpha D_c."""
-    triangle = ConvexSet(H=((-1, 0), (0, -1), (1, 1)), h=(1.0, 1.0, 1.0))
-    sep = Separation.of(((1.0,), (0.0,)), triangle)
-    assert sep.sigma() == pytest.approx(3.0, rel=1e-12)  # the chord from (-1, -1) to (2, -1)
-    assert sep.omega(8.0) == pytest.approx(7.0, rel=1e-12)
-
-
 def test_an_interval_that_is_not_centred() -> None:
     D = ConvexSet(H=((1.0,), (-1.0,)), h=(2.0, 1.0))
     sep = Separation.of(((0.5,),), D)
@@ -150,15 +137,6 @@ def test_two_inputs_on_a_box_fill_a_grid(alpha: float, size: int) -> None:
         assert apart.min() > 1 + 5e-7
         assert together.max() <= alpha - 1
     assert np.allclose(chosen.min(axis=0), -chosen.max(axis=0))
-
-
-def test_fewer_candidates_take_the_closest_points() -> None:
-    inputs = ConvexSet(half_widths=(3.0, 3.0))
-    spreads = [
-        choose_alphabet(TANK_B, TANK_D, inputs, alpha=8, size=size).offsets.var(axis=0).sum()
-        for size in range(2, 17)
-    ]
-    assert spreads == sorted(spreads)
 
 
 @pytest.mark.parametrize("shear", [((1.0, 0.0), (0.0, 1.0)), ((2.0, 0.3), (-0.4, 0.7))])

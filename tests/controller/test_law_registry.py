@@ -1,6 +1,5 @@
 """A law of one's own is a class and a registration: everything that needs candidates takes it."""
 
-import json
 import tomllib
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -12,19 +11,15 @@ import pytest
 from controller_service.laws.base import ProgramLaw
 from controller_service.laws.online import ProgramError
 from controller_service.laws.planar import Planar
-from controller_service.laws.registry import LAWS, cached_design, law_named, make_law
+from controller_service.laws.registry import LAWS, cached_design, make_law
 from controller_service.sets.design import Design, Progress, synthesise
 from protocol.arrays import Array, Indices
 from protocol.knowledge import Policy
-from protocol.plugins import UnknownError
 from protocol.scenario import LAWS as TABLES
 from protocol.scenario import Control, Scenario, ScenarioTable, parse_scenario
-from runtime.run_folder import SCENARIO
 from runtime.shipped import SCENARIOS
 from runtime.user_code import UserCodeError
 from tests.support.safety import violations
-from tests.system.test_services import System
-from wyner.cli.main import main
 from wyner.simulate.engine import simulate_runs
 from wyner.simulate.network import simulate
 
@@ -110,27 +105,6 @@ def test_the_engine_and_the_simulated_network_ask_it(scenario: Scenario) -> None
     history = simulate(scenario, law, seed=3, steps=1200, payload=b"x")
     assert list(violations(history, (b"x",))) == []
     assert history.delivered == [0]
-
-
-def test_both_services_run_under_it_and_the_run_is_checked(
-    scenario: Scenario, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = (SCENARIOS / "sustained.toml").read_text()
-    text = text.replace('law = "sustained"\nhorizon = 250', 'law = "ends"\nhorizon = 60')
-    (tmp_path / SCENARIO).write_text(text.replace('name = "sustained"', 'name = "ends"'))
-    system = System(scenario, make_law(scenario, cached_design(scenario)), tmp_path)
-    with system.controller(b"one"), system.plant():
-        system.wait(lambda: system.recovered() == [b"one"])
-    assert main(["check", str(tmp_path)]) == 0
-    assert "PASS  admissible" in capsys.readouterr().out
-    assert main(["design", str(tmp_path / SCENARIO), "--json"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["law"] == "ends"
-
-
-def test_a_law_that_nobody_registered() -> None:
-    with pytest.raises(UnknownError, match="got 'ends', expected paper, sustained, packed, or"):
-        law_named("ends")
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import OutsideError, ProgramError
 from controller_service.laws.registry import make_law
-from controller_service.sets.design import Design, set_corners, synthesise
+from controller_service.sets.design import Design, synthesise
 from protocol.agreement import predict
 from protocol.convex import Polytope, corners
 from protocol.scenario import Scenario
@@ -131,32 +131,8 @@ def test_outside_says_by_how_much(law: CandidateLaw) -> None:
         law.indices([[float("nan"), 0.0]])
 
 
-def test_candidates_coincide_in_the_terminal_set_of_the_paper_only(design: Design) -> None:
-    x = (0.05, -0.2)
-    for name, same in (("paper", True), ("sustained", False)):
-        one, two = make_law(load_scenario(SCENARIOS / f"{name}.toml"), design).candidates(x)
-        assert (one == two) is same
-
-
 def test_a_cost_without_a_unique_minimiser_is_refused(design: Design) -> None:
     data = load_scenario(SCENARIOS / "paper.toml").model_dump(exclude_none=True)
     data["control"]["costs"] = ({"next_state": 1.0}, {})
     with pytest.raises(ProgramError, match=r"control\.costs\.1"):
         make_law(Scenario.model_validate(data), design)
-
-
-def test_importing_the_laws_stays_light() -> None:
-    import subprocess
-    import sys
-
-    code = (
-        "import sys, controller_service.laws.paper as _;"
-        "print(sorted({'scipy', 'zenoh', 'osqp', 'daqp'} & set(sys.modules)))"
-    )
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert out.stdout.strip() == "[]"
-
-
-def test_corners_of_the_disturbance(design: Design) -> None:
-    scenario = load_scenario(SCENARIOS / "paper.toml")
-    assert np.abs(set_corners(scenario.defender.disturbance)).tolist() == [[0.12, 0.12]] * 4

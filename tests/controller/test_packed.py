@@ -1,10 +1,6 @@
 """The law ``packed``: every candidate is admissible for ever, and every transition agrees."""
 
-import subprocess
-import sys
 from dataclasses import replace
-from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,20 +10,16 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law, synthesise
 from controller_service.sets.alphabet import (
     Alphabet,
-    choose_alphabet,
-    larger_disturbance,
     line_offsets,
 )
 from controller_service.sets.design import Design, SynthesisError
 from controller_service.sets.invariance import invariance
-from controller_service.sets.packed_design import alphabet_of, invariant_set, reduced
+from controller_service.sets.packed_design import invariant_set, reduced
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
 from protocol.scenario import ConvexSet, Scenario, ScenarioError, parse_scenario
 from runtime.scenario_file import scenario_of
-from tests.support.apart import distances
-from tests.support.size import size
 from wyner.cli.new import sampled
 
 SHIPPED = (
@@ -112,12 +104,6 @@ def test_an_adversary_finds_no_violation(name: str) -> None:
     adversary(shipped(name), 40_000)
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("name", SHIPPED)
-def test_no_violation_in_many_adversarial_steps(name: str) -> None:
-    adversary(shipped(name), size(200_000, 1_000_000), runs=1000, seed=2)
-
-
 @pytest.mark.parametrize(("alpha", "size"), [(3.01, 2), (5.01, 3), (9.01, 5), (15.01, 8)])
 def test_other_alphabets_of_the_papers_plant(alpha: float, size: int) -> None:
     adversary(shipped("packed", candidates=size, alpha=alpha), 20_000)
@@ -155,14 +141,6 @@ def test_what_keeps_the_terminal_set_is_checked() -> None:
     assert invariance(scenario, replace(design, T=T)) is None
 
 
-def test_terminal_sets_by_regulator_scan_and_invariance() -> None:
-    made = {name: cached_design(shipped(name)).terminal for name in SHIPPED}
-    assert (made["packed"].method, made["packed"].weight) == ("rakovic", 1.0)
-    assert made["packed-double-integrator"].method == "invariant"
-    assert made["packed-quadruple-tank"].method == "modal"
-    assert made["packed-quadruple-tank"].weight == pytest.approx(10 ** (-3 / 5))
-
-
 def test_a_slow_oscillation_is_held_by_a_regulator_that_decays() -> None:
     """Two masses between springs: no weights' regulator keeps a set, and the file states none."""
     A = sampled(TWO_MASSES, [[0.0], [0.0], [1.0], [0.0]], 0.05)
@@ -180,12 +158,6 @@ def test_a_slow_oscillation_is_held_by_a_regulator_that_decays() -> None:
     adversary(scenario, 20_000)
 
 
-def test_one_candidate_is_the_design_without_an_alphabet() -> None:
-    for name in ("sustained", "quadruple-tank"):
-        scenario = scenario_of(name)
-        assert reduced(scenario, Alphabet(np.zeros((1, scenario.m)), 2.0)) == scenario
-
-
 def test_the_double_integrator_holds_four_candidates_and_no_more() -> None:
     """Control's ceiling is sharp: at five the recursion itself ends with no set."""
     scenario = shipped("packed-double-integrator", candidates=5, alpha=10)
@@ -196,13 +168,6 @@ def test_the_double_integrator_holds_four_candidates_and_no_more() -> None:
         invariant_set(reduced(scenario, Alphabet(line_offsets(sep, number), 2.0)))
     with pytest.raises(SynthesisError, match=r"control.states: no state within them"):
         invariant_set(reduced(scenario, Alphabet(line_offsets(sep, 5), 2.0)))
-
-
-def test_too_many_candidates_are_refused_by_name() -> None:
-    with pytest.raises(SynthesisError, match=r"secrecy.candidates: got 5, expected at most 4"):
-        synthesise(shipped("packed", candidates=5))
-    with pytest.raises(SynthesisError, match=r"got 17, expected at most 16"):
-        synthesise(shipped("packed-quadruple-tank", candidates=17))
 
 
 def test_without_a_set_to_begin_with_the_bounds_are_asked_for() -> None:
@@ -220,30 +185,6 @@ def test_one_state_and_many_states_give_the_same_candidates() -> None:
         many = law.candidates_many(X)
         for x, row in zip(X.tolist(), many.tolist(), strict=True):
             assert law.candidates(x) == tuple(map(tuple, row))
-
-
-def test_the_larger_disturbance_is_the_hull_of_all_sums() -> None:
-    scenario = shipped("packed-quadruple-tank")
-    alphabet = alphabet_of(scenario, 2.0)
-    D = scenario.defender.disturbance
-    H, h = (np.array(a) for a in larger_disturbance(D, scenario.B, alphabet.offsets).rows())
-    sums = set_corners(D)[:, None] + (alphabet.offsets @ np.array(scenario.B).T)[None]
-    reach = sums.reshape(-1, 4) @ H.T
-    assert np.allclose(reach.max(axis=0), h, rtol=1e-12)
-    assert len(h) == len(np.unique(np.round(H, 9), axis=0))
-
-
-def test_offsets_survive_the_cache(tmp_path: Path) -> None:
-    scenario = with_control(shipped("packed"), horizon=3)
-    first = cached_design(scenario, cache_dir=tmp_path)
-    second = cached_design(scenario, cache_dir=tmp_path)
-    assert second.cached
-    assert first.offsets is not None
-    assert second.offsets is not None
-    assert second.offsets.tolist() == first.offsets.tolist()
-    # Another alphabet is another design.
-    other = with_control(shipped("packed", candidates=3), horizon=3)
-    assert not cached_design(other, cache_dir=tmp_path).cached
 
 
 def test_a_bet_is_made_on_request() -> None:
@@ -271,34 +212,6 @@ def test_bad_fields_are_named(control: dict[str, Any], line: str) -> None:
     data["control"].update(control)
     with pytest.raises(ScenarioError, match=line):
         parse_scenario(data, "packed.toml")
-
-
-def test_every_offset_pair_is_apart_and_together() -> None:
-    for name, (alpha, number) in product(SHIPPED[2:], [(3.5, 4), (8.0, 16), (10.0, 25)]):
-        scenario = scenario_of(name)
-        sep = Separation.of(scenario.B, scenario.defender.disturbance)
-        offsets = choose_alphabet(
-            scenario.B,
-            scenario.defender.disturbance,
-            scenario.control.inputs,
-            alpha=alpha,
-            size=number,
-        ).offsets
-        apart, together = distances(sep, offsets)
-        assert apart.min() > 1 + 1e-7
-        assert together.max() <= alpha - 1
-
-
-@pytest.mark.slow
-def test_a_process_that_knows_no_law_tells_the_same_loop() -> None:
-    """The plant's recordings name the scenario that the controller's do."""
-    lines = "from runtime.scenario_file import scenario_of\n"
-    lines += "print(scenario_of({!r}).identity())"
-    for name in ("packed", "packed-quadruple-tank", "sustained"):
-        there = subprocess.run(
-            [sys.executable, "-c", lines.format(name)], capture_output=True, text=True, check=True
-        ).stdout
-        assert there.strip() == str(scenario_of(name).identity())
 
 
 @pytest.mark.parametrize(("most", "steps"), [(50_000, 200), (100, 12)])

@@ -5,7 +5,6 @@ Each plant is tried in a stable and in an unstable form, some with polytopes tha
 
 from fractions import Fraction
 from itertools import product
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,10 +12,8 @@ import pytest
 from pydantic import ValidationError
 
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError
-from controller_service.laws.registry import cached_design, make_law
+from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
-from controller_service.sets.recursion import support
 from protocol.convex import Polytope, corners
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -232,38 +229,11 @@ def test_intervals_are_the_exact_ones_and_no_larger(m: int, kind: str) -> None:
         assert 1 - shrunk < Fraction(below) / -low < 1
 
 
-def test_the_interval_of_one_state_is_the_minimal_one() -> None:
-    for kind in ("stable", "unstable"):
-        scenario = plant(1, 1, kind, 1, disturbance={"H": [[1.0], [-4.0]], "h": [0.02, 0.04]})
-        design = synthesise(scenario)
-        ac = float((design.A + design.B @ design.K)[0, 0])
-        terms = np.outer(ac ** np.arange(400.0), [-0.01, 0.02])
-        smallest = terms.max(axis=1).sum(), -terms.min(axis=1).sum()
-        assert design.set(0)[1] == pytest.approx(np.array(smallest) * (1 + 1e-4), rel=1e-9)
-
-
-def test_the_cache_keeps_one_state(tmp_path: Path) -> None:
-    scenario = plant(1, 2, "unstable", 6)
-    fresh, read = (cached_design(scenario, cache_dir=tmp_path) for _ in range(2))
-    assert (fresh.cached, read.cached) == (False, True)
-    for one, two in zip(fresh.T + fresh.targets, read.T + read.targets, strict=True):
-        assert np.array_equal(one[0], two[0])
-        assert np.array_equal(one[1], two[1])
-
-
 def test_sets_of_one_state_stop_growing_where_the_input_cannot_push_further() -> None:
     design = synthesise(plant(1, 1, "unstable", 1000))
     assert design.horizon < 200
     # The largest x with 1.2 x - 0.5 + 0.02 <= x.
     assert design.set(design.horizon)[1] == pytest.approx([2.4, 2.4], rel=1e-6)
-
-
-def test_outside_one_states_sets() -> None:
-    scenario = plant(1, 1, "unstable", 5)
-    law = make_law(scenario, synthesise(scenario))
-    for x in (3.0, float("nan")):
-        with pytest.raises(OutsideError, match="outside T_5"):
-            law.candidates((x,))
 
 
 @pytest.mark.parametrize(
@@ -294,18 +264,6 @@ def test_an_unbounded_set_is_refused_where_the_scenario_is_read(field: str) -> N
         Scenario.model_validate(data)
 
 
-@pytest.mark.parametrize(("n", "horizon"), [(1, 6), (2, 6), (3, 4)])
-def test_a_box_in_rows_gives_the_sets_of_the_box(n: int, horizon: int) -> None:
-    """With three states rows take another way, by Qhull's normals."""
-    rows = [[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]
-    box = synthesise(plant(n, 2, "unstable", horizon))
-    other = synthesise(plant(n, 2, "unstable", horizon, inputs={"H": rows, "h": [1.0] * 4}))
-    assert box.facets == other.facets
-    for i in range(horizon + 1):
-        H, h = box.set(i)
-        assert support(corners(*other.set(i)), H) / h == pytest.approx(np.ones(len(h)), abs=1e-12)
-
-
 def test_a_singular_plant_is_served_within_state_bounds() -> None:
     for n, A in ((1, [[0.0]]), (2, [[0.0, 0.0], [0.0, 0.5]])):
         data = plant(n, 1, "stable", 5).model_dump(exclude_none=True)
@@ -315,12 +273,3 @@ def test_a_singular_plant_is_served_within_state_bounds() -> None:
         design = synthesise(scenario)
         assert np.abs(corners(*design.set(design.horizon))).max() == pytest.approx(1, rel=1e-9)
         check_loop(scenario, design, make_law(scenario, design), 500)
-
-
-def test_an_input_that_does_nothing_is_no_error() -> None:
-    data = plant(2, 1, "stable", 5).model_dump(exclude_none=True)
-    data["plant"]["B"] = [[0.0], [0.0]]
-    data["control"]["costs"] = [{"input": 1.0}, {"input": 2.0}]
-    scenario = Scenario.model_validate(data)
-    design = synthesise(scenario)
-    check_loop(scenario, design, make_law(scenario, design), 500)

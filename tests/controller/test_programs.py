@@ -8,7 +8,7 @@ import pytest
 
 import controller_service.laws.programs as programs_module
 from controller_service.laws.base import CandidateLaw
-from controller_service.laws.online import OutsideError, ProgramError
+from controller_service.laws.online import ProgramError
 from controller_service.laws.programs import General, Quadratic, solve_daqp, solve_osqp
 from controller_service.laws.registry import make_law
 from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
@@ -188,11 +188,6 @@ def test_plants_beyond_the_route_are_refused() -> None:
     data["control"]["gain"] = [[-0.1, 0.0, 0.0]] * 3
     with pytest.raises(SynthesisError, match="3 states and 3 inputs"):
         synthesise(Scenario.model_validate(data))
-
-
-def test_outside_the_tanks_sets(law: CandidateLaw) -> None:
-    with pytest.raises(OutsideError):
-        law.index([6.5, 0.0, 0.0, 0.0])
 
 
 def test_the_expanded_cost_is_the_cost() -> None:

@@ -55,16 +55,6 @@ def test_the_certificate_names_the_service_and_its_hosts(folder: Path) -> None:
     assert "localhost" not in names
 
 
-def test_the_key_belongs_to_the_certificate(folder: Path) -> None:
-    for name in HOSTS:
-        of_key = openssl("pkey", "-in", str(folder / name / "key.pem"), "-pubout")
-        of_certificate = openssl(
-            "x509", "-in", str(folder / name / "cert.pem"), "-noout", "-pubkey"
-        )
-        assert of_key == of_certificate
-    assert (folder / "plant/key.pem").read_text() != (folder / "tap/key.pem").read_text()
-
-
 def test_keys_are_readable_to_their_owner_only_and_nothing_else_is_left(folder: Path) -> None:
     for key in (folder / "ca-key.pem", folder / "plant/key.pem", folder / "tap/key.pem"):
         assert stat.S_IMODE(key.stat().st_mode) == 0o600
@@ -76,12 +66,6 @@ def test_what_is_valid_is_kept(folder: Path) -> None:
     before = {p: p.read_bytes() for p in folder.rglob("*.pem")}
     assert ensure_certificates(folder, HOSTS, 30) == []
     assert {p: p.read_bytes() for p in folder.rglob("*.pem")} == before
-
-
-def test_a_new_name_joins_an_old_authority(folder: Path) -> None:
-    authority = (folder / "ca.pem").read_bytes()
-    assert ensure_certificates(folder, {**HOSTS, "router": ["router.field"]}, 30) == ["router"]
-    assert (folder / "router/ca.pem").read_bytes() == authority
 
 
 def test_a_certificate_about_to_end_is_made_anew(folder: Path) -> None:
@@ -133,13 +117,6 @@ def test_hosts_that_are_none_are_refused(host: str) -> None:
         check_host(host)
 
 
-def test_hosts_are_told_apart_from_addresses() -> None:
-    assert check_host("router.field") == "DNS:router.field"
-    assert check_host("wyner_plant_1") == "DNS:wyner_plant_1"
-    assert check_host("10.0.0.5") == "IP:10.0.0.5"
-    assert check_host("2001:db8::5") == "IP:2001:db8::5"
-
-
 def test_a_machine_without_openssl_is_told_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -186,12 +163,3 @@ def test_wrong_arguments_are_one_line_each_and_make_nothing(
     (line,) = capsys.readouterr().err.splitlines()
     assert expected in line
     assert not (tmp_path / "certs").exists()
-
-
-def test_a_folder_that_cannot_be_made_is_a_failure_in_one_line(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / "file").touch()
-    assert main(["certs", str(tmp_path / "file/certs"), "--name", "tap"]) == 1
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "cannot be made" in line

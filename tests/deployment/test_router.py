@@ -2,7 +2,6 @@
 
 import contextlib
 import queue
-import signal
 import subprocess
 import sys
 import time
@@ -17,7 +16,6 @@ from protocol.messages import (
     MANAGEMENT,
     Measurement,
     Offer,
-    TapStatus,
 )
 from protocol.topics import key_of
 from runtime.addresses import TlsFiles, free_endpoints
@@ -73,11 +71,6 @@ def test_only_the_publisher_of_a_type_may_put_it(bus: str) -> None:
         key_of(t, "loop").replace("/loop/", "/*/"): set(publishers(bus, t.topic))
         for t in TYPES[bus]
     }
-
-
-def test_the_tap_has_no_place_on_management() -> None:
-    assert "tap" not in [row.name for row in on_bus("management")]
-    assert SERVICES["tap"].publishes == {"adversary": (TapStatus.topic,)}
 
 
 # --- a real router --------------------------------------------------------------------------------
@@ -143,38 +136,6 @@ def test_a_guarded_router_passes_on_what_the_names_allow_and_nothing_else(certs:
         for _ in range(3):  # what is forged has three times as long to come
             wait_for(all_came)
     assert got == allowed
-
-
-@pytest.mark.slow
-def test_buses_of_one_router_process_do_not_mix() -> None:
-    field, management = free_endpoints(2)
-    command = wyner("router", "--listen", f"field={field}", "--listen", f"management={management}")
-    router = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-    try:
-        assert router.stderr is not None
-        said = [router.stderr.readline() for _ in range(2)]
-        assert f"field at {field}, open to whoever connects" in said[0]
-        heard: queue.SimpleQueue[str] = queue.SimpleQueue()
-        with (
-            ZenohBus(connect=[field], client=True) as on_field,
-            ZenohBus(connect=[field], client=True) as also_on_field,
-            ZenohBus(connect=[management], client=True) as on_management,
-        ):
-            also_on_field.subscribe("a/key", lambda *_: heard.put("field"))
-            on_management.subscribe("a/key", lambda *_: heard.put("management"))
-            publisher = on_field.publisher("a/key")
-            wait_for(lambda: publisher.matched)
-            for _ in range(5):
-                publisher.put(b"x")
-                time.sleep(0.05)
-            assert heard.get(timeout=PATIENCE_S) == "field"
-            assert {heard.get() for _ in range(heard.qsize())} <= {"field"}
-        router.send_signal(signal.SIGTERM)
-        assert router.wait(PATIENCE_S) == 0
-    finally:
-        if router.poll() is None:
-            router.kill()
-        router.communicate()
 
 
 def wyner(*arguments: str) -> list[str]:

@@ -3,10 +3,8 @@
 import fcntl
 import json
 import os
-import socket
 import subprocess
 import sys
-import threading
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -14,13 +12,10 @@ from pathlib import Path
 import pytest
 
 from runtime.errors import UsageError
-from tests.support.patience import PATIENCE_S
 from wyner.deployment.running import (
     RunningLoop,
     announced,
     chosen,
-    listens,
-    names_of,
     notes_folder,
     running_loops,
 )
@@ -95,22 +90,6 @@ def test_a_note_that_is_looked_at_before_it_is_locked_is_made_anew(
     assert not list(runtime.rglob("*.json"))
 
 
-def test_a_process_of_the_same_number_in_another_container_is_not_waited_for(
-    runtime: Path,
-) -> None:
-    """Its number says nothing where the folder is shared by two containers."""
-    with (notes_folder() / f"{os.getpid()}.json").open("w") as held:
-        fcntl.flock(held, fcntl.LOCK_EX)
-        done = threading.Event()
-
-        def announce() -> None:
-            with announced(loop_named("a")):
-                done.set()
-
-        threading.Thread(target=announce, daemon=True).start()
-        assert done.wait(PATIENCE_S)
-
-
 def test_of_several_runs_one_must_be_named(another: int) -> None:
     with announced(loop_named("a")):
         with pytest.raises(UsageError, match="2 runs on this machine, expected --run with one"):
@@ -118,28 +97,6 @@ def test_of_several_runs_one_must_be_named(another: int) -> None:
         assert chosen("b", NOBODY) == loop_named("b")
         with pytest.raises(UsageError, match=r"no run 'c' on this machine, running now: a, b"):
             chosen("c", NOBODY)
-
-
-def test_two_runs_whose_folders_end_alike_are_told_apart() -> None:
-    """Two demos were both told as `control`, and neither could be chosen."""
-    one, two = loop_named("one/control"), loop_named("two/control")
-    assert names_of([one, two]) == "one/control, two/control"
-    assert names_of([one, loop_named("b")]) == "control, b"
-    assert names_of([one, one]) == "/runs/one/control, /runs/one/control"
-    code = ANNOUNCES.format(asdict(two))
-    pipe = subprocess.PIPE
-    with (
-        announced(one),
-        subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as process,
-    ):
-        assert process.stdout is not None
-        process.stdout.readline()
-        with pytest.raises(UsageError, match="2 runs end in 'control' on this machine"):
-            chosen("control", NOBODY)
-        with pytest.raises(UsageError, match="with one of: one/control, two/control"):
-            chosen(None, NOBODY)
-        assert chosen("two/control", NOBODY) == two
-        process.kill()
 
 
 def test_a_run_is_named_by_its_path_from_here() -> None:
@@ -152,14 +109,6 @@ def test_a_run_is_named_by_its_path_from_here() -> None:
     with announced(run):
         assert chosen(run.seen_from(Path("/runs")), NOBODY) == run
         assert chosen(run.seen_from(Path("/elsewhere")), NOBODY) == run
-
-
-def test_a_run_beside_services_started_by_hand_must_be_named() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as server, announced(loop_named("a")):
-        by_hand = f"tcp/127.0.0.1:{server.getsockname()[1]}"
-        assert listens(by_hand)
-        with pytest.raises(UsageError, match="two loops on this machine: run a, and services at"):
-            chosen(None, by_hand)
 
 
 def test_notes_that_are_no_notes_are_passed_over(runtime: Path) -> None:

@@ -10,8 +10,6 @@ from hypothesis import strategies as st
 from wyner.fit.conformal import (
     conformal_scale,
     rank,
-    session_score,
-    template,
     violation_bound,
 )
 
@@ -59,19 +57,6 @@ def training_conditional(sessions: int, k: int, violation: float) -> float:
     from scipy.stats import binom
 
     return float(binom.cdf(sessions - k, sessions, violation))
-
-
-def test_ranks_of_a_hundred_sessions() -> None:
-    assert [rank(100, e) for e in (0.109, 0.06, 0.01)] == [90, 95, 100]
-    with pytest.raises(ValueError, match="got 100 sessions, expected at least 999"):
-        rank(100, 0.001)
-    assert training_conditional(688, 688, 0.01) <= 1e-3 < training_conditional(687, 687, 0.01)
-
-
-def test_template_and_score() -> None:
-    residuals = [[0.1, -2.0], [-0.3, 1.0]]
-    assert template(residuals).tolist() == [0.3, 2.0]
-    assert session_score(residuals, [0.1, 4.0]) == pytest.approx(3.0)
 
 
 def test_coverage_is_what_split_conformal_promises() -> None:

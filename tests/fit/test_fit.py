@@ -12,15 +12,11 @@ from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters import Operated
 from plant_service.adapters.registry import open_plant
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from tests.adapters.plants import build_fmu
 from tests.support.bare_figures import bare_figures
-from tests.support.size import size
-from wyner.api import design, run, vary
 from wyner.cli.main import main
-from wyner.fit.conformal import session_score, violation_bound
+from wyner.fit.conformal import violation_bound
 from wyner.fit.fitting import Fit, Plan, fit
 from wyner.fit.identification import FitError
-from wyner.fit.sessions import residuals_under
 from wyner.fit.toml import as_toml
 
 CART: dict[str, Any] = {
@@ -87,32 +83,6 @@ def test_the_certificate_is_what_was_counted(cart: Fit) -> None:
     assert c.law_fingerprint == cart.scenario.law_fingerprint()
 
 
-@pytest.mark.long
-def test_the_certificate_holds_on_sessions_that_nobody_fitted(cart: Fit, folder: Path) -> None:
-    """Sessions of seed 77: fewer leave D_c than the certificate allows."""
-    sessions = size(100, 300)
-    widths = cart.scenario.defender.disturbance.half_widths
-    assert widths is not None
-    residuals = residuals_under(
-        cart.scenario, law(cart.scenario), opened(folder), runs=range(sessions), steps=60, seed=77
-    )
-    left = sum(session_score(r, widths) > 1 for r in residuals)
-    c = cart.scenario.defender.calibration
-    assert c is not None
-    assert left <= sessions * c.violation
-    assert left < sessions * 0.12  # the calibration asked for 0.05, from 40 sessions
-    # and it is not D_c blown up: the noise alone takes four fifths of it
-    assert max(session_score(r, widths) for r in residuals) > 0.8
-
-
-def test_a_law_swap_makes_it_stale(cart: Fit) -> None:
-    tables = {**cart.tables, "control": {**cart.tables["control"], "gain": [[-1.1, -1.5]]}}
-    with pytest.raises(ScenarioError, match="the certificate is stale"):
-        parse_scenario(tables, "cart.toml")
-    with pytest.raises(ScenarioError, match="the certificate is stale"):
-        vary(cart.scenario, {"secrecy.alpha": 9.0})  # a packed alphabet depends on alpha
-
-
 def test_the_file_is_the_scenario(cart: Fit) -> None:
     text = as_toml(cart.tables, "Two\nlines.")
     assert text.startswith("# Two\n# lines.\n")
@@ -121,7 +91,7 @@ def test_the_file_is_the_scenario(cart: Fit) -> None:
 
 def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder / "fitted.toml"
-    plan = ["--excite-sessions=4", "--pilot=3", "--calibration=20", "--fresh=20", "--steps=30"]
+    plan = ["--sessions=20", "--steps=30"]
     assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *plan]) == 0
     told = capsys.readouterr()
     assert "of 20 fresh sessions did" in told.out
@@ -141,8 +111,11 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--violation=0.01"], "--calibration: got 100 sessions, expected at least 99"),
-        (["--violation=0.001"], "--calibration: got 100 sessions, expected at least 999"),
+        (
+            ["--violation=0.01", "--sessions=98"],
+            "--sessions: got 98 sessions, expected at least 99",
+        ),
+        (["--violation=0.001"], "--sessions: got 100 sessions, expected at least 999"),
         (["--steps=0"], "--steps: got 0, expected at least 1"),
         (["--amplitude=2"], "--amplitude: got 2, expected between 0 and 1"),
     ],
@@ -150,9 +123,6 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
 def test_wrong_numbers_are_named(
     folder: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if arguments == ["--violation=0.01"]:
-        arguments = [*arguments, "--calibration=98"]
-        says = says.replace("got 100", "got 98")
     out = folder / "no.toml"
     assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *arguments]) == 2
     assert capsys.readouterr().err.startswith(f"wyner: {says}")
@@ -173,61 +143,6 @@ def test_what_cannot_be_fitted_says_why(folder: Path) -> None:
     still = Plan(excite_sessions=1, excite_steps=2)
     with pytest.raises(FitError, match="got 2 transitions, expected more than 3"):
         fit(CART, "cart.toml", opened(folder), law, still)
-
-
-# --- the tank -------------------------------------------------------------------------------------
-
-
-TANK: dict[str, Any] = {
-    "name": "fmu-tank",
-    "plant": {
-        "kind": "fmu",
-        "inputs": ["v1", "v2"],
-        "outputs": ["h1", "h2", "h3", "h4"],
-        "settle_s": 1000.0,
-        "seed": "seed",
-        "period_s": 5.0,
-        "disturbance": {"enters": "none"},
-        "operating_point": {"input": [3.0, 3.0]},
-    },
-    "control": {
-        "law": "packed",
-        "horizon": 3,
-        "regulator": {"next_state": [1.0] * 4, "input": [1.0, 1.0]},
-        "inputs": {"half_widths": [3.0, 3.0]},
-        "states": {"half_widths": [6.0, 6.0, 1.5, 1.3]},
-    },
-    "secrecy": {"alpha": 8.0, "candidates": 4},
-    "link": {"fallback": "zero"},
-}
-
-
-@pytest.mark.long
-def test_an_fmu_of_a_tank_is_identified_from_its_own_data_and_every_step_agrees(
-    tmp_path: Path,
-) -> None:
-    pytest.importorskip("fmpy")
-    path, sha256 = build_fmu("tank_fmi2", tmp_path)
-    tables = {**TANK, "plant": {**TANK["plant"], "file": path.name, "sha256": sha256}}
-    plan = Plan(
-        excite_sessions=8,
-        excite_steps=150,
-        amplitude=0.1,
-        pilot=3,
-        calibration=20,
-        fresh=20,
-        steps=60,
-    )
-    found = fit(tables, "tank.toml", opened(tmp_path), law, plan)
-    assert found.model is not None
-    assert found.model.A[0, 0] == pytest.approx(0.923, abs=0.01)
-    assert found.model.B[0, 0] == pytest.approx(0.400, abs=0.01)
-    system = design(found.scenario)
-    runs = run(system, steps=400, seed=9, message=b"tank", folder=tmp_path)
-    tested = (runs.message_symbol < 0).sum()
-    assert (runs.key >= 0).sum() == tested
-    assert (runs.key[runs.key >= 0] == runs.coin[runs.key >= 0]).all()
-    assert runs.rate.value == pytest.approx(2 * 0.5 / 5.0)
 
 
 # --- what is no plant to fit ----------------------------------------------------------------------

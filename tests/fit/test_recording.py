@@ -10,7 +10,6 @@ from scipy.io import savemat
 
 from protocol.arrays import Array
 from runtime.scenario_file import load_scenario
-from tests.adapters.plants import build_fmu
 from tests.support.bare_figures import bare_figures
 from wyner.api import design, run
 from wyner.cli.main import main
@@ -77,22 +76,6 @@ def test_a_recording_becomes_a_scenario_that_carries_keys(
     assert run(design(scenario), steps=300, seed=1).agreements.sum() > 20
 
 
-def test_what_is_promised_of_a_step_held_out_holds_over_recordings() -> None:
-    """100 recordings, seeds 0 to 99: the true share of steps outside D_c is below the bound."""
-    for seed in range(100):
-        x, u = recorded(seed, steps=900)
-        found = fit_recording(
-            Recording(("position", "speed"), ("force",), x, u), violation=0.01, confidence=0.999
-        )
-        rng = np.random.default_rng(1000 + seed)
-        left = rng.uniform(-1, 1, (20_000, 2)) * D
-        rows = rng.integers(0, len(x), 20_000)
-        model = found.model
-        left += x[rows] @ (A - model.A).T + u[rows] @ (B - model.B).T
-        outside = (np.abs(left) > found.half_widths).any(axis=1).mean()
-        assert outside <= found.violation, seed
-
-
 def test_an_interrupted_recording_loses_the_steps_beside_the_gap(tmp_path: Path) -> None:
     x, u = recorded(1, steps=50)
     x[20, 1] = np.nan
@@ -139,7 +122,11 @@ def test_residuals_that_depend_on_their_neighbours_are_told() -> None:
         ("position,position,speed,force\n1,2,3,4\n", [], "has two columns 'position'"),
         ("position,speed,force\n" + "1,2,3\n" * 4, [], "got 1 steps to identify A and B"),
         ("position,speed,force\n" + "1,2,3\n" * 40, [], "input force is 3 throughout"),
-        ("position,speed,force\n1,2,3\n", ["--pilot", "3"], "--pilot: is for a plant that is run"),
+        (
+            "position,speed,force\n1,2,3\n",
+            ["--sessions", "3"],
+            "--sessions: is for a plant that is run",
+        ),
         ("position,speed,force\n1,2,3\n", ["--violation", "2"], "--violation: got 2, expected"),
         ("position,speed,force\n1,2,3\n", ["--period", "-1"], "--period: got -1, expected more"),
         ("position,speed,force\n1,2,3\n", ["--inputs", "force,,"], "expected names of columns"),
@@ -181,58 +168,3 @@ def test_a_loop_that_nothing_excites_cannot_tell_a_from_b(
     said = capsys.readouterr().err
     assert "input force follows from the states" in said
     assert "random part" in said
-
-
-def test_a_recording_of_a_gymnasium_environment(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """The hill's slope is no part of a linear model, so that D_c holds it."""
-    gymnasium = pytest.importorskip("gymnasium")
-    env = gymnasium.make("MountainCarContinuous-v0")
-    rng = np.random.default_rng(1)
-    rows = []
-    state, _ = env.reset(seed=1)
-    for _ in range(1500):
-        action = rng.uniform(-1, 1, 1)
-        rows.append([state[0] + 0.5, state[1], action[0]])
-        state, _, ended, cut, _ = env.step(action.astype(np.float32))
-        if ended or cut:
-            rows.append([np.nan] * 3)
-            state, _ = env.reset(seed=len(rows))
-    table = np.array(rows)
-    path = written(tmp_path / "car.csv", table[:, :2], table[:, 2:])
-    found = fitted(capsys, str(path), *COLUMNS, "-o", str(tmp_path / "car.toml"))
-    assert np.array(found["B"])[1, 0] == pytest.approx(0.0015, rel=0.1)
-    assert load_scenario(tmp_path / "car.toml").n == 2
-
-
-def test_a_recording_of_an_fmu(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """FMPy simulates four tanks, whose flow is no linear function of their levels."""
-    fmpy = pytest.importorskip("fmpy")
-    fmu, _ = build_fmu("tank_fmi2", tmp_path)
-    rng = np.random.default_rng(2)
-    times = 5.0 * np.arange(1600)
-    volts = 3.0 + rng.uniform(-0.3, 0.3, (len(times), 2))
-    kinds = [("time", "f8"), ("v1", "f8"), ("v2", "f8")]
-    signal = np.array([(t, *v) for t, v in zip(times, volts.tolist(), strict=True)], dtype=kinds)
-    names = ["h1", "h2", "h3", "h4"]
-    result = fmpy.simulate_fmu(
-        str(fmu),
-        stop_time=times[-1],
-        step_size=5.0,
-        output_interval=5.0,
-        input=signal,
-        output=names,
-    )
-    levels = np.column_stack([result[name] for name in names])[200:]
-    table = np.column_stack([levels - levels.mean(axis=0), volts[200:] - 3.0])
-    path = tmp_path / "tanks.csv"
-    header = ",".join([*names, "v1", "v2"])
-    np.savetxt(path, table, delimiter=",", header=header, comments="")
-    columns = ["--states", ",".join(names), "--inputs", "v1,v2", "--period", "5"]
-    found = fitted(capsys, str(path), *columns, "-o", str(tmp_path / "tanks.toml"))
-    A = np.array(found["A"])
-    # each lower tank is filled by one upper tank, and the model says by which
-    assert A[0, 2] > 0.1 > abs(A[0, 3])
-    assert A[1, 3] > 0.1 > abs(A[1, 2])
-    assert found["exceeded"] < 0.05 * found["steps"]["held_out"]

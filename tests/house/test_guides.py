@@ -28,7 +28,7 @@ from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import simulate
 from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import LADDER, named
-from tests.support.small_run import SmallRun
+from tests.support.recorded_pair import RecordedPair
 from wyner.cli.main import main
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -100,13 +100,13 @@ def test_the_scheme_of_the_page_carries_a_message_and_passes_the_check(tmp_path:
         state, carry = scheme.advance(state, verdict)
         pads.append(carry.pad)
     assert pads == [-1, -1, -1, 1, 0, -1]
-    run = SmallRun(
+    run = RecordedPair(
         tmp_path / "run",
-        (b"two by two",),
+        b"two by two",
         changes=(("[secrecy]\n", f'[secrecy]\nscheme = "{name}"\n'),),
     )
     run.until_received(1)
-    run.close()
+    run.stop()
     assert main(["check", str(tmp_path / "run")]) == 0
 
 
@@ -232,9 +232,9 @@ def test_the_page_of_a_runs_folder_names_every_event_and_each_of_its_fields(
         if row.startswith("| `")
         for name in re.findall(r"`(\w+)`", row.split("|")[1])
     }
-    run = SmallRun(tmp_path / "run", (b"two by two",))
+    run = RecordedPair(tmp_path / "run", b"two by two")
     run.until_received(1)
-    run.close()
+    run.stop()
     for mark in ("continued", "end", "lines", "sha256", "next"):
         assert f"`{mark}`" in page
     events = [

@@ -140,10 +140,6 @@ def test_a_run(installed: Installed) -> None:
     assert " 0 FAIL" in out
 
 
-def test_a_sweep(installed: Installed) -> None:
-    assert "rows in runs/sweeps/price-quick.csv" in installed.run("sweep", "price", "--quick")
-
-
 def test_a_figure(installed: Installed) -> None:
     installed.run("design", "packed", "--plot", "mine.svg")
     assert (installed.folder / "mine.svg").stat().st_size > 10_000

@@ -4,19 +4,18 @@ from typing import Any
 
 import pytest
 
-from protocol.link.effects import Notice, Tell
 from protocol.link.records import Side
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import schedule_of
 from protocol.secret.bound import Assumption
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
 from tests.support.mail import Mail
-from tests.support.two_ends import SIDES, Name
+from tests.support.pair import SIDES, Name
 
 CLAIM = Assumption(0.7, appearances=2)
 
 
-class Watched(KeyedEnds):
+class Watched(KeyedPair):
     """A world that notes which copies its ends send first, by side."""
 
     def __init__(self) -> None:
@@ -31,7 +30,7 @@ class Watched(KeyedEnds):
         super().said(side, message)
 
     def appear(self, side: Side, count: int) -> None:
-        self.do(side, lambda _: self.ends[side].peer.appear(count))
+        self.do(side, lambda _: self.ends[side].endpoint.appear(count))
 
     def keys(self) -> tuple[int, int]:
         plant, controller = (sum(self.confirmed[side].values()) for side in SIDES)
@@ -66,29 +65,8 @@ def test_keys_stop_while_a_message_leaves_too_often_and_go_on_after(side: Side) 
 
 def told(world: Watched, side: Side) -> str:
     keyed: Any = world.ends[side].endpoint
-    stopped: str = keyed.keys.status_fields()["keys_stopped"]
+    stopped: str = keyed.state.keys.status_fields()["keys_stopped"]
     return stopped
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_one_line_is_told_when_keys_stop_and_one_when_they_go_on(side: Side) -> None:
-    world = Watched()
-    end = world.ends[side].peer
-    lines = [
-        [effect.text for effect in end.appear(count) if isinstance(effect, Notice)]
-        for count in (1, 2, 3, 4, 2, 1)
-    ]
-    assert lines == [
-        [],
-        [],
-        ["keys stop: a message leaves 3 times, and keys.appearances = 2 was stated"],
-        [],
-        ["keys go on: a message leaves 2 times again"],
-        [],
-    ]
-    (told_of,) = [effect.event for effect in end.appear(2) if isinstance(effect, Tell)]
-    assert told_of.as_event()["times"] == 2
-    world.close()
 
 
 def test_a_process_that_dies_while_messages_leave_too_often_sends_no_copy_0() -> None:
@@ -104,12 +82,3 @@ def test_a_process_that_dies_while_messages_leave_too_often_sends_no_copy_0() ->
     assert set(world.sent["plant"]) == set(world.sent["controller"]) == {1}
     assert world.keys() == (0, 0)
     world.close()
-
-
-def test_a_claim_for_two_appearances_is_the_square_of_one_for_each() -> None:
-    twice = Assumption(0.3, appearances=2)
-    assert twice.eps_copy == pytest.approx(0.09)
-    assert [twice.misses(n) for n in (64, 512)] == [Assumption(0.09).misses(n) for n in (64, 512)]
-    assert twice.sentence() == (
-        "secret only from a tap that misses 30 % of the 2 appearances of first copies or more"
-    )

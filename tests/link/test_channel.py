@@ -1,19 +1,17 @@
 """A direction of the network: what is lost and when the rest arrives is each message's own fate."""
 
 import random
-from itertools import accumulate, pairwise
+from itertools import accumulate
 from math import inf, nextafter
 from typing import Any
 
 import pytest
 
 from protocol.fates import Fates
-from protocol.link.channel import COPIES, REMEMBERED, Channel
-from protocol.link.effects import Publish
-from protocol.link.networked import UNDER_WAY, Networked, behind
-from protocol.messages import ControllerHello, Offer
+from protocol.link.channel import UNDER_WAY, Channel
+from protocol.link.effects import Notice, Publish
+from protocol.messages import ControllerHello, Measurement, Offer
 from protocol.scenario.network import ChannelTable
-from protocol.secret.blocks import ExtractionFailed
 from tests.support.hearing import Hearing
 
 JITTER: dict[str, Any] = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
@@ -42,24 +40,6 @@ def test_a_step_that_loses_everything_loses_all_its_copies() -> None:
     for k in range(40):
         lost = {way.arrival(k, 0.0) is None for _ in range(3)}
         assert len(lost) == 1, k
-
-
-def test_after_many_copies_the_state_is_that_of_the_step_after() -> None:
-    lost = [channel(**BAD_HALF).arrival(k, 0.0) is None for k in range(40)]
-    assert any(a and not b for a, b in pairwise(lost))
-    way = channel(**BAD_HALF)
-    for k in range(38):
-        copies = [way.arrival(k, 0.0) is None for _ in range(2 * COPIES + 1)]
-        assert copies == [*[lost[k]] * COPIES, *[lost[k + 1]] * COPIES, lost[k + 2]]
-
-
-def test_a_fate_is_the_same_whatever_was_sent_before() -> None:
-    table = BAD_HALF | JITTER | {"loss": 0.3}
-    forth = [channel(**table).arrival(k, 0.0) for k in range(30)]
-    way = channel(**table)
-    back = [way.arrival(k, 0.0) for k in reversed(range(30))]
-    assert back[::-1] == forth
-    assert 5 < forth.count(None) < 25
 
 
 FATES = Fates("1 to_plant")
@@ -95,39 +75,6 @@ def test_a_way_that_is_narrow_carries_one_message_after_the_other() -> None:
     assert [way.arrival(k, now) for k, now in sent] == [2.5, 3.0, 3.5, 7.5, 8.0]
 
 
-def test_a_message_that_is_lost_occupied_the_way() -> None:
-    way = channel(rate_hz=4.0, loss=1.0)
-    assert way.arrival(0, 0.0) is None
-    lossy = channel(rate_hz=4.0, loss=0.5)
-    fates = [FATES.at(k, 0)[0] < 0.5 for k in range(12)]
-    assert True in fates
-    found = [lossy.arrival(k, 0.0) for k in range(12)]
-    assert found == [None if lost else (k + 1) / 4 for k, lost in enumerate(fates)]
-
-
-def test_a_step_that_was_forgotten_begins_with_its_first_copy_again() -> None:
-    table = {"delay": "uniform", "delay_s": 1.0, "jitter_s": 1.0}
-    for others, first in ((REMEMBERED - 1, False), (REMEMBERED, True)):
-        way = channel(**table)
-        began = way.arrival(1000, 0.0)
-        for k in range(others):
-            way.arrival(k, 0.0)
-        assert (way.arrival(1000, 0.0) == began) == first
-
-
-def test_a_step_that_is_sent_again_is_remembered_anew() -> None:
-    way = channel(delay="uniform", delay_s=1.0, jitter_s=1.0)
-    began = way.arrival(1000, 0.0)
-    for k in range(REMEMBERED - 1):
-        way.arrival(k, 0.0)
-    way.arrival(1000, 0.0)
-    for k in range(REMEMBERED - 1):
-        way.arrival(k, 0.0)
-    third = way.arrival(1000, 0.0)
-    assert third == 2.0 * FATES.at(1000, 2)[1]
-    assert third != began
-
-
 def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
     way = channel(loss=0.5)
     lost = [way.arrival(k, 0.0) is None for k in range(60)]
@@ -137,23 +84,8 @@ def test_a_way_without_a_bad_state_has_its_loss_in_every_step() -> None:
 # --- an end behind it -----------------------------------------------------------------------------
 
 
-def offer(k: int) -> bytes:
-    return Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0).wire()
-
-
-@pytest.mark.parametrize("due", [0.5, 20.0])
-def test_an_offer_is_heard_when_it_arrives_and_a_hello_at_once(due: float) -> None:
-    end = Hearing(due)
-    peer = Networked(end, Offer, channel(delay="constant", delay_s=2.0))
-    for k in range(3):
-        peer.receive(Offer, offer(k), float(k))
-    assert end.heard == []
-    peer.receive(ControllerHello, b"hello", 2.0)
-    assert end.heard.pop() == (2.0, ControllerHello, b"hello")
-    while len(end.heard) < 3:
-        peer.wake(peer.wake_at())
-    assert end.heard == [(k + 2.0, Offer, offer(k)) for k in range(3)]
-    assert end.woken == ([0.5] if due < 1 else []), "what was due before it goes first"
+def offer(k: int) -> Offer:
+    return Offer(session="1" * 16, k=k, candidates=((0.0,), (1.0,)), cipher=0)
 
 
 HELLO = ControllerHello(
@@ -166,75 +98,47 @@ HELLO = ControllerHello(
 )
 
 
-def test_without_a_channel_an_end_stands_as_it_is() -> None:
-    end = Hearing(inf)
-    assert behind(None, end, Offer) is end
-    assert isinstance(behind(channel(), end, Offer), Networked)
-
-
-def test_what_comes_at_once_or_is_no_message_is_heard_at_once_and_what_is_lost_never() -> None:
-    end = Hearing(inf)
-    end.says_now = (HELLO,)
-    told = [Publish(HELLO)]
-    peer = Networked(end, Offer, channel())
-    assert peer.receive(Offer, offer(3), 1.0) == told
-    assert peer.receive(Offer, b"no offer", 2.0) == told
-    lossy = Networked(end, Offer, channel(loss=1.0))
-    assert lossy.receive(Offer, offer(3), 3.0) == ()
-    assert lossy.wake_at() == inf
-    assert end.heard == [(1.0, Offer, offer(3)), (2.0, Offer, b"no offer")]
-
-
-def test_all_else_is_the_ends() -> None:
-    end = Hearing(7.5)
-    end.says_now = (HELLO,)
-    peer = Networked(end, Offer, channel(delay_s=2.0))
-    failed = ExtractionFailed("disk full")
-    for effects in (
-        peer.start(1.0),
-        peer.extracted(failed),
-        peer.appear(2),
-        peer.stop(9.0),
-        peer.wake(7.5),
-    ):
-        assert effects == [Publish(HELLO)]
-    assert peer.code is None
-    assert (peer.hears, peer.says, peer.makes_keys) == (end.hears, end.says, end.makes_keys)
-    assert end.blocks == [failed]
-    assert (end.started, end.woken, end.stopped, end.appearances) == ([1.0], [7.5], [9.0], 2)
-
-
-def test_messages_that_arrive_together_are_heard_in_the_order_in_which_they_were_sent() -> None:
-    end = Hearing(inf)
-    peer = Networked(end, Offer, channel(delay_s=2.0))
-    for k in (5, 3, 4):
-        assert peer.receive(Offer, offer(k), 1.0) == ()
-    assert peer.wake_at() == 3.0
-    peer.wake(2.9)
+@pytest.mark.parametrize("due", [0.5, 20.0])
+def test_an_offer_is_heard_when_it_arrives_and_a_hello_at_once(due: float) -> None:
+    end = Hearing(due, channel(delay="constant", delay_s=2.0))
+    for k in range(3):
+        end.receive(Offer, offer(k).wire(), float(k))
     assert end.heard == []
-    assert end.woken == [2.9]
-    for _ in range(3):
-        peer.wake(3.0)
-    assert end.heard == [(3.0, Offer, offer(k)) for k in (5, 3, 4)]
-    assert peer.wake_at() == 12.9
+    end.receive(ControllerHello, HELLO.wire(), 2.0)
+    assert end.heard.pop() == (2.0, HELLO)
+    while len(end.heard) < 3:
+        end.wake(end.wake_at())
+    assert end.heard == [(k + 2.0, offer(k)) for k in range(3)]
+    assert end.woken == ([0.5] if due < 1 else []), "what was due before it goes first"
 
 
-def test_what_is_due_at_the_same_time_as_a_message_goes_first() -> None:
-    end = Hearing(3.0)
-    peer = Networked(end, Offer, channel(delay_s=2.0))
-    peer.receive(Offer, offer(5), 1.0)
-    peer.wake(3.0)
-    assert (end.woken, end.heard) == ([3.0], [])
-    peer.wake(3.0)
-    assert end.heard == [(3.0, Offer, offer(5))]
+def test_what_comes_at_once_is_heard_at_once_and_what_is_lost_never() -> None:
+    for way in (None, channel()):
+        end = Hearing(inf, way)
+        end.says_now = (HELLO,)
+        assert end.receive(Offer, offer(3).wire(), 1.0) == [Publish(HELLO)]
+        assert end.heard == [(1.0, offer(3))]
+    lossy = Hearing(inf, channel(loss=1.0))
+    assert lossy.receive(Offer, offer(3).wire(), 3.0) == ()
+    assert lossy.wake_at() == inf
+    assert lossy.heard == []
+
+
+def test_what_is_no_message_is_counted_at_once_and_takes_no_place_on_the_way() -> None:
+    end = Hearing(inf, channel(delay_s=2.0))
+    (said,) = end.receive(Offer, b"no offer", 2.0)
+    assert isinstance(said, Notice)
+    assert said.text.startswith("offer: ")
+    assert (end.malformed, end.heard, end.wake_at()) == (1, [], inf)
+    with pytest.raises(TypeError, match="Measurement"):
+        end.receive(Measurement, offer(3).wire(), 3.0)
 
 
 def test_the_network_keeps_so_many_messages_and_no_more() -> None:
-    end = Hearing(inf)
-    peer = Networked(end, Offer, channel(delay_s=2.0))
-    payload = offer(5)
+    end = Hearing(inf, channel(delay_s=2.0))
+    payload = offer(5).wire()
     for _ in range(UNDER_WAY + 2):
-        peer.receive(Offer, payload, 1.0)
+        end.receive(Offer, payload, 1.0)
     for _ in range(UNDER_WAY + 2):
-        peer.wake(3.0)
+        end.wake(3.0)
     assert len(end.heard) == UNDER_WAY

@@ -6,10 +6,10 @@ import pytest
 
 from protocol.link.controller_session import (
     TABLE,
-    heard,
+    event_of,
 )
-from protocol.link.records import SenderRecord
 from protocol.messages import Offer, PlantHello
+from tests.support.records import changed, controller_record
 
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
 A, B, P, Q = (letter * 16 for letter in "abcd")
@@ -24,7 +24,7 @@ HELLO = PlantHello(
     transitions=0,
     applied_k=5,
 )
-RECORD = SenderRecord(session=S, ended=(T,), applied_k=5, offer=OFFER, incarnation=2)
+RECORD = controller_record(session=S, ended=(T,), applied_k=5, offer=OFFER, incarnation=2)
 
 
 def test_a_session_is_served_only_by_who_was_asked() -> None:
@@ -69,28 +69,28 @@ def test_a_session_is_dropped_only_where_it_goes_on_without_this_process() -> No
 def test_a_hello_has_one_name(fields: dict[str, object], name: str) -> None:
     hello = HELLO.model_copy(update=fields)
     known: Any = {"instance": A, "fingerprint": OURS, "plant": P}
-    assert heard(hello, RECORD, running=False, **known) == name
+    assert event_of(hello, RECORD, running=False, **known) == name
     if hello.instance == Q and hello.session == NEW:
-        assert heard(hello, RECORD, running=True, **known) == "second plant"
+        assert event_of(hello, RECORD, running=True, **known) == "second plant"
     elif hello.instance == P:
-        assert heard(hello, RECORD, running=True, **known) == name
+        assert event_of(hello, RECORD, running=True, **known) == name
 
 
 def test_without_an_offer_only_the_last_applied_fits() -> None:
     hello = HELLO.model_copy(update={"transitions": 1, "applied_k": 7})
-    record = RECORD._replace(offer=None)
+    record = changed(RECORD, offer=None)
     known: Any = {"instance": A, "fingerprint": OURS, "plant": None, "running": False}
-    assert heard(hello, record, **known) == "asked, session does not fit"
+    assert event_of(hello, record, **known) == "asked, session does not fit"
     five = hello.model_copy(update={"applied_k": 5})
-    assert heard(five, record, **known) == "asked, session fits"
+    assert event_of(five, record, **known) == "asked, session fits"
 
 
 def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
     hello = HELLO.model_copy(update={"controller": None, "fingerprint": OTHER})
     known: Any = {"instance": A, "fingerprint": OURS, "plant": None, "running": False}
     for record, name in (
-        (SenderRecord(), "another model, never met"),
-        (SenderRecord(ended=(T,)), "another model"),
-        (SenderRecord(session=S), "another model"),
+        (controller_record(), "another model, never met"),
+        (controller_record(ended=(T,)), "another model"),
+        (controller_record(session=S), "another model"),
     ):
-        assert heard(hello, record, **known) == name
+        assert event_of(hello, record, **known) == name

@@ -2,13 +2,13 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import inf, nan
+from math import inf
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 
-from controller_service.core import STALE, STALE_S, ControllerCore
+from controller_service.chooser import STALE, STALE_S
+from controller_service.core import ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
 from protocol.defence.watch import Watch
@@ -18,7 +18,7 @@ from protocol.link.effects import Notice, Save
 from protocol.link.events import FELL_BACK, Alarm, PowerFailed, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
-from protocol.link.records import Loaded, SenderRecord
+from protocol.link.records import ControllerRecord, Loaded
 from protocol.link.session import SILENCE_S, CountedTransition, Rules
 from protocol.link.step import IDLE, Answered, Step
 from protocol.messages import (
@@ -29,24 +29,23 @@ from protocol.messages import (
     Offer,
     PlantHello,
     SendCommand,
-    SendReply,
     StopKeys,
 )
-from protocol.schemes.framing import MAX_PAYLOAD, encode_frame, frame_length
+from protocol.schemes.framing import encode_frame, frame_length
 from protocol.schemes.sealed import Sealed
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part
+from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
 from tests.support.asked import NOTHING, Asked, gathered
-from tests.support.controller_in_hand import PERIOD_S, Zeros
-from tests.support.end_in_hand import EndInHand, fields
+from tests.support.end_in_hand import EndInHand, Zeros, fields, status_of
 from tests.support.journals import controller_journal
-from tests.support.line_ends import line_rules
+from tests.support.line import line_rules
+from tests.support.records import changed, controller_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 SCHEDULE = Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4)
@@ -57,7 +56,7 @@ NONCE = fresh_nonce()
 CANDIDATES = ((1.5,), (-1.5,))
 FAR = 100.0
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
-AT_WORK = SenderRecord(
+AT_WORK = controller_record(
     session=S,
     incarnation=0,
     ended=(T,),
@@ -70,6 +69,9 @@ AT_WORK = SenderRecord(
     x=(0.0,),
     offer=OFFER,
 )
+
+
+PERIOD_S = 0.1
 
 
 class Law:
@@ -93,23 +95,23 @@ class Told(EndInHand[ControllerCore]):
     def __init__(
         self,
         rules: Rules = RULES,
-        record: SenderRecord | None = AT_WORK,
+        record: ControllerRecord | None = AT_WORK,
         *,
-        telemetry: bool = True,
+        tells: bool = True,
+        status_s: float = STATUS_S,
         payloads: tuple[bytes, ...] = (),
         step: Step = IDLE,
         contributions: Sequence[Contribution] = (),
-        parts: Sequence[Part] = (),
+        held: Held = NOTHING_HELD,
         fell_back: bool = False,
         **more: Any,
     ) -> None:
         self.journal = controller_journal()
         for number, payload in enumerate(payloads):
             command = SendCommand(id=f"m{number}", payload=payload)
-            self.journal.save(Save(SenderRecord(), queued=command))
+            self.journal.save(Save(controller_record(), queued=command))
         law: Any = Law()
-        loaded = Loaded(record, step, tuple(contributions), tuple(parts), fell_back=fell_back)
-        self.telemetry = ControllerTelemetry(law)
+        loaded = Loaded(record, step, tuple(contributions), held, fell_back=fell_back)
         super().__init__(
             ControllerCore(
                 rules,
@@ -119,7 +121,7 @@ class Told(EndInHand[ControllerCore]):
                 instance=A,
                 period_s=PERIOD_S,
                 loaded=loaded,
-                telemetry=self.telemetry if telemetry else None,
+                news=ControllerTelemetry(law, status_s) if tells else None,
                 **more,
             )
         )
@@ -132,7 +134,7 @@ class Told(EndInHand[ControllerCore]):
         """Its plant has asked it to take up the session of the journal."""
         self.does(self.core.start(now))
         self.hears(hello(transitions=2, applied_k=1), now)
-        assert self.core.session.plant == P
+        assert self.core.state.session.plant == P
         self.all.clear()
         return self
 
@@ -225,34 +227,13 @@ def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
     assert kept == 3
 
 
-def test_a_status_is_kept_again_when_a_second_is_over_to_the_instant() -> None:
-    end = Told(record=None, status_s=1.0)
-    end.does(end.core.start(5.0))
-    assert gathered(end.core.wake(5.0)).health is not None
-    later = end.core.wake_at()
-    assert later < 6.0
-    assert gathered(end.core.wake(later)).health is None
-    assert gathered(end.core.wake(max(6.0, end.core.wake_at()))).health is not None
-
-
-def test_without_telemetry_no_status_is_ever_due() -> None:
-    end = Told(telemetry=False, payloads=(b"a",)).at_work()
-    assert end.core.wake_at() == inf
-    assert gathered(end.core.wake(1e9)) == NOTHING
-    end.hears(measurement(), 2e9)
-    assert end.core.wake_at() == inf
-    assert gathered(end.core.stop(3e9)) == Asked(save=Save(end.core.record))
-    with pytest.raises(AssertionError):
-        end.core.status()
-
-
 # --- what a status says ---------------------------------------------------------------------------
 
 
 def test_a_status_says_what_record_rules_and_queue_hold() -> None:
     payload = b"hi"
     symbols = encode_frame(payload, 2)
-    record = AT_WORK._replace(message=1, offset=3, x=(2.5,), offer=None)
+    record = changed(AT_WORK, message=1, offset=3, x=(2.5,), offer=None)
     end = Told(record=record, payloads=(b"one", payload, b"three"))
     end.does(end.core.start(0.0))
     expected = NOTHING_YET | {
@@ -261,7 +242,7 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
         "set_index": 2,
         "transitions": 2,
         "agreements": 1,
-        "automaton": record.state[0],
+        "automaton": record.link.state[0],
         "sending": "hi",
         "frame_symbols": 3,
         "frame_length": len(symbols),
@@ -269,13 +250,18 @@ def test_a_status_says_what_record_rules_and_queue_hold() -> None:
         "delivered": 1,
     }
     assert told(gathered(end.core.wake(0.0))) == expected
-    assert fields(end.core.status()) == expected
+    assert fields(status_of(end.core)) == expected
 
 
 def test_when_all_is_sent_the_last_message_is_told_as_whole() -> None:
     symbols = encode_frame(b"one", 2)
-    record = AT_WORK._replace(
-        state=(2, 1), cipher=1, message_symbol=symbols[-1], framed=True, offset=len(symbols)
+    record = changed(
+        AT_WORK,
+        state=(2, 1),
+        cipher=1,
+        message_symbol=symbols[-1],
+        framed=True,
+        offset=len(symbols),
     )
     end = Told(record=record, payloads=(b"one",)).at_work()
     end.hears(measurement(), 0.001)
@@ -284,12 +270,6 @@ def test_when_all_is_sent_the_last_message_is_told_as_whole() -> None:
     assert (said["sending"], said["frame_symbols"], said["frame_length"]) == ("one", length, length)
     assert (said["queue"], said["delivered"]) == (0, 1)
     assert end.journal.payload(0) is None, "it is gone from the journal"
-
-
-def test_statuses_are_numbered() -> None:
-    end = Told(record=None)
-    end.does(end.core.start(0.0))
-    assert [end.core.status().seq for _ in range(3)] == [1, 2, 3]
 
 
 def test_a_step_is_told_in_the_status_after_it() -> None:
@@ -303,7 +283,7 @@ def test_a_step_is_told_in_the_status_after_it() -> None:
         "set_index": 1,
         "transitions": 3,
         "agreements": 2,
-        "automaton": end.core.record.state[0],
+        "automaton": end.core.state.record.link.state[0],
     }
     (transition,) = [e for actions in end.all for e in actions.events]
     assert isinstance(transition, CountedTransition)
@@ -320,8 +300,13 @@ def test_what_no_candidate_explains_is_counted() -> None:
 
 def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> None:
     symbols = encode_frame(b"a", 2)
-    record = AT_WORK._replace(
-        state=(2, 1), cipher=1, message_symbol=symbols[-1], framed=True, offset=len(symbols)
+    record = changed(
+        AT_WORK,
+        state=(2, 1),
+        cipher=1,
+        message_symbol=symbols[-1],
+        framed=True,
+        offset=len(symbols),
     )
     end = Told(record=record, payloads=(b"a",)).at_work()
     gathered(end.core.wake(0.0))
@@ -347,8 +332,8 @@ def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_sessi
     events = [event for actions in end.all for event in actions.events]
     assert [type(event) for event in events] == [PowerFailed, CountedTransition, SessionBegan]
     assert events[2] == SessionBegan(None, FELL_BACK)
-    assert end.core.record.session is None
-    assert S in end.core.record.ended
+    assert end.core.state.record.session.id is None
+    assert S in end.core.state.record.session.ended
     fresh = Told(record=None, fell_back=True)
     fresh.does(fresh.core.start(0.0))
     assert [event for actions in fresh.all for event in actions.events] == [PowerFailed()]
@@ -359,7 +344,7 @@ def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_sessi
 
 def phase(end: Told) -> tuple[str, bool]:
     """The phase of its status, and whether there is a detail to it."""
-    status = end.core.status()
+    status = status_of(end.core)
     return status.phase, bool(status.detail)
 
 
@@ -368,7 +353,7 @@ def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> No
     assert phase(end) == ("running", False)
     said = measurement(x=(101.0,), x_after=(101.0,))
     answer = gathered(end.core.receive(Measurement, said.wire(), 1.0))
-    assert end.core.status().detail == "no answer at 101"
+    assert status_of(end.core).detail == "no answer at 101"
     assert phase(end) == ("outside", True)
     assert answer.notices[0] == Notice("no answer at 101", "warning", "refusals")
     assert answer.record is not None
@@ -387,13 +372,13 @@ def test_a_session_that_is_left_is_told_as_greeting() -> None:
         end = Told().at_work()
         leave(end)
         assert phase(end) == ("greeting", True)
-        assert end.core.session.plant is None
+        assert end.core.state.session.plant is None
         assert end.notices == [("warning", "refusals")]
 
 
 @pytest.mark.parametrize("record", [None, AT_WORK])
 def test_only_who_has_met_no_plant_gives_up_over_another_model(
-    record: SenderRecord | None,
+    record: ControllerRecord | None,
 ) -> None:
     end = Told(record=record)
     end.does(end.core.start(0.0))
@@ -403,14 +388,14 @@ def test_only_who_has_met_no_plant_gives_up_over_another_model(
     assert (said.verdict, said.answers) == ("other-model", P)
     levels = [(n.level, n.subject) for n in answer.notices]
     if record is not None:
-        assert (end.core.code, end.core.refused) == (None, False)
+        assert (end.core.code, (end.core.state.session.state == "refused")) == (None, False)
         assert levels == [("warning", "refusals")]
         assert phase(end) == ("greeting", True)
         return
-    assert (end.core.code, end.core.refused) == (USAGE, True)
+    assert (end.core.code, (end.core.state.session.state == "refused")) == (USAGE, True)
     assert levels == [("warning", "refusals"), ("error", "")]
     assert phase(end) == ("refused", True)
-    for text in (end.core.status().detail, answer.notices[1].text):
+    for text in (status_of(end.core).detail, answer.notices[1].text):
         assert "e" * 8 in text
         assert "f" * 8 in text
         assert "e" * 9 not in text
@@ -424,7 +409,7 @@ def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
     stopped = gathered(end.core.stop(0.01))
     assert told(stopped)["phase"] == "stopped"
     assert stopped.health == stopped.publish[0]
-    assert stopped.save == Save(end.core.record)
+    assert stopped.save == Save(end.core.state.record)
     assert (stopped.notices, stopped.events) == ((), ())
 
 
@@ -442,7 +427,7 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     levels = [(n.level, n.subject) for asked in end.all for n in asked.notices]
     assert levels == [("warning", "refusals")] * halts + [("error", "alarms")]
     assert "step 3" in counted.notices[-1].text
-    status = end.core.status()
+    status = status_of(end.core)
     assert (status.alarms, status.alarm_k) == (1, 3)
     assert (status.alarm_reading, status.alarm_expected) == ((3.0,), (1.5,))
     assert (status.alarm_gauge, status.unexplained) == (1.5, 1)
@@ -451,10 +436,10 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     )
     offered = [m for a in end.all for m in a.publish if isinstance(m, Offer)]
     assert len(offered) == (not halts)
-    assert end.core.record.halted == halts
+    assert end.core.state.record.alarms.halted == halts
     again = end.hears(measurement(k=5, applied_k=3, x=(3.0,), x_after=(3.0,)), 2.0)
     assert (again == NOTHING) == halts
-    assert end.core.status().alarms == 1
+    assert status_of(end.core).alarms == 1
 
 
 def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() -> None:
@@ -462,34 +447,34 @@ def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() ->
     end = Told(rules).at_work()
     end.hears(measurement(x=(3.0,), x_after=(3.0,)), 1.0)
     end.hears(measurement(k=5, applied_k=4, x=(4.5,), x_after=(4.5,)), 2.0)
-    assert end.core.record.failed == 0b10
-    assert end.core.status().alarms == 0
-    kept = end.core.record
+    assert end.core.state.record.alarms.failed == 0b10
+    assert status_of(end.core).alarms == 0
+    kept = end.core.state.record
     again = Told(rules, kept)
     again.does(again.core.start(3.0))
     again.hears(hello(transitions=4, applied_k=4), 3.0)
     again.hears(measurement(k=6, applied_k=5, x=(9.0,), x_after=(9.0,)), 4.0)
-    assert again.core.status().alarms == 1
-    assert again.core.record.failed == 0b01
+    assert status_of(again.core).alarms == 1
+    assert again.core.state.record.alarms.failed == 0b01
 
 
 # --- the keyed coin -------------------------------------------------------------------------------
 
 COIN = replace(RULES, schedule=SCHEDULE, keyed=True)
 DIGITS = digits(bytes(range(32)), 2)
-PART = Part(0, 0, 0, bytes(DIGITS))
-CONFIRMED = AT_WORK._replace(transitions=3, block=0, tag="a" * 32, confirmed=0)
+HELD = Held(Part(0, 0, bytes(DIGITS)))
+CONFIRMED = changed(AT_WORK, transitions=3, block=0, tag="a" * 32, confirmed=0)
 """Block 0 is confirmed, and its digits are held."""
 NAMED = OFFER.model_copy(update={"stream_block": 0, "stream_at": 0, "block": 0, "tag": "a" * 32})
 
 
 def keyed(
-    record: SenderRecord = CONFIRMED,
-    parts: tuple[Part, ...] = (PART,),
+    record: ControllerRecord = CONFIRMED,
+    held: Held = HELD,
     rules: Rules = COIN,
     **step: Any,
 ) -> Told:
-    end = Told(rules, record, parts=parts, **step)
+    end = Told(rules, record, held=held, **step)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=3, applied_k=1), 0.0)
     end.all.clear()
@@ -508,40 +493,24 @@ def keyed_measurement(**fields: object) -> Measurement:
 
 
 def test_each_offer_names_the_next_digits_whether_or_not_it_is_applied() -> None:
-    end = keyed(CONFIRMED._replace(offer=None, k=2))
-    assert end.core.status().digits_left == len(DIGITS)
+    end = keyed(changed(CONFIRMED, offer=None, k=2))
+    assert status_of(end.core).digits_left == len(DIGITS)
     unapplied = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
     assert named(end.hears(unapplied, 1.0)) == (0, 0)
     assert named(end.hears(unapplied, 1.5)) == (0, 0), "the same offer again"
     following = keyed_measurement(k=4, applied_k=1, x=(0.0,), x_after=())
     assert named(end.hears(following, 2.0)) == (0, 1)
-    assert end.core.status().digits_left == len(DIGITS) - 1
-
-
-@pytest.mark.parametrize("counted", [True, False])
-def test_a_process_names_digits_behind_those_that_were_named(counted: bool) -> None:
-    end = keyed(CONFIRMED._replace(offer=NAMED))
-    if not counted:
-        was = keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=())
-        end = keyed(CONFIRMED._replace(offer=None, k=2), step=Answered(was, NAMED))
-    following = end.hears(keyed_measurement(applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(following) == (0, 1)
-
-
-def test_an_offer_names_nothing_where_no_digit_is_left() -> None:
-    end = keyed(CONFIRMED._replace(offer=None, k=2), parts=())
-    answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 1.0)
-    assert named(answer) == (-1, 0)
+    assert status_of(end.core).digits_left == len(DIGITS) - 1
 
 
 @pytest.mark.parametrize("right", [True, False])
 @pytest.mark.parametrize("known", [True, False])
 def test_a_transition_is_watched_where_digits_served(known: bool, right: bool) -> None:
-    end = keyed(CONFIRMED._replace(offer=NAMED if known else OFFER))
+    end = keyed(changed(CONFIRMED, offer=NAMED if known else OFFER))
     chosen = DIGITS[0] if right else 1 - DIGITS[0]
     x = CANDIDATES[chosen]
     end.hears(keyed_measurement(x=x, x_after=x, keyed=known), 1.0)
-    status = end.core.status()
+    status = status_of(end.core)
     assert (status.watched, status.unwatched) == (known, not known)
     alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
     assert len(alarms) == (known and not right)
@@ -556,7 +525,7 @@ def test_a_transition_is_watched_where_digits_served(known: bool, right: bool) -
 
 def test_a_plant_that_denies_digits_that_it_has_makes_an_alarm() -> None:
     """Its coin would be unwatched for as long as somebody says so in its place."""
-    end = keyed(CONFIRMED._replace(offer=NAMED))
+    end = keyed(changed(CONFIRMED, offer=NAMED))
     end.hears(keyed_measurement(x=CANDIDATES[0], x_after=CANDIDATES[0], keyed=False), 1.0)
     alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
     assert [alarm.reason for alarm in alarms] == ["digits refused"]
@@ -565,12 +534,12 @@ def test_a_plant_that_denies_digits_that_it_has_makes_an_alarm() -> None:
 @pytest.mark.parametrize("share", [0.5, 0.0])
 def test_too_many_unwatched_steps_make_an_alarm_through_a_restart(share: float) -> None:
     rules = replace(COIN, watch=Watch(share, 1))
-    record = CONFIRMED._replace(unwatched=0.75)
-    end = keyed(record, parts=(), rules=rules)
+    record = changed(CONFIRMED, unwatched=0.75)
+    end = keyed(record, held=NOTHING_HELD, rules=rules)
     end.hears(keyed_measurement(), 1.0)
     alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
     assert [alarm.reason for alarm in alarms] == ["unwatched"]
-    assert end.core.record.unwatched == 0.0, "it begins again"
+    assert end.core.state.record.alarms.unwatched == 0.0, "it begins again"
 
 
 @pytest.mark.parametrize(("rules", "said"), [(RULES, True), (RULES, False), (COIN, None)])
@@ -578,14 +547,14 @@ def test_a_measurement_that_says_another_thing_of_digits_than_the_rules_is_malfo
     rules: Rules, said: bool | None
 ) -> None:
     end = Told(rules).at_work()
-    record = end.core.record
+    record = end.core.state.record
     end.hears(measurement(keyed=said), 1.0)
     (actions,) = end.all
     (notice,) = actions.notices
     assert (notice.level, notice.subject) == ("warning", "malformed")
     assert "measurement.keyed" in notice.text
     assert actions == Asked(notices=(notice,))
-    assert (end.core.record, end.core.status().malformed) == (record, 1)
+    assert (end.core.state.record, status_of(end.core).malformed) == (record, 1)
 
 
 # --- it fails closed ------------------------------------------------------------------------------
@@ -595,10 +564,10 @@ SEALED = replace(RULES, schedule=SCHEDULE, scheme=Sealed(2))
 
 def test_a_sealed_symbol_without_a_digit_is_a_cover_and_comes_again() -> None:
     """Nothing of a message leaves in the clear, and nothing of it is lost."""
-    record = CONFIRMED._replace(state=SEALED.scheme.initial, offer=None, k=2)
+    record = changed(CONFIRMED, state=SEALED.scheme.initial, offer=None, k=2)
     ciphers = set()
     for payload in (b"a", b"\xff"):
-        end = keyed(record, parts=(), rules=SEALED, payloads=(payload,))
+        end = keyed(record, held=NOTHING_HELD, rules=SEALED, payloads=(payload,))
         k, applied = 3, 1
         for _ in range(4):
             x_after = () if applied == 1 else (1.5,)
@@ -608,14 +577,17 @@ def test_a_sealed_symbol_without_a_digit_is_a_cover_and_comes_again() -> None:
             assert (offer.stream_block, offer.cipher) == (-1, 0), "Zeros gives the covers"
             ciphers.add(offer.cipher)
             k, applied = k + 1, k
-        assert (end.core.record.p, end.core.record.offset) == (record.p, record.offset)
+        assert (end.core.state.record.link.p, end.core.state.record.frame.offset) == (
+            record.link.p,
+            record.frame.offset,
+        )
     assert ciphers == {0}
 
 
 @pytest.mark.parametrize("rules", [COIN, SEALED])
 @pytest.mark.parametrize("again", [True, False])
 def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again: bool) -> None:
-    record = CONFIRMED._replace(state=rules.scheme.initial, offer=None, k=2)
+    record = changed(CONFIRMED, state=rules.scheme.initial, offer=None, k=2)
     end = keyed(record, rules=rules)
     stopped = end.hears(StopKeys(reason="Eve missed nothing"), 1.0)
     assert [(n.level, n.subject) for n in stopped.notices] == [("error", "")]
@@ -624,8 +596,8 @@ def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again:
     if again:  # another process, as the journal has it
         loaded = end.journal.load()
         assert loaded.record is not None
-        end = keyed(loaded.record, loaded.parts or (PART,), rules)
-    assert end.core.status().keys_refused == "Eve missed nothing"
+        end = keyed(loaded.record, HELD if loaded.held == NOTHING_HELD else loaded.held, rules)
+    assert status_of(end.core).keys_refused == "Eve missed nothing"
     answer = end.hears(keyed_measurement(k=3, applied_k=1, x=(0.0,), x_after=()), 2.0)
     assert named(answer) == (-1, 0)
 
@@ -637,8 +609,8 @@ def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again:
     ("kind", "name"),
     [
         (Measurement, "measurement"),
-        (PlantHello, "hello"),
-        (SendCommand, "command"),
+        (PlantHello, "management/plant/hello"),
+        (SendCommand, "management/command/send"),
     ],
 )
 def test_what_is_malformed_is_named_and_counted(kind: type[Message], name: str) -> None:
@@ -649,7 +621,7 @@ def test_what_is_malformed_is_named_and_counted(kind: type[Message], name: str) 
         assert actions == Asked(notices=(notice,))
         assert (notice.level, notice.subject) == ("warning", "malformed")
         assert notice.text.split(":")[0] == name
-        assert end.core.status().malformed == end.core.malformed == number
+        assert status_of(end.core).malformed == end.core.malformed == number
 
 
 # --- greetings ------------------------------------------------------------------------------------
@@ -685,89 +657,13 @@ def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
             end.hears(hello(instance=Q, session=NEW), 1.0 + silent * silence)
             texts = [n.text for a in end.all for n in a.notices if n.subject == "refusals"]
             assert len(texts) == is_told
-            assert end.core.session.plant == (P if is_told else Q)
+            assert end.core.state.session.plant == (P if is_told else Q)
             for text in texts:
                 assert P in text
                 assert Q in text
 
 
-def test_a_session_that_is_taken_up_is_told_once() -> None:
-    end = Told(record=None)
-    end.does(end.core.start(0.0))
-    taken = end.hears(hello(session=NEW), 1.0)
-    assert taken.events == (SessionBegan(NEW, "the plant began it"),)
-    (notice,) = taken.notices
-    assert (notice.level, notice.subject) == ("info", "")
-    assert NEW in notice.text
-    assert P in notice.text
-    assert taken.record is not None
-    assert taken.record == end.core.record
-    again = end.hears(hello(session=NEW), 2.0)
-    assert again == Asked(publish=taken.publish)
-    other = end.hears(hello(session=NEW, instance=Q), 3000.0)
-    assert other.events == ()
-    assert other.record is None
-    assert len(other.notices) == 1
-
-
-def test_who_greets_as_a_later_life_saves_that_before() -> None:
-    end = Told()
-    end.does(end.core.start(0.0))
-    answer = end.hears(hello(controller=None, incarnation=5), 1.0)
-    assert answer.record is not None
-    assert answer.record == end.core.record
-    assert end.core.record.incarnation == 6
-    (said,) = answer.publish
-    assert isinstance(said, ControllerHello)
-    assert (said.verdict, said.incarnation) == ("greeting", 6)
-
-
-def test_the_first_actions_save_greet_and_ask_the_keeper() -> None:
-    rows = [Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2)]
-    end = Told(KEYS, AT_WORK._replace(transitions=3), contributions=rows)
-    began = end.does(end.core.start(0.0))
-    assert began.save == Save(end.core.record)
-    (closed,) = began.tasks
-    assert (type(closed).__name__, began.events, began.notices) == ("ClosedBlock", (), ())
-
-
 # --- commands -------------------------------------------------------------------------------------
-
-
-def test_a_command_is_answered_with_how_many_wait() -> None:
-    end = Told(record=None)
-    end.does(end.core.start(0.0))
-    for number, (name, payload, accepted) in enumerate(
-        [
-            ("m1", b"one", True),
-            ("m2", b"x" * MAX_PAYLOAD, True),
-            ("m2", b"x" * MAX_PAYLOAD, True),
-            ("m2", b"y", False),
-            ("m3", b"x" * (MAX_PAYLOAD + 1), False),
-            ("initial", b"z", False),
-        ]
-    ):
-        answer = end.hears(SendCommand(id=name, payload=payload), 1.0)
-        (reply,) = answer.publish
-        assert isinstance(reply, SendReply)
-        assert (reply.id, reply.accepted, reply.queued) == (name, accepted, min(number + 1, 2))
-        new = number < 2
-        assert bool(reply.detail) == (not new)
-        assert accepted or reply.detail.split(":")[0] in ("id", "message")
-        command = SendCommand(id=name, payload=payload)
-        assert answer.events == ((command,) if new else ())
-        written = Save(end.core.record, queued=command, durable=True)
-        assert answer.save == (written if new else None)
-        assert answer.notices == ()
-    assert end.core.status().queue == 1
-
-
-def test_messages_that_were_delivered_wait_no_more() -> None:
-    end = Told(record=AT_WORK._replace(message=2), payloads=(b"a", b"b", b"c")).at_work()
-    for name, waiting in (("m3", 2), ("m3", 2), ("m4", 3)):
-        (reply,) = end.hears(SendCommand(id=name, payload=b"d"), 1.0).publish
-        assert isinstance(reply, SendReply)
-        assert reply.queued == waiting
 
 
 # --- key blocks -----------------------------------------------------------------------------------
@@ -779,7 +675,7 @@ MADE = ExtractedBlock(S, 0, TAG, (b"k" * 32, b"l" * 32))
 def keys_at_work() -> Told:
     """Block 0 is whole and extracted, and not confirmed."""
     rows = tuple(Contribution(j, 1, b"n" * 32, b"m" * 32) for j in (1, 2, 3))
-    record = AT_WORK._replace(transitions=4)
+    record = changed(AT_WORK, transitions=4)
     end = Told(KEYS, record, contributions=rows)
     end.does(end.core.start(0.0))
     end.hears(hello(transitions=4, applied_k=1), 0.0)
@@ -788,41 +684,23 @@ def keys_at_work() -> Told:
     return end
 
 
-def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
-    end = keys_at_work()
-    assert (end.core.record.block, end.core.record.tag) == (-1, "")
-    answer = end.hears(measurement(), 1.0)
-    (offer,) = answer.publish
-    assert isinstance(offer, Offer)
-    assert (offer.block, offer.tag) == (0, TAG)
-    record = end.core.record
-    assert (record.block, record.tag, record.offer) == (0, TAG, offer)
-    assert record.nonce == ""
-    counted = end.all[1]
-    assert counted.save is None, "the next step saves what was counted"
-    saved = end.hears(measurement(k=end.core.record.k + 1, applied_k=record.k), 2.0)
-    assert saved.save is not None
-    assert saved.record == record
-    assert [row.j for row in saved.save.rows.contributions] == [4]
-
-
 def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:
     end = keys_at_work()
     end.hears(measurement(block=0, tag=TAG, nonce=NONCE), 1.0)
     _, counted = end.all
     assert counted.events[0] == BlockEnded(S, 0, "confirmed", 2)
     assert [n.level for n in counted.notices] == ["info"], "what the first keys rest on"
-    assert end.core.record.nonce == NONCE
-    status = end.core.status()
+    assert end.core.state.record.link.nonce == NONCE
+    status = status_of(end.core)
     assert (status.keys_made, status.keys_of_block, status.key_block_steps) == (2, 2, 2)
     assert status.digits_left == sum(len(digits(key, 2)) for key in MADE.keys)
     saved = end.hears(measurement(k=5, applied_k=4), 2.0)
     assert saved.record is not None
-    assert saved.record.confirmed == 0
+    assert saved.record.keys.confirmed == 0
     assert saved.saved.rows.obsolete_rows == (range(1, 3),), "rows of a block that is confirmed go"
-    assert [(part.block, part.number) for part in saved.saved.rows.parts] == [(0, 0), (0, 1)]
+    assert saved.saved.rows.keys == (Keys(0, 0, b"".join(MADE.keys)),)
     again = end.hears(measurement(k=6, applied_k=5), 3.0)
-    assert (again.saved.rows.obsolete_rows, again.saved.rows.parts) == ((), ()), "once"
+    assert (again.saved.rows.obsolete_rows, again.saved.rows.keys) == ((), ()), "once"
 
 
 def test_a_block_that_differs_gives_no_key_and_ends_the_session() -> None:
@@ -833,9 +711,9 @@ def test_a_block_that_differs_gives_no_key_and_ends_the_session() -> None:
     assert [type(event) for event in ended.events] == [SessionBegan]
     assert [(n.level, n.subject) for n in ended.notices] == [("warning", "refusals")]
     assert ended.record is not None
-    assert ended.record.session is None
+    assert ended.record.session.id is None
     assert phase(end) == ("greeting", True)
-    status = end.core.status()
+    status = status_of(end.core)
     assert (status.keys_made, status.key_blocks_lost, status.digits_left) == (0, 1, 0)
 
 
@@ -844,12 +722,12 @@ def test_blocks_that_cannot_be_extracted_are_an_error_and_told_in_every_status()
     (notice,) = end.does(end.core.extracted(ExtractionFailed("no memory"))).notices
     assert (notice.level, notice.subject) == ("error", "")
     assert "no memory" in notice.text
-    assert end.core.status().keys_refused == "no memory"
+    assert status_of(end.core).keys_refused == "no memory"
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
     end = keys_at_work()
-    k = end.core.record.k
+    k = end.core.state.record.link.k
     for count, level in ((3, "error"), (1, "info")):
         actions = gathered(end.core.appear(count))
         assert actions.events == (Appearances(S, k, count),)
@@ -859,25 +737,13 @@ def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:
         assert gathered(end.core.appear(count)) == Asked(events=actions.events), (
             "as often as before"
         )
-        status = end.core.status()
+        status = status_of(end.core)
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
         said = end.hears(measurement(k=k + count, applied_k=1, x_after=()), 10.0 / count)
         (offer,) = said.publish
         assert isinstance(offer, Offer)
         assert offer.copy_number == (count > 1), "no first copy may appear more often"
-        k = end.core.record.k
-
-
-def test_what_was_reported_counts_before_it_is_counted() -> None:
-    end = Told().at_work()
-    seen = [(end.core.reported, end.core.unfinished)]
-    for said in (measurement(applied_k=1, x_after=()), measurement(k=5, applied_k=4)):
-        effects = iter(end.core.receive(Measurement, said.wire(), 1.0))
-        assert isinstance(next(effects), Save)
-        seen.append((end.core.reported, end.core.unfinished))
-        gathered(effects)
-        seen.append((end.core.reported, end.core.unfinished))
-    assert seen == [(2, False), (2, True), (2, False), (3, True), (3, False)]
+        k = end.core.state.record.link.k
 
 
 def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session() -> None:
@@ -887,30 +753,11 @@ def test_old_measurements_end_nothing_before_there_are_so_many_in_a_new_session(
     for i in range(STALE - 1):
         assert end.hears(old, 1.0 + i * STALE_S) == NOTHING
     end.hears(hello(session=NEW), 10.0)
-    assert end.core.record.session == NEW
+    assert end.core.state.record.session.id == NEW
     end.hears(measurement(session=NEW, k=7, applied_k=-1, x_after=()), 11.0)
     old = old.model_copy(update={"session": NEW})
     for i in range(STALE - 1):
         assert end.hears(old, 12.0 + i * STALE_S) == NOTHING
     assert end.notices[-1:] != [("warning", "refusals")]
     end.hears(old, 20.0)
-    assert end.core.record.session is None
-
-
-def test_a_burst_of_old_measurements_ends_no_session() -> None:
-    """A replay, or what a network held back: thousands at once, each of another step or one."""
-    end = Told().at_work()
-    for k in 10 * STALE * (0, 1, 2):
-        assert end.hears(measurement(k=k, applied_k=-1, x_after=()), 1.0) == NOTHING
-    said = end.hears(measurement(k=4, applied_k=3), 1.0)
-    assert any(isinstance(message, Offer) for message in said.publish)
-    assert end.core.record.session == S
-
-
-def test_a_wrong_message_of_its_own_is_no_malformed_input(monkeypatch: pytest.MonkeyPatch) -> None:
-    """It is a fault of this end, and told as one, not blamed on what came."""
-    monkeypatch.setitem(globals(), "propose", lambda _x: ((nan,), (1.0,)))
-    end = Told().at_work()
-    with pytest.raises(ValidationError, match="candidates"):
-        gathered(end.core.receive(Measurement, measurement(k=4, applied_k=3).wire(), 1.0))
-    assert end.core.malformed == 0
+    assert end.core.state.record.session.id is None

@@ -3,11 +3,14 @@
 import pytest
 
 from protocol.link.distiller import NO_ROWS, BlockEnded, Distiller
+from protocol.link.records import KeyRecord
 from protocol.messages import Measurement
 from protocol.secret.blocks import ClosedBlock, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extracted
+from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
+from protocol.secret.stream import Keys
 from runtime.chance import fresh_nonce
 
 S = "1" * 16
@@ -21,7 +24,7 @@ def row(j: int, *, lost: bool = False) -> Contribution:
 
 def begun(until: int, **more: bool) -> Distiller:
     keys = Distiller(SCHEDULE, 2, fresh_nonce)
-    keys.begin(S, rows=[row(j, **more) for j in range(1, until)])
+    keys.resume(S, KeyRecord(), rows=[row(j, **more) for j in range(1, until)])
     return keys
 
 
@@ -41,23 +44,23 @@ def test_equal_tags_give_the_keys_once() -> None:
     keys = begun(4)
     block = extracted(closed(keys))
     keys.extracted(block)
-    keys.heard(said(block.tag))
-    keys.heard(said(block.tag))
+    keys.compare(said(block.tag))
+    keys.compare(said(block.tag))
     assert keys.ended() == (BlockEnded(S, 0, "confirmed", len(block.keys)),)
     rows = keys.rows()
-    assert len(rows.parts) == len(block.keys)
-    assert keys.stream.left == sum(len(part.digits) for part in rows.parts)
-    assert keys.rows().parts == ()
+    assert rows.keys == (Keys(0, 0, b"".join(block.keys)),)
+    assert keys.stream.left == sum(len(digits(key, 2)) for key in block.keys)
+    assert keys.rows().keys == ()
 
 
 def test_unequal_tags_give_no_key_whatever_comes_after() -> None:
     keys = begun(4)
     block = extracted(closed(keys))
     keys.extracted(block)
-    keys.heard(said("c" * 32))
-    keys.heard(said(block.tag))
+    keys.compare(said("c" * 32))
+    keys.compare(said(block.tag))
     assert keys.ended() == (BlockEnded(S, 0, "unequal"),)
-    assert (keys.stream.left, keys.made, keys.rows().parts) == (0, 0, ())
+    assert (keys.stream.left, keys.made, keys.rows().keys) == (0, 0, ())
 
 
 def test_a_block_that_lost_too_many_copies_is_not_extracted_and_its_rows_go() -> None:
@@ -82,5 +85,5 @@ def test_once_it_has_failed_no_block_is_extracted_announced_or_confirmed(early: 
     keys.fail("again")
     assert keys.broken == "refuted"
     assert keys.announcement() == (-1, keys.no_tag)
-    keys.heard(said(block.tag))
+    keys.compare(said(block.tag))
     assert keys.stream.left == 0

@@ -5,29 +5,21 @@ from typing import Any
 import pytest
 
 from protocol.agreement import AgreementResult
-from protocol.box_observer import Box
 from protocol.link.distiller import BlockEnded, Distiller
 from protocol.link.effects import Notice
 from protocol.link.events import (
     Alarm,
-    AttackBegan,
-    Event,
-    Interrupted,
-    Missed,
     Reason,
-    SessionBegan,
-    Timing,
     lines,
 )
-from protocol.link.key_events import Appearances, block_notices, extraction_done
-from protocol.link.session import CountedTransition, Truth
+from protocol.link.key_events import block_notices, extraction_done
+from protocol.link.session import CountedTransition
 from protocol.messages import SendCommand
 from protocol.secret.blocks import ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from runtime.chance import fresh_nonce
 
 S = "1" * 16
-STEP: dict[str, Any] = {"session": S, "k": 3, "x": (1.0,), "u": (2.0,), "x_next": (3.5,)}
 TRANSITION = CountedTransition(
     session=S,
     j=2,
@@ -64,62 +56,7 @@ TOLD = {
     "s": 2,
     "counts": 3,
 }
-CENTRES = ((3.0,), (5.0,))
-BOX = Box((0.5,), (1.5,))
 COMMAND = SendCommand(id="m1", payload=b"a")
-ATTACK = {"kind": "ghost", "at": "sensor", "onset": 7, "gain": 2.0}
-
-
-@pytest.mark.parametrize(
-    ("event", "line"),
-    [
-        (SessionBegan(None, "lost"), {"event": "session", "session": None, "reason": "lost"}),
-        (TRANSITION, TOLD),
-        (TRANSITION._replace(predictions=CENTRES), {**TOLD, "predictions": CENTRES}),
-        (TRANSITION._replace(coin=0, u=(2.0,)), {**TOLD, "coin": 0, "u": (2.0,)}),
-        (
-            TRANSITION._replace(verdict=TRANSITION.verdict._replace(box=BOX)),
-            {**TOLD, "box": BOX},
-        ),
-        (AttackBegan(ATTACK), {"event": "attack", **ATTACK}),
-        (Missed(**STEP), {"event": "missed", **STEP}),
-        (
-            Missed(**STEP, truth=Truth((7.0,), (8.0,), "it was killed")),
-            {
-                "event": "missed",
-                **STEP,
-                "true_x_next": (7.0,),
-                "true_u": (8.0,),
-                "attack_failed": "it was killed",
-            },
-        ),
-        (
-            Interrupted(**STEP),
-            {"event": "interrupted", **STEP, "candidates": (), "coin": -1},
-        ),
-        (
-            Timing(9, 5, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 1),
-            {
-                "event": "timing",
-                "k": 9,
-                "steps": 5,
-                "sampled_late_s": (0.1, 0.2, 0.3),
-                "actuated_after_s": (0.4, 0.5, 0.6),
-                "overruns": 1,
-            },
-        ),
-        (COMMAND, {"event": "sent", "id": "m1", "payload": "YQ=="}),
-        (Appearances(S, 4, 2), {"event": "appearances", "session": S, "k": 4, "times": 2}),
-        (
-            BlockEnded(S, 1, "confirmed", 5),
-            {"event": "block", "session": S, "number": 1, "what": "confirmed", "keys": 5},
-        ),
-    ],
-    ids=lambda value: type(value).__name__ if isinstance(value, tuple) else "",
-)
-def test_an_event_is_its_line(event: Event, line: dict[str, Any]) -> None:
-    assert event.as_event() == line
-    assert lines(event) == (line,)
 
 
 @pytest.mark.parametrize(
@@ -137,12 +74,6 @@ def test_a_transition_reports_on_the_frame_that_it_completed(
     completed = TRANSITION._replace(**what)
     assert lines(completed) == (TOLD, line)
     assert completed.shared == TRANSITION, "the report is that of one side"
-
-
-@pytest.mark.parametrize("at", ["sensor", "bus", "actuator"])
-def test_an_attack_is_told_with_its_kind_place_and_onset(at: str) -> None:
-    words = AttackBegan(ATTACK | {"at": at}).sentence().split()
-    assert {"ghost", at, "7"} <= set(words)
 
 
 @pytest.mark.parametrize(

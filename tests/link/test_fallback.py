@@ -39,11 +39,6 @@ def test_in_another_set_a_vector_is_made_shorter_and_no_shorter_than_needed(
         assert clipped[0] * u[0] + clipped[1] * u[1] > 0
 
 
-def test_of_another_number_of_inputs_nothing_is_applied() -> None:
-    with pytest.raises(ValueError, match="zip"):
-        clip((0.0,), BOX)
-
-
 GAIN = ((-4.0, -1.0, 0.5), (0.25, 2.0, -3.0))
 X = (1.0, 0.5, 3.0)
 
@@ -63,12 +58,6 @@ def test_three_kinds(
     """K x = (-4 - 0.5 + 1.5, 0.25 + 1 - 9); the input in force is applied as it is."""
     fallback = Fallback(kind, Gauge(half_widths=(width, width)), GAIN)
     assert fallback.input(X, (9.0, 7.0)) == expected
-
-
-def test_k_x_is_added_from_the_left() -> None:
-    fallback = Fallback("regulator", Gauge(half_widths=(9.0,)), ((0.1, 0.2, 0.3),))
-    assert fallback.input((1.0, 1.0, 1.0), (0.0,)) == ((0.1 + 0.2) + 0.3,)
-    assert (0.1 + 0.2) + 0.3 != 0.1 + (0.2 + 0.3)
 
 
 def test_a_scenarios_fallback_has_its_gain_and_its_u() -> None:

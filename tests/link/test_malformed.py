@@ -12,7 +12,7 @@ from protocol.link.session import CountedTransition
 from protocol.messages import ControllerHello, Measurement, Message, Offer, PlantHello, SendCommand
 from tests.campaigns.loop import rules_of
 from tests.support.mail import Mail
-from tests.support.two_ends import LineEnds, Name
+from tests.support.pair import LinePair, Name
 
 HEARS: dict[Name, tuple[type[Message], ...]] = {
     "controller": (Measurement, PlantHello, SendCommand),
@@ -47,7 +47,7 @@ def added(fields: dict[str, Any], _name: str, value: object) -> bytes:
     return json.dumps(fields | {str(value)[:9]: value}).encode()
 
 
-class UnderWay(LineEnds):
+class UnderWay(LinePair):
     """A link under way; ``said_of`` has the newest message of each kind."""
 
     def __init__(self) -> None:
@@ -56,7 +56,7 @@ class UnderWay(LineEnds):
         }
         self.carried = self._offers = 0
         super().__init__(rules_of("switched", keys=False), 0.1, (b"a",))
-        self.run(lambda: self.controller.record.transitions >= 2)
+        self.run(lambda: self.controller.state.record.link.transitions >= 2)
 
     def said(self, side: Name, message: Mail) -> None:
         """Note it, and send it."""
@@ -80,7 +80,7 @@ class UnderWay(LineEnds):
         before = self.carried
         self.well(0)
         for _ in range(AGAIN):
-            self.step()
+            self.next()
             if self.carried > before:
                 return True
         return False

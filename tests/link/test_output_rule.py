@@ -1,22 +1,18 @@
 """The test of a transition where one output alone is read: gauges, verdict, the box after it."""
 
-from dataclasses import replace
-
 import pytest
 
 from protocol.agreement import NO_SYMBOL
 from protocol.box_observer import Box, Estimate
-from protocol.link.events import Alarm
-from protocol.link.outputs import MOST_MISSED, OutputRule
-from protocol.link.records import ReceiverRecord
-from protocol.link.session import Truth, rules_of
-from protocol.messages import Measurement
+from protocol.link.effects import Tell
+from protocol.link.events import Event, Missed
+from protocol.link.outputs import OutputRule
+from protocol.link.session import rules_of
 from protocol.vectors import Vector
 from runtime.scenario_file import scenario_of
-from tests.support.asked import gathered
-from tests.support.controller_in_hand import ControllerInHand
-from tests.support.line_ends import line_rules
-from tests.support.plant_in_hand import PlantInHand
+from tests.support.recorded_pair import law_of
+from wyner.simulate.faults import Faults
+from wyner.simulate.network import Simulation
 
 BOX = Box((0.09995, -0.001), (0.10005, 0.001))
 """Where the state of the shipped motor lies: an angle, as it is read, and a speed."""
@@ -84,121 +80,56 @@ def test_a_transition_leaves_a_box_from_which_the_next_is_judged(rule: OutputRul
 
 # --- both ends with it ----------------------------------------------------------------------------
 
-S, A, P, NEW = "1" * 16, "a" * 16, "c" * 16, "9" * 16
-RULES = rules_of(scenario_of("encoder"))
+
+def test_both_ends_move_one_box_through_steps_that_are_made_and_missed() -> None:
+    """And a plant whose own state is known keeps it, which no reading tells."""
+    scenario, law = law_of("encoder")
+    world = Simulation(scenario, law, seed=3, faults=Faults(loss=0.3), step_s=0.02)
+    history = world.run(steps=300)
+    assert history.missed > 20
+    rule = rules_of(scenario).outputs
+    assert rule is not None
+    box: Estimate | None = None
+    k = -1
+    for at, t in history.plant.items():
+        expected = rule.box(box, t.k - k - 1, t.x)
+        assert t.verdict.box == expected
+        assert t.verdict == rule.judge(expected, t.candidates, t.x_next)
+        assert at not in history.controller or history.controller[at].verdict == t.verdict
+        box, k = t.verdict.estimate, t.k
+        assert t.truth is not None
+        assert box is not None
+        low, high = box.box
+        assert all(a <= v <= b for a, v, b in zip(low, t.truth.x_next, high, strict=True))
+    record = world.plant.state.record
+    assert record.link.estimate == box, "it stands until the next transition"
+    assert len(record.applied.true_x) == scenario.n
 
 
-class Pair:
-    """Both ends, on a plant that goes where it is told."""
-
-    def __init__(self) -> None:
-        self.asked: list[Vector] = []
-        self.controller = ControllerInHand(RULES, self.propose, A)
-        first = ReceiverRecord(session=S, k=0, x=(0.1,), u=(0.0,))
-        self.plant = PlantInHand(RULES, P, first)
-        self.meet()
-
-    def propose(self, x: Vector) -> tuple[Vector, ...]:
-        self.asked.append(x)
-        return tuple((0.4 * i / (RULES.size - 1) - 0.2,) for i in range(RULES.size))
-
-    def meet(self) -> None:
-        self.plant.heard_controller(self.controller.greeting(), NEW)
-        said = self.controller.heard_plant(self.plant.hello()).reply
-        assert said is not None
-        assert self.plant.heard_controller(said, NEW) == "accepted"
-
-    def step(self, rule: OutputRule, coin: int, off: float = 0.0) -> Estimate | None:
-        """A step that is read as its candidate's prediction says, and ``off`` beside that."""
-        record = self.plant.record
-        box = rule.box(record.estimate, record.k - record.applied_k - 1, record.x)
-        offer = self.controller.measured(self.plant.measurement()).offer
-        assert offer is not None
-        self.controller.finish_step()
-        assert self.controller.record.estimate == record.estimate
-        assert self.asked.pop() == box.centre, "the law is asked of the middle of the box"
-        (y,) = rule.observer.read(rule.predictions(box, offer.candidates)[coin])
-        transition = self.plant.applied(offer, coin, (y + off,))
-        expected = rule.judge(box, offer.candidates, (y + off,))
-        assert transition.verdict == expected
-        assert self.plant.record.estimate == expected.estimate
-        return expected.estimate
+def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with() -> None:
+    """Or, where it holds, under the input in force."""
+    scenario, law = law_of("encoder")
+    for kind in ("zero", "hold"):
+        link = scenario.link.model_copy(update={"fallback": kind})
+        own = scenario.model_copy(update={"link": link})
+        rule = rules_of(own).outputs
+        assert rule is not None
+        world = Simulation(own, law, seed=3, step_s=0.02)
+        world.run(steps=20)
+        record = world.plant.state.record
+        missed = [e for e in effects_of(world) if isinstance(e, Missed)]
+        u = record.applied.u
+        for number, told in enumerate(missed):
+            assert told.u == rule.instead(record.link.estimate, number, u)
+            u = told.u
+        assert len(missed) > 2
 
 
-def test_both_ends_move_one_box_through_steps_that_are_made_and_missed(rule: OutputRule) -> None:
-    pair = Pair()
-    assert pair.step(rule, 0) is not None
-    for missed in (0, 1, 3, MOST_MISSED + 1, 0):
-        for _ in range(missed):
-            pair.plant.missed((0.0,), pair.plant.record.x)
-        pair.step(rule, 1)
-    before = pair.plant.record.estimate
-    pair.step(rule, 0, off=NOWHERE)
-    assert pair.plant.record.estimate != before
-    pair.step(rule, 1)
-
-
-def test_a_model_misses_a_step_under_the_input_that_both_ends_reckon_with(
-    rule: OutputRule,
-) -> None:
-    pair = Pair()
-    pair.step(rule, 1)
-    estimate, u = pair.plant.record.estimate, pair.plant.record.u
-    for missed in range(3):
-        pair.plant.line.x_next = pair.plant.record.x
-        told = pair.plant.miss()
-        assert told.u == rule.instead(estimate, missed, u)
-        u = told.u
-    assert pair.plant.record.estimate == estimate, "it stands until the next transition"
-
-
-def test_a_model_that_holds_misses_a_step_under_the_input_in_force(rule: OutputRule) -> None:
-    held = replace(rule, fallback=replace(rule.fallback, kind="hold"))
-    record = ReceiverRecord(session=S, k=1, x=(0.1,), u=(0.125,))
-    plant = PlantInHand(replace(RULES, outputs=held), P, record)
-    plant.line.x_next = (0.1,)
-    assert plant.miss().u == (0.125,)
-
-
-def test_a_record_keeps_the_state_that_no_reading_tells(rule: OutputRule) -> None:
-    pair = Pair()
-    seen: list[Vector] = []
-    pair.plant.line.truth = Truth((0.5, -0.25), (0.0,))
-    pair.step(rule, 1)
-    seen.append(pair.plant.record.true_x)
-    for truth in (Truth((0.75, 0.125), (0.0,)), None):
-        pair.plant.line.truth = truth
-        pair.plant.missed((0.0,), pair.plant.record.x)
-        seen.append(pair.plant.record.true_x)
-    assert seen == [(0.5, -0.25), (0.75, 0.125), ()]
-    read = PlantInHand(line_rules(4.0, 5.0), P, ReceiverRecord(S, 1, (0.0,), (0.0,)))
-    read.line.truth = Truth((7.0,), (0.0,))
-    read.missed((0.0,), (1.0,))
-    assert read.record.true_x == (), "where all is read it stands in x"
-
-
-def test_a_session_begins_without_a_box(rule: OutputRule) -> None:
-    pair = Pair()
-    pair.step(rule, 1)
-    reported = pair.plant.measurement()
-    said = reported.model_copy(update={"x_after": ()}).wire()
-    gathered(pair.controller.core.receive(Measurement, said, 1.0))
-    pair.plant.heard_controller(pair.controller.greeting(), NEW)
-    unknown = pair.controller.heard_plant(pair.plant.hello()).reply
-    assert unknown is not None
-    assert pair.plant.heard_controller(unknown, NEW) == "ended"
-    assert (pair.plant.record.estimate, pair.controller.record.estimate) == (None, None)
-
-
-def test_an_alarm_says_what_would_have_been_read(rule: OutputRule) -> None:
-    pair = Pair()
-    record = pair.plant.record
-    box = rule.box(None, 0, record.x)
-    pair.step(rule, 1, off=NOWHERE)
-    asked = gathered(
-        pair.controller.core.receive(Measurement, pair.plant.measurement().wire(), 1e6)
-    )
-    (alarm,) = [event for event in asked.events if isinstance(event, Alarm)]
-    predictions = rule.predictions(box, pair.propose(record.x))
-    assert alarm.expected == rule.observer.read(predictions[alarm.candidate])
-    assert alarm.reading == pair.plant.record.x
+def effects_of(world: Simulation) -> list[Event]:
+    """What the plant traces once its controller is silent."""
+    told: list[Event] = []
+    now = world.now_s
+    while len(told) < 4:
+        now = max(now, world.plant.wake_at())
+        told += [e.event for e in world.plant.wake(now) if isinstance(e, Tell)]
+    return told

@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
+from protocol.link.pacing import LOCKSTEP_REPEAT_S, Pacing, next_turn
 
 
 def running(now_s: float = 0.0, step_s: float | None = 1.0) -> Pacing:
@@ -19,16 +19,6 @@ def test_a_step_without_an_offer_is_missed_at_its_deadline_and_not_before() -> N
     assert pacing.tick(0.999, running=True) == "nothing"
     assert pacing.tick(1.0, running=True) == "missed"
     assert pacing.tick(1.0, running=True) == "nothing"
-
-
-def test_a_step_whose_offer_was_applied_ends_at_the_tick() -> None:
-    pacing = running()
-    pacing.applied()
-    assert not pacing.measurement_due(0.9)
-    assert pacing.tick(0.9, running=True) == "nothing"
-    assert pacing.tick(1.0, running=True) == "ended"
-    assert not pacing.waiting
-    assert pacing.measurement_due(1.0)
 
 
 def test_ticks_that_a_stall_swallowed_are_not_made_up_for() -> None:
@@ -118,24 +108,6 @@ def test_in_a_fleet_ticks_keep_their_phase_whatever_happens(phase: float) -> Non
         assert pacing.due_at(running=True, measuring=False) > now
 
 
-def test_who_was_due_together_after_a_stall_is_spread_again_at_the_next_turn() -> None:
-    phases = [phase_of(f"loop-{i:04}") for i in range(200)]
-    stalled_until = 7.3
-    turns = sorted(next_turn(stalled_until, 1.0, phase) for phase in phases)
-    assert stalled_until < turns[0]
-    assert turns[-1] <= stalled_until + 1.0
-    in_a_tenth = [
-        sum(0.1 * i <= t - stalled_until < 0.1 * (i + 1) for t in turns) for i in range(10)
-    ]
-    assert max(in_a_tenth) < 40
-    assert next_turn(turns[3], 1.0, phases[0]) > turns[3]
-
-
-def test_a_turn_that_is_now_is_not_its_own_next() -> None:
-    assert next_turn(2.25, 1.0, 0.25) == 3.25
-    assert next_turn(2.0, 0.05, 0.0) > 2.0
-
-
 def test_what_a_stall_did_is_measured() -> None:
     """Seconds by which the last tick was late, and how many whole steps went by in all."""
     pacing = running()
@@ -153,19 +125,6 @@ def test_a_tick_noticed_a_whole_step_late_has_swallowed_one() -> None:
     assert pacing.due_at(running=True, measuring=False) == 3.0
 
 
-def test_the_time_within_a_step_counts_from_its_tick() -> None:
-    pacing = running(5.0, 2.0)
-    assert pacing.timed
-    assert pacing.step_s == 2.0
-    assert pacing.since_tick_s(5.5) == 0.5
-    pacing.tick(7.5, running=True)
-    assert pacing.since_tick_s(8.0) == 1.0
-    lockstep = running(5.0, None)
-    assert not lockstep.timed
-    assert lockstep.step_s is None
-    assert lockstep.since_tick_s(8.0) == 0.0
-
-
 def test_the_first_measurement_is_due_at_once_and_not_before() -> None:
     pacing = running(5.0)
     assert pacing.due_at(running=True, measuring=True) == 5.0
@@ -179,31 +138,12 @@ def test_the_first_measurement_is_due_at_once_and_not_before() -> None:
     assert pacing.due_at(running=False, measuring=True) == inf
 
 
-def test_in_lock_step_an_offer_asks_for_the_next_measurement_whatever_the_clock_says() -> None:
-    pacing = running(0.0, None)
-    assert pacing.measurement_due(0.0)
-    pacing.applied()
-    assert pacing.measurement_due(0.0)
-
-
-def test_in_lock_step_a_late_answer_does_not_stop_the_repeats() -> None:
-    pacing = running(0.0, None)
-    pacing.answered_late()
-    assert pacing.measurement_due(0.0)
-    assert pacing.measurement_due(LOCKSTEP_REPEAT_S)
-
-
 @given(st.floats(0, 1e6), st.floats(0.01, 10), st.floats(0, 1, exclude_max=True))
 def test_a_turn_comes_within_a_step(now: float, step_s: float, phase: float) -> None:
     turn = next_turn(now, step_s, phase)
     assert now < turn <= now + step_s * (1 + 1e-9) + 1e-9
     off = (turn - phase * step_s) / step_s
     assert abs(off - round(off)) * step_s < 1e-8
-
-
-def test_phases_stay_what_they_were() -> None:
-    """A fleet's plants tick together with those that another process runs."""
-    assert phase_of("loop-0001") == 0x40C02589 / 2**32
 
 
 def test_a_repeat_that_would_come_as_late_as_half_an_interval_before_the_tick_is_not_made() -> None:
@@ -221,32 +161,3 @@ def test_repeats_in_lock_step_come_at_an_interval_of_their_own() -> None:
         assert now == pytest.approx(2.0 + i * LOCKSTEP_REPEAT_S)
         assert pacing.measurement_due(now)
     assert pacing.deadline == 2.0
-
-
-def test_nothing_is_measured_between_an_offer_and_its_tick() -> None:
-    pacing = running()
-    pacing.applied()
-    assert pacing.due_at(running=True, measuring=True) == 1.0
-    assert pacing.tick(1.0, running=True) == "ended"
-    assert pacing.due_at(running=True, measuring=True) == 1.0
-    assert pacing.measurement_due(1.0)
-    assert pacing.due_at(running=True, measuring=True) == 1.25
-
-
-def test_a_fleets_first_step_is_longer_by_up_to_one() -> None:
-    pacing = Pacing(1.0, 4, 0.0, 0.25)
-    pacing.tick(3.0, running=False)
-    assert pacing.deadline == 4.25
-    assert pacing.tick(4.2, running=True) == "nothing"
-    assert pacing.tick(4.25, running=True) == "missed"
-    assert pacing.deadline == 5.25
-    assert pacing.tick(6.25, running=True) == "missed"
-    assert pacing.deadline == 8.25, "a step was swallowed"
-
-
-def test_a_turn_follows_now_even_where_it_falls_on_it() -> None:
-    assert next_turn(1.0, 0.5, 0.0) == 1.5
-    assert next_turn(1.25, 0.5, 0.0) == 1.5
-    assert next_turn(1.25, 0.5, 0.5) == 1.75
-    assert next_turn(0.0, 0.5, 0.5) == 0.25
-    assert phase_of("") == 0.0

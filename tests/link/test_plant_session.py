@@ -6,16 +6,16 @@ from protocol.link.plant_session import (
     TABLE,
     TO_ANYONE,
     WORKING,
+    event_of,
     first_state,
-    heard,
 )
-from protocol.link.records import ReceiverRecord
 from protocol.messages import ControllerHello
+from tests.support.records import changed, plant_record
 
 S, T = "1" * 16, "2" * 16
 A, B, P, Q = (letter * 16 for letter in "abcd")
 OURS, OTHER = "e" * 64, "f" * 64
-RECORD = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.0,), controller=A, incarnation=2)
+RECORD = plant_record(session=S, k=3, x=(0.0,), u=(0.0,), controller=A, incarnation=2)
 
 
 def test_only_who_was_asked_and_accepts_is_worked_with() -> None:
@@ -34,8 +34,8 @@ def test_a_session_begins_only_where_nobody_works_in_it_or_its_controller_says_s
 
 
 def test_a_plant_begins_where_its_record_stands() -> None:
-    assert first_state(RECORD) == "looking"
-    assert first_state(RECORD._replace(transitions=1)) == "returned"
+    assert first_state(RECORD.link) == "looking"
+    assert first_state(RECORD.link._replace(transitions=1)) == "returned"
 
 
 @pytest.mark.parametrize("transitions", [0, 5])
@@ -63,10 +63,10 @@ def test_a_hello_has_one_name(fields: dict[str, object], name: str, transitions:
     hello = ControllerHello(
         instance=A, incarnation=2, fingerprint=OURS, verdict="greeting", session=S
     ).model_copy(update=fields)
-    record = RECORD._replace(transitions=transitions)
+    record = changed(RECORD, transitions=transitions)
     if name == "greeting in another" and not transitions:
         name = "greeting, session unused"
-    told = heard(hello, record, instance=P, fingerprint=OURS, asked=A, met=True)
+    told = event_of(hello, record, instance=P, fingerprint=OURS, asked=A, met=True)
     assert told == name
 
 
@@ -77,13 +77,13 @@ def test_whose_session_it_is_decides_whether_another_begins_anew() -> None:
         (B, "greeting in another"),
         (A, "greeting, session unused"),
     ):
-        record = RECORD._replace(controller=promised)
-        told = heard(hello, record, instance=P, fingerprint=OURS, asked=None, met=False)
+        record = changed(RECORD, controller=promised)
+        told = event_of(hello, record, instance=P, fingerprint=OURS, asked=None, met=False)
         assert told == name
 
 
 def test_another_model_is_the_end_for_who_never_met_one_of_its_own() -> None:
     hello = ControllerHello(instance=B, incarnation=1, fingerprint=OTHER, verdict="greeting")
-    told = heard(hello, RECORD, instance=P, fingerprint=OURS, asked=None, met=False)
+    told = event_of(hello, RECORD, instance=P, fingerprint=OURS, asked=None, met=False)
     assert told == "another model, never met"
     assert TABLE["looking", told] == ("give up", "refused")

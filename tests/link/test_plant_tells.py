@@ -2,34 +2,30 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from math import inf, nan
+from math import inf
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
 
 from plant_service.adapters.base import PlantError
 from plant_service.core import PlantCore
-from plant_service.status import TAIL_AT_LEAST, PlantTelemetry
+from plant_service.status import PlantTelemetry
 from plant_service.watchdog import FAREWELL_S, MEETING_S
 from protocol.link.distiller import BlockEnded
 from protocol.link.effects import Notice, Save
 from protocol.link.events import (
     FELL_BACK,
-    NEW_JOURNAL,
-    AttackBegan,
     Interrupted,
     Missed,
     PowerFailed,
     SessionBegan,
     Timing,
 )
-from protocol.link.incoming import SYMBOLS_AT_ONCE, hex_digits
+from protocol.link.incoming import hex_digits
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
-from protocol.link.plant_session import HELLO_S
-from protocol.link.records import Loaded, ReceiverRecord
-from protocol.link.session import SILENCE_S, CountedTransition, Rules, Truth
+from protocol.link.records import Loaded, PlantRecord
+from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.link.step import IDLE, Begun, Read, Step
 from protocol.messages import (
     ControllerHello,
@@ -47,21 +43,22 @@ from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part, Position
+from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part, Position
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import DONE, USAGE
 from tests.support.asked import NOTHING, Asked, gathered, turns
-from tests.support.end_in_hand import EndInHand, fields
-from tests.support.line_ends import line_rules
+from tests.support.end_in_hand import EndInHand, fields, status_of
+from tests.support.line import line_rules
+from tests.support.records import changed, plant_record
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 KEYS = replace(RULES, schedule=Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4))
 COIN = replace(KEYS, keyed=True)
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
-A, B, P = "a" * 16, "b" * 16, "c" * 16
+A, P = "a" * 16, "c" * 16
 CANDIDATES = ((1.5,), (-1.5,))
-RECORD = ReceiverRecord(session=S, k=3, x=(0.0,), u=(0.25,), transitions=2, controller=A)
+RECORD = plant_record(session=S, k=3, x=(0.0,), u=(0.25,), transitions=2, controller=A)
 OFFER = Offer(session=S, k=3, candidates=CANDIDATES, cipher=0)
 NONCE = fresh_nonce()
 TRUTH = Truth((7.0,), (8.0,))
@@ -111,13 +108,13 @@ class Told(EndInHand[PlantCore]):
     def __init__(
         self,
         rules: Rules = RULES,
-        record: ReceiverRecord = RECORD,
+        record: PlantRecord = RECORD,
         *,
         machine: Machine | None = None,
         step_s: float | None = 1.0,
         step: Step = IDLE,
         contributions: Sequence[Contribution] = (),
-        parts: Sequence[Part] = (),
+        held: Held = NOTHING_HELD,
         symbols: str = "",
         fresh: bool = False,
         fell_back: bool = False,
@@ -125,9 +122,7 @@ class Told(EndInHand[PlantCore]):
     ) -> None:
         self.machine = machine or Machine()
         coin: Any = self.machine
-        loaded = Loaded(
-            record, step, tuple(contributions), tuple(parts), symbols, fell_back=fell_back
-        )
+        loaded = Loaded(record, step, tuple(contributions), held, symbols, fell_back=fell_back)
         super().__init__(
             PlantCore(
                 rules,
@@ -156,7 +151,7 @@ class Told(EndInHand[PlantCore]):
         self.does(self.core.start(now))
         self.hears(hello(), now)
         self.hears(hello(verdict="accepted", answers=P), now)
-        assert self.core.accepted
+        assert self.core.state.session.accepted
         self.all.clear()
         self.machine.asked.clear()
         return self
@@ -184,25 +179,10 @@ def published(actions: Asked, kind: type[Message]) -> list[Any]:
 
 @pytest.fixture
 def news(sustained: Scenario) -> PlantTelemetry:
-    return PlantTelemetry(sustained, "realtime", seeded=False, status_s=0.25)
+    return PlantTelemetry.of(sustained, "realtime", seeded=False, status_s=0.25)
 
 
 # --- how a life begins ----------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("fresh", [True, False])
-@pytest.mark.parametrize("attack", [None, AttackBegan({"kind": "ghost"})])
-def test_the_first_actions_say_which_session_it_is_and_save_a_new_one(
-    fresh: bool, attack: AttackBegan | None
-) -> None:
-    end = Told(fresh=fresh, attack=attack)
-    began = gathered(end.core.start(0.0))
-    (session, *others) = began.events
-    assert isinstance(session, SessionBegan)
-    assert session.session == S
-    assert (session.reason == NEW_JOURNAL) == fresh
-    assert others == ([] if attack is None else [attack])
-    assert began == Asked(began.events, Save(end.core.record) if fresh else None)
 
 
 REPORT = Measurement(session=S, k=4, x=(1.5,), applied_k=3, x_after=(1.5,))
@@ -217,64 +197,17 @@ def test_a_step_of_the_journal_is_counted_with_what_it_came_to() -> None:
     assert isinstance(began, SessionBegan)
     assert isinstance(counted, CountedTransition)
     assert (counted.coin, counted.u, counted.truth, counted.x_next) == (0, (1.5,), TRUTH, (1.5,))
-    assert end.core.record.k == 4
-    assert end.core.measured_k == -1
-
-
-@pytest.mark.parametrize("of", ["", S, T])
-def test_the_step_in_which_a_process_died_is_missed_and_told(of: str) -> None:
-    """Once: another life would count it again. Its session may have ended since."""
-    known = bool(of)
-    machine = Machine(acts=True, device=True)
-    machine.truth = TRUTH
-    step = Begun(offer(session=of), 1) if known else IDLE
-    end = Told(machine=machine, step=step, back=(9.0,))
-    began = gathered(end.core.start(0.0))
-    assert [type(e) for e in began.events] == [SessionBegan, Interrupted]
-    assert began.events[1] == Interrupted(
-        session=S,
-        k=3,
-        x=(0.0,),
-        u=(-1.5,) if known else (0.25,),
-        x_next=(9.0,),
-        candidates=CANDIDATES if known else (),
-        coin=1 if known else -1,
-        truth=TRUTH,
-    )
-    assert began.save == Save(end.core.record)
-    record = end.core.record
-    assert (record.k, record.x, record.missed, record.transitions) == (4, (9.0,), 1, 2)
-    assert record.u == machine.fallback, "the fallback is in force"
-    assert machine.asked == [
-        ("fall back", (9.0,), (-1.5,) if known else (0.25,)),
-        ("begin", 4, (9.0,), machine.fallback),
-    ]
-
-
-def test_a_step_that_was_counted_first_comes_before_the_one_that_was_missed() -> None:
-    machine = Machine(acts=True, device=True)
-    end = Told(machine=machine, step=Read(OFFER, 0, REPORT), back=(9.0,))
-    end.does(end.core.start(0.0))
-    (after,) = end.all
-    assert [type(e) for e in after.events] == [SessionBegan, CountedTransition, Interrupted]
-    interrupted = after.events[2]
-    assert isinstance(interrupted, Interrupted)
-    assert (interrupted.k, interrupted.x, interrupted.candidates) == (4, (1.5,), ())
-    assert after.record is not None
-    assert after.record == end.core.record
-    assert end.core.record.k == 5
-    end.machine.x_next = (2.0,)
-    gathered(end.core.receive(ControllerHello, hello().wire(), 1.0))
-    assert [type(e) for e in end.events] == [SessionBegan, CountedTransition, Interrupted]
+    assert end.core.state.record.link.k == 4
+    assert end.core.news.measured_k == -1
 
 
 def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew() -> None:
     end = Told(step=Read(OFFER, 0, REPORT), fell_back=True)
     end.does(end.core.start(0.0))
     last = end.all[-1]
-    assert last.save == Save(end.core.record)
+    assert last.save == Save(end.core.state.record)
     assert [type(m) for m in last.publish] == [PlantHello]
-    assert (end.core.record.session, end.core.record.k) == (NEW, 4)
+    assert (end.core.state.record.session.id, end.core.state.record.link.k) == (NEW, 4)
     failed, resumed, counted, began = end.events
     assert failed == PowerFailed()
     assert isinstance(counted, CountedTransition)
@@ -285,7 +218,7 @@ def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew
     dead.does(dead.core.start(0.0))
     told = [PowerFailed, SessionBegan, Interrupted, SessionBegan]
     assert [type(e) for e in dead.events] == told
-    assert dead.core.record.session == NEW
+    assert dead.core.state.record.session.id == NEW
 
 
 # --- when a status is due, and what it says -------------------------------------------------------
@@ -294,7 +227,7 @@ def test_a_plant_whose_machine_was_started_again_counts_its_step_and_begins_anew
 def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
     news: PlantTelemetry,
 ) -> None:
-    end = Told(telemetry=news, step_s=None)
+    end = Told(news=news, step_s=None)
     end.does(end.core.start(0.0))
     now, kept, models, last = 0.0, 0, [], -inf
     for number in range(12):
@@ -316,19 +249,11 @@ def test_statuses_come_at_turns_of_the_process_and_one_a_second_is_kept(
     assert models == [1, 0, 0, 0] * 3
 
 
-def test_without_telemetry_no_status_is_ever_due() -> None:
-    end = Told(step_s=None).met()
-    end.hears(OFFER, 0.0)
-    assert published(end.wakes(100.0), PlantStatus) == []
-    assert gathered(end.core.stop(101.0)) == Asked(save=Save(end.core.record))
-    with pytest.raises(AssertionError):
-        end.core.status(0.0)
-
-
 def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry) -> None:
     *symbols, _ = encode_frame(b"abc", 2)
     held = symbols[:40]
-    record = RECORD._replace(
+    record = changed(
+        RECORD,
         partial="".join(map(str, held)),
         state=(1, -1),
         transitions=60,
@@ -343,9 +268,9 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
         applied_k=2,
         x=(0.5,),
     )
-    end = Told(KEYS, record, telemetry=news).met()
+    end = Told(KEYS, record, news=news).met()
     gathered(end.core.receive(Offer, b"{", 0.0))
-    said = fields(end.core.status(0.0))
+    said = fields(status_of(end.core, 0.0))
     assert said == {
         "phase": "running",
         "detail": "",
@@ -368,7 +293,7 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
         "latency_counts": said["latency_counts"],
         "partial": said["partial"],
         "frame_symbols": 40,
-        "frame_length": end.core.frame.deframer.expected_length,
+        "frame_length": end.core.state.frame.deframer.expected_length,
         "frames_refused": 5,
         "outside": 0,
         "unexplained": 0,
@@ -407,18 +332,18 @@ def test_a_status_says_what_record_and_keys_and_counts_hold(news: PlantTelemetry
 def test_a_step_is_told_in_the_status_after_it(news: PlantTelemetry) -> None:
     machine = Machine()
     machine.truth = TRUTH
-    end = Told(telemetry=news, machine=machine).met()
+    end = Told(news=news, machine=machine).met()
     end.wakes(0.0)  # which publishes its measurement
-    before = fields(end.core.status(0.0))
+    before = fields(status_of(end.core, 0.0))
     end.hears(OFFER, 0.25)
     end.wakes(1.0)
-    after = fields(end.core.status(1.5))
+    after = fields(status_of(end.core, 1.5))
     assert after == before | {
         "k": 4,
         "x": (1.5,),
         "transitions": 3,
         "agreements": 1,
-        "automaton": end.core.record.state[0],
+        "automaton": end.core.state.record.link.state[0],
         "latency_counts": after["latency_counts"],
         "rate_hz": after["rate_hz"],
         "sampled_late_s": (0.0,) * 3,
@@ -434,7 +359,7 @@ def test_a_step_is_told_in_the_status_after_it(news: PlantTelemetry) -> None:
         "tail_x": ((0.0,),),
         "tail_role": ("test",),
         "tail_symbol": (0,),
-        "tail_automaton": (end.core.record.state[0],),
+        "tail_automaton": (end.core.state.record.link.state[0],),
         "tail_coin": (0,),
         "true_x": (7.0,),
         "tail_true_x": ((7.0,),),
@@ -446,8 +371,8 @@ def test_an_answer_is_timed_from_the_first_copy_of_its_measurement(
     news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seconds: list[float] = []
-    monkeypatch.setattr(news, "answered", seconds.append)
-    end = Told(telemetry=news).met()
+    monkeypatch.setattr(news, "took", seconds.append)
+    end = Told(news=news).met()
     end.hears(offer(k=3, session=T), 0.0)
     assert seconds == []
     end.wakes(0.0)
@@ -465,59 +390,34 @@ def test_an_answer_is_timed_from_the_first_copy_of_its_measurement(
 
 
 def test_an_offer_after_its_step_is_late_once(news: PlantTelemetry) -> None:
-    end = Told(telemetry=news).met()
+    end = Told(news=news).met()
     end.wakes(0.0)
     end.wakes(1.0)  # missed
-    assert end.core.record.missed == 1
-    assert end.core.status(0.0).late == 0
+    assert end.core.state.record.applied.missed == 1
+    assert status_of(end.core, 0.0).late == 0
     for _ in range(2):
         assert end.hears(OFFER, 1.1) == NOTHING
-        assert end.core.status(0.0).late == 1
+        assert status_of(end.core, 0.0).late == 1
     end.hears(offer(k=4), 1.2)
     end.wakes(2.0)
     for k in (3, 4):
         end.hears(offer(k=k), 2.1)  # its step was made, or it was told
-    assert end.core.status(0.0).late == 1
+    assert status_of(end.core, 0.0).late == 1
     end.wakes(3.0)
     end.hears(offer(k=5), 3.1)
     end.hears(offer(k=9), 3.1)  # of a step to come
-    assert end.core.status(0.0).late == 2
+    assert status_of(end.core, 0.0).late == 2
 
 
 # --- phases and notices ---------------------------------------------------------------------------
-
-
-def test_a_session_that_is_taken_up_is_told_once(news: PlantTelemetry) -> None:
-    end = Told(telemetry=news)
-    end.does(end.core.start(0.0))
-    assert end.core.status(0.0).phase == "greeting"
-    asks = end.hears(hello(), 0.0)
-    assert asks == Asked(save=Save(end.core.record), publish=asks.publish)
-    (asked,) = asks.publish
-    assert asked == PlantHello(
-        instance=P,
-        session=S,
-        controller=A,
-        incarnation=1,
-        fingerprint=RULES.fingerprint,
-        transitions=2,
-        applied_k=-1,
-    )
-    accepts = hello(verdict="accepted", answers=P)
-    (notice,) = end.hears(accepts, 0.0).notices
-    assert (notice.level, notice.subject) == ("info", "")
-    assert A in notice.text
-    assert S in notice.text
-    assert end.core.status(0.0).phase == "running"
-    assert end.hears(accepts, 0.1) == NOTHING
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
     known: bool, news: PlantTelemetry
 ) -> None:
-    record = RECORD._replace(transitions=3 if known else 0)
-    end = Told(record=record, telemetry=news)
+    record = changed(RECORD, transitions=3 if known else 0)
+    end = Told(record=record, news=news)
     end.does(end.core.start(0.0))
     answer = end.hears(hello(fingerprint="e" * 64), 0.0)
     (notice,) = answer.notices
@@ -526,14 +426,14 @@ def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
         assert [type(m) for m in answer.publish] == [PlantHello]
         assert "e" * 8 in notice.text
         assert "e" * 9 not in notice.text
-        assert not end.core.refused
+        assert end.core.state.session.state != "refused"
         silent = end.hears(hello(fingerprint="e" * 64, verdict="accepted"), 0.0)
         assert silent.publish == ()
         assert len(silent.notices) == 1
         return
     assert answer == Asked(notices=(notice,))
     assert (notice.level, notice.subject) == ("error", "")
-    status = end.core.status(0.0)
+    status = status_of(end.core, 0.0)
     assert (status.phase, bool(status.detail)) == ("refused", True)
     for text in (status.detail, notice.text):
         assert "e" * 8 in text
@@ -546,16 +446,6 @@ def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
     assert fields(gathered(end.core.stop(2.0)).publish[-1])["phase"] == "refused"
 
 
-def test_two_controllers_are_both_named() -> None:
-    end = Told().met()
-    answer = end.hears(hello(instance=B, session=None), 0.0)
-    (notice,) = answer.notices
-    assert (notice.level, notice.subject) == ("warning", "incompatible")
-    assert A in notice.text
-    assert B in notice.text
-    assert [m.controller for m in published(answer, PlantHello)] == [A]
-
-
 NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
     (lambda end: end.hears(hello(verdict="unknown-session", answers=P), 0.0), "warning"),
 ]
@@ -565,15 +455,15 @@ NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
 def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     ends: Callable[[Told], object], level: str, news: PlantTelemetry
 ) -> None:
-    record = RECORD._replace(partial="01", p=9, keyed=True, applied_k=1)
-    end = Told(record=record, telemetry=news).met()
+    record = changed(RECORD, partial="01", p=9, keyed=True, applied_k=1)
+    end = Told(record=record, news=news).met()
     ends(end)
     (actions,) = end.all
     (began,) = actions.events
     assert isinstance(began, SessionBegan)
     assert (began.session, bool(began.reason)) == (NEW, True)
-    assert actions.save == Save(end.core.record)
-    assert end.core.record == ReceiverRecord(
+    assert actions.save == Save(end.core.state.record)
+    assert end.core.state.record == plant_record(
         session=NEW,
         k=3,
         x=(0.0,),
@@ -588,16 +478,16 @@ def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
     assert (said.session, said.transitions, said.applied_k) == (NEW, 0, -1)
     assert [(n.level, n.subject) for n in actions.notices] == [(level, "")]
     assert NEW in actions.notices[0].text
-    status = end.core.status(0.0)
+    status = status_of(end.core, 0.0)
     assert (status.phase, status.sessions, status.frame_symbols) == ("greeting", 2, 0)
 
 
 def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
     end = Told().met()
-    record = end.core.record
+    record = end.core.state.record
     wrong: list[tuple[type[Message], bytes, str]] = [
         (Offer, b'{"session":1}', "offer"),
-        (ControllerHello, b'{"session":1}', "hello"),
+        (ControllerHello, b'{"session":1}', "management/controller/hello"),
         (Offer, offer(cipher=7).wire(), "offer.cipher"),
     ]
     for number, (kind, payload, name) in enumerate(wrong):
@@ -606,17 +496,7 @@ def test_what_is_malformed_is_a_warning_and_leaves_all_as_it_is() -> None:
         assert actions == Asked(notices=(notice,))
         assert (notice.level, notice.subject) == ("warning", "malformed")
         assert notice.text.split(":")[0] == name
-        assert (end.core.malformed, end.core.record) == (number + 1, record)
-
-
-def test_a_wrong_message_of_its_own_is_no_malformed_input() -> None:
-    """The plant has moved by then: what it reads is at fault, and not the offer."""
-    machine = Machine()
-    machine.x_next = (nan,)
-    end = Told(machine=machine, step_s=None).met()
-    with pytest.raises(ValidationError, match="x_after"):
-        gathered(end.core.receive(Offer, OFFER.wire(), 0.0))
-    assert end.core.malformed == 0
+        assert (end.core.malformed, end.core.state.record) == (number + 1, record)
 
 
 @pytest.mark.parametrize("malformed", [{"stream_block": 0}, {"stream_at": 3}])
@@ -636,36 +516,14 @@ def test_an_offer_that_names_digits_where_none_serve_is_malformed(
 # --- steps ----------------------------------------------------------------------------------------
 
 
-def test_a_model_is_moved_at_once_and_reports_at_the_tick() -> None:
-    end = Told().met()
-    before = end.core.record
-    assert end.hears(OFFER, 0.25).publish == ()
-    assert end.machine.asked == [
-        ("toss", 2),
-        ("begin", 3, (0.0,), (1.5,)),
-        ("end", 3),
-        ("prepare", 3),
-        ("prepare", 4),
-    ]
-    first, second = end.all
-    assert first.save is not None
-    assert isinstance(first.save.step, Read)
-    assert first.save.step.coin == 0
-    report = first.save.step.report
-    assert (report.k, report.applied_k) == (4, 3)
-    assert first.record == before, "the record before it"
-    assert not first.save.durable
-    assert second.save is None, "the next step saves what was counted"
-
-
 def test_a_plant_that_acts_saves_its_coin_before() -> None:
     machine = Machine(acts=True, device=True)
     machine.coin = 1
     end = Told(machine=machine).met()
     effects = iter(end.core.receive(Offer, OFFER.wire(), 0.25))
-    assert next(effects) == Save(end.core.record, Begun(OFFER, 1))
+    assert next(effects) == Save(end.core.state.record, Begun(OFFER, 1))
     assert machine.asked == [("toss", 2)]
-    assert end.core.under_way == OFFER
+    assert end.core.state.step == Begun(OFFER, 1)
     assert [*effects] == []
     assert machine.asked[1:] == [("begin", 3, (0.0,), (-1.5,))]
     over, counted = turns(end.core.wake(1.0))
@@ -676,7 +534,7 @@ def test_a_plant_that_acts_saves_its_coin_before() -> None:
     (transition,) = counted.events
     assert isinstance(transition, CountedTransition)
     assert (transition.coin, transition.u) == (1, (-1.5,))
-    assert end.core.under_way is None
+    assert end.core.state.record.link.k == 4
 
 
 @pytest.mark.parametrize("device", [False, True])
@@ -688,56 +546,12 @@ def test_a_missed_step_is_told_whole(device: bool) -> None:
     end.wakes(1.0)
     u = (0.25,) if device else machine.fallback
     assert end.events == [Missed(S, 3, (0.0,), u, (4.0,), TRUTH)]
-    record = end.core.record
-    assert (record.k, record.x, record.u) == (4, (4.0,), machine.fallback)
-    assert (record.missed, record.transitions, record.applied_k) == (1, 2, -1)
+    record = end.core.state.record
+    assert (record.link.k, record.link.x, record.applied.u) == (4, (4.0,), machine.fallback)
+    assert (record.applied.missed, record.link.transitions, record.link.applied_k) == (1, 2, -1)
     made = [("end", 3), ("fall back", (4.0,), (0.25,)), ("begin", 4, (4.0,), machine.fallback)]
     asked = [("fall back", (0.0,), (0.25,)), ("begin", 3, (0.0,), machine.fallback), ("end", 3)]
     assert machine.asked == (made if device else asked)
-
-
-def test_a_fallback_that_is_in_force_is_not_applied_once_more() -> None:
-    machine = Machine(acts=True, device=True)
-    machine.fallback = (0.25,)
-    end = Told(machine=machine).met()
-    end.wakes(1.0)
-    assert [what for what, *_ in machine.asked] == ["end", "fall back"]
-    dead = Told(machine=Machine(acts=True, device=True), step=Begun(OFFER, 0), back=(9.0,))
-    dead.machine.fallback = (1.5,)
-    dead.does(dead.core.start(0.0))
-    assert dead.machine.asked[-1][0] == "begin", "whether it is in force nobody knows"
-
-
-def test_a_step_whose_session_ended_meanwhile_is_interrupted() -> None:
-    machine = Machine(acts=True, device=True)
-    machine.coin, machine.x_next, machine.truth = 1, (4.0,), TRUTH
-    end = Told(machine=machine).met()
-    end.hears(OFFER, 0.25)
-    end.hears(hello(verdict="unknown-session", answers=P), 0.5)
-    assert end.all[-1].save == Save(end.core.record, Begun(OFFER, 1))
-    end.all.clear()
-    machine.asked.clear()
-    actions = gathered(end.core.wake(1.0))
-    told = Interrupted(NEW, 3, (0.0,), (-1.5,), (4.0,), CANDIDATES, 1, TRUTH)
-    assert actions.events == (told,)
-    assert actions.save == Save(end.core.record)
-    assert end.core.under_way is None
-    assert (end.core.record.missed, end.core.record.u) == (1, machine.fallback)
-    assert machine.asked == [
-        ("end", 3),
-        ("fall back", (4.0,), (-1.5,)),
-        ("begin", 4, (4.0,), machine.fallback),
-    ]
-
-
-def test_an_offer_is_applied_once_and_only_in_its_step() -> None:
-    machine = Machine(acts=True, device=True)
-    end = Told(machine=machine).met()
-    end.hears(OFFER, 0.25)
-    asked = list(machine.asked)
-    for strange in (OFFER, offer(k=4), offer(k=2), offer(session=T)):
-        assert end.hears(strange, 0.5) == NOTHING
-    assert machine.asked == asked
 
 
 @pytest.mark.parametrize("flipped", [0, 1])
@@ -745,8 +559,8 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
     flipped: int, news: PlantTelemetry
 ) -> None:
     *symbols, last = encode_frame(b"a", 2)
-    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)), p=len(symbols))
-    end = Told(record=record, telemetry=news).met()
+    record = changed(RECORD, state=(2, 0), partial="".join(map(str, symbols)), p=len(symbols))
+    end = Told(record=record, news=news).met()
     end.hears(offer(cipher=last ^ flipped), 0.25)
     step, counted = end.all[-2:]
     assert step.save is not None
@@ -764,99 +578,31 @@ def test_what_becomes_of_a_frame_is_told_after_its_transition(
         assert notice.level == "info"
         assert "3" in notice.text
         assert "1 bytes" in notice.text
-    assert counted.save == Save(end.core.record, received=received)
-    status = end.core.status(0.0)
+    assert counted.save == Save(end.core.state.record, received=received)
+    status = status_of(end.core, 0.0)
     assert (status.messages, status.frames_refused) == (1 - flipped, flipped)
     assert (status.last_message, status.message_k) == (("", -1) if flipped else ("a", 3))
-
-
-def test_a_promise_of_d_c_that_is_contradicted_is_a_warning_beside_all_else(
-    news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(news, "counted", lambda t: f"D_c does not hold since step {t.k}")
-    *symbols, last = encode_frame(b"a", 2)
-    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)))
-    for cipher, levels in ((last, ["info", "warning"]), (1 - last, ["error", "warning"])):
-        end = Told(record=record, telemetry=news).met()
-        end.hears(offer(cipher=cipher), 0.25)
-        counted = end.all[-1]
-        assert [n.level for n in counted.notices] == levels
-        assert counted.notices[-1] == Notice("D_c does not hold since step 3", "warning")
 
 
 # --- greetings, silence ---------------------------------------------------------------------------
 
 
-def test_hellos_come_so_often_until_somebody_answers() -> None:
-    end = Told()
-    end.does(end.core.start(0.0))
-    assert end.core.wake_at() == -inf
-    (first,) = end.wakes(0.0).publish
-    assert isinstance(first, PlantHello)
-    assert first.controller is None
-    assert end.core.wake_at() == HELLO_S
-    assert published(end.wakes(0.99 * HELLO_S), PlantHello) == []
-    assert len(published(end.wakes(HELLO_S), PlantHello)) == 1
-    end.hears(hello(), 2 * HELLO_S)
-    (asks,) = end.wakes(2 * HELLO_S).publish
-    assert isinstance(asks, PlantHello)
-    assert asks.controller == A
-
-
-def test_a_controller_that_is_silent_for_long_is_one_of_many_again() -> None:
-    end = Told(step_s=None).met()
-    assert end.core.wake_at() <= 0.0
-    end.wakes(0.0)
-    assert published(end.wakes(0.999 * SILENCE_S), PlantHello) == []
-    (said,) = published(end.wakes(SILENCE_S), PlantHello)
-    assert said.controller is None
-    assert published(end.wakes(SILENCE_S + 0.99 * HELLO_S), PlantHello) == []
-    assert len(published(end.wakes(SILENCE_S + HELLO_S), PlantHello)) == 1
-    end.hears(offer(), 2 * SILENCE_S)
-    assert published(end.wakes(2.9 * SILENCE_S), PlantHello) == [], "it was heard"
-
-
-@pytest.mark.parametrize(
-    ("said", "heard"),
-    [
-        (OFFER, True),
-        (offer(k=2), True),
-        (offer(session=T), False),
-        (hello(instance=B, session=None), False),
-    ],
-    ids=["its offer", "an old one", "another session's", "another's hello"],
-)
-def test_whoever_is_with_it_is_heard_by_whatever_it_says(said: Message, heard: bool) -> None:
-    end = Told(step_s=None).met()
-    end.hears(said, 1.0)
-    assert end.core.session.answered_at == (1.0 if heard else 0.0)
-
-
-def test_a_plant_that_waits_for_its_step_to_end_counts_no_silence() -> None:
-    machine = Machine(acts=True, device=True)
-    end = Told(machine=machine, step_s=5 * SILENCE_S).met()
-    end.hears(OFFER, 0.0)
-    assert end.core.wake_at() == 5 * SILENCE_S
-    assert end.wakes(4 * SILENCE_S) == NOTHING
-    assert end.core.session.answered_at == 4 * SILENCE_S
-
-
 def test_before_anybody_is_met_the_first_step_has_not_begun() -> None:
-    end = Told(record=RECORD._replace(k=0, transitions=0))
+    end = Told(record=changed(RECORD, k=0, transitions=0))
     end.does(end.core.start(0.0))
     end.wakes(3.5)
-    assert end.core.pacing.deadline == 4.5
+    assert end.core.state.pacing.deadline == 4.5
     end.hears(hello(), 5.0)
-    assert end.core.pacing.deadline == 6.0
+    assert end.core.state.pacing.deadline == 6.0
     end.hears(hello(verdict="accepted", answers=P), 5.5)
-    assert end.core.pacing.deadline == 6.5
+    assert end.core.state.pacing.deadline == 6.5
     assert end.core.wake_at() <= 5.5
     (said,) = published(end.wakes(5.5), Measurement)
     assert said.k == 0
     end.hears(offer(k=0), 5.75)
     assert end.core.wake_at() == 6.5
     end.wakes(6.5)
-    assert (end.core.record.k, end.core.record.missed) == (1, 0)
+    assert (end.core.state.record.link.k, end.core.state.record.applied.missed) == (1, 0)
 
 
 # --- the watchdog ---------------------------------------------------------------------------------
@@ -865,7 +611,7 @@ def test_before_anybody_is_met_the_first_step_has_not_begun() -> None:
 @pytest.mark.parametrize("moved", [True, False])
 def test_a_plant_without_offers_goes_to_its_safe_state(moved: bool) -> None:
     patience = 3.5 if moved else MEETING_S
-    end = Told(record=RECORD if moved else RECORD._replace(k=0), step_s=None, watchdog_s=3.5).met(
+    end = Told(record=RECORD if moved else changed(RECORD, k=0), step_s=None, watchdog_s=3.5).met(
         1.0
     )
     end.wakes(0.999 * (1.0 + patience))
@@ -885,32 +631,11 @@ def test_an_offer_that_is_applied_sets_the_watchdog_back() -> None:
         gathered(end.core.wake(5.0))
 
 
-def test_a_patient_watchdog_waits_no_shorter_for_the_first_meeting() -> None:
-    end = Told(record=RECORD._replace(k=0), step_s=None, watchdog_s=2 * MEETING_S).met()
-    end.wakes(1.9 * MEETING_S)
-    with pytest.raises(PlantError):
-        gathered(end.core.wake(2 * MEETING_S))
-
-
-def test_from_its_first_step_on_the_watchdog_has_its_own_time() -> None:
-    end = Told(record=RECORD._replace(k=0), watchdog_s=2.0).met()
-    end.wakes(1.0)
-    assert end.core.record.missed == 1
-    end.wakes(2.9)
-    with pytest.raises(PlantError):
-        gathered(end.core.wake(3.0))
-
-
-def test_without_a_watchdog_a_plant_waits_for_ever() -> None:
-    end = Told(step_s=None).met()
-    end.wakes(1e9)
-
-
 # --- the keyed coin -------------------------------------------------------------------------------
 
 DIGITS = digits(bytes(range(32)), 2)
-PART = Part(0, 0, 0, bytes(DIGITS))
-CONFIRMED = RECORD._replace(transitions=3, block=0, tag="a" * 32, confirmed=0)
+HELD = Held(Part(0, 0, bytes(DIGITS)))
+CONFIRMED = changed(RECORD, transitions=3, block=0, tag="a" * 32, confirmed=0)
 """Block 0 is confirmed, and its digits are held."""
 
 
@@ -922,7 +647,7 @@ def keyed(block: int, at: int, **fields: object) -> Offer:
 def test_a_measurement_says_whether_a_digit_chose_the_coin(named: bool) -> None:
     machine = Machine()
     machine.coin = 1 - DIGITS[0]
-    end = Told(COIN, CONFIRMED, machine=machine, parts=(PART,)).met()
+    end = Told(COIN, CONFIRMED, machine=machine, held=HELD).met()
     chosen = DIGITS[0] if named else 1 - DIGITS[0]
     machine.x_next = CANDIDATES[chosen]
     end.hears(keyed(*((0, 0) if named else (-1, 0))), 0.25)
@@ -930,31 +655,11 @@ def test_a_measurement_says_whether_a_digit_chose_the_coin(named: bool) -> None:
     assert isinstance(counted, CountedTransition)
     assert (counted.coin, counted.keyed) == (chosen, named)
     assert counted.digits == (Position(0, 0) if named else None)
-    assert end.core.record.keyed == named
+    assert end.core.state.record.applied.keyed == named
     (report,) = published(end.wakes(1.0), Measurement)
     assert report.keyed == named
     left = len(DIGITS) - named
-    assert end.core.keys.stream.left == left, "what has served is erased"
-
-
-def test_digits_that_have_served_serve_no_second_step() -> None:
-    end = Told(COIN, CONFIRMED, parts=(PART,)).met()
-    keyed_steps = []
-    for k, at in ((3, 4), (4, 4), (5, 2), (6, 5)):
-        end.hears(keyed(0, at, k=k), k - 2.75)
-        end.wakes(k - 2.0)
-        keyed_steps.append(end.core.record.keyed)
-    assert keyed_steps == [True, False, False, True]
-
-
-@pytest.mark.parametrize("served", [True, False])
-def test_a_process_goes_on_with_the_digits_of_the_step_under_way(served: bool) -> None:
-    report = REPORT.model_copy(update={"keyed": served, "block": 0, "tag": "a" * 32})
-    end = Told(COIN, CONFIRMED, step=Read(keyed(0, 0), 0, report), parts=(PART,))
-    end.does(end.core.start(0.0))
-    (counted,) = [e for a in end.all for e in a.events if isinstance(e, CountedTransition)]
-    assert counted.keyed == served
-    assert end.core.keys.stream.left == len(DIGITS) - served
+    assert end.core.state.keys.stream.left == left, "what has served is erased"
 
 
 # --- key blocks -----------------------------------------------------------------------------------
@@ -969,7 +674,7 @@ MADE = ExtractedBlock(S, 0, "a" * 32, (b"k" * 32, b"l" * 32))
 
 def keys_at_work(**more: Any) -> Told:
     """Block 0 is whole and extracted, and not confirmed."""
-    record = RECORD._replace(transitions=4, k=5)
+    record = changed(RECORD, transitions=4, k=5)
     end = Told(KEYS, record, contributions=rows(4), **more)
     end.does(end.core.start(0.0))
     end.hears(hello(), 0.0)
@@ -977,12 +682,6 @@ def keys_at_work(**more: Any) -> Told:
     assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
-
-
-def test_a_life_with_keys_asks_for_blocks_whose_rows_the_journal_has() -> None:
-    end = Told(KEYS, RECORD._replace(transitions=4), contributions=rows(4))
-    began = gathered(end.core.start(0.0))
-    assert [type(task).__name__ for task in began.tasks] == ["ClosedBlock"]
 
 
 @pytest.mark.parametrize("right", [True, False])
@@ -996,8 +695,8 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     if right:
         assert [n.level for n in counted.notices] == ["info"], "what the first keys rest on"
         assert counted.save is None
-        assert end.core.record.session == S
-        assert end.core.keys.stream.left == sum(len(digits(key, 2)) for key in MADE.keys)
+        assert end.core.state.record.session.id == S
+        assert end.core.state.keys.stream.left == sum(len(digits(key, 2)) for key in MADE.keys)
         return
     assert [type(e) for e in counted.events[1:]] == [CountedTransition]
     anew = end.all[-1]
@@ -1005,10 +704,10 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     notices = (*counted.notices, *anew.notices)
     assert [(n.level, n.subject) for n in notices] == [("error", "")] * 2
     assert NEW in notices[-1].text
-    assert end.core.record.session == NEW
-    assert anew.save == Save(end.core.record)
+    assert end.core.state.record.session.id == NEW
+    assert anew.save == Save(end.core.state.record)
     assert [type(m) for m in anew.publish] == [PlantHello]
-    assert end.core.keys.stream.left == 0
+    assert end.core.state.keys.stream.left == 0
 
 
 def test_rows_of_a_confirmed_block_go_with_the_step_that_announces_it_and_digits_stay() -> None:
@@ -1017,17 +716,17 @@ def test_rows_of_a_confirmed_block_go_with_the_step_that_announces_it_and_digits
     end.wakes(1.0)
     later = end.hears(offer(k=6, nonce=NONCE, block=0, tag="a" * 32), 1.25)
     rows = [one.saved.rows for one in (step, later)]
-    assert [part.number for one in rows for part in one.parts] == [0, 1], "once"
+    assert [one for row in rows for one in row.keys] == [Keys(0, 0, b"".join(MADE.keys))], "once"
     assert [gone for one in rows for gone in one.obsolete_rows] == [range(1, 3)]
 
 
 def test_blocks_are_counted_as_they_begin() -> None:
-    end = Told(KEYS, RECORD._replace(transitions=0, blocks_begun=3)).met()
+    end = Told(KEYS, changed(RECORD, transitions=0, blocks_begun=3)).met()
     begun = []
     for k in range(3, 11):
         end.hears(offer(k=k, nonce=NONCE), k - 2.75)
         end.wakes(k - 2.0)
-        begun.append(end.core.record.blocks_begun)
+        begun.append(end.core.state.record.keys.begun)
     assert begun == [3, 4, 4, 5, 5, 5, 5, 6], "blocks of 2 and 4, from the second transition on"
 
 
@@ -1036,64 +735,33 @@ def test_the_symbols_of_a_frame_under_way_are_read_back(size: int) -> None:
     frame = list(encode_frame(b"a message", size))[:5]
     partial = "".join(f"{symbol:0{hex_digits(size)}x}" for symbol in frame)
     rules = line_rules(alpha=4.0, largest_input=5.0, scheme=Switched(size))
-    end = Told(rules, RECORD._replace(partial=partial[-2:]), symbols=partial[:-2])
-    assert list(end.core.frame.deframer.symbols) == frame
+    end = Told(rules, changed(RECORD, partial=partial[-2:]), symbols=partial[:-2])
+    assert list(end.core.state.frame.deframer.symbols) == frame
     assert hex_digits(size) == len(f"{size - 1:x}")
 
 
-def test_a_session_that_ends_with_a_full_chunk_keeps_nothing_of_it() -> None:
-    *begun, last = encode_frame(b"x" * 99, 2)[:SYMBOLS_AT_ONCE]
-    record = RECORD._replace(
-        transitions=4, k=5, state=(2, 0), partial="".join(map(str, begun)), p=len(begun)
-    )
-    for tag in ("a" * 32, "c" * 32):
-        end = Told(KEYS, record, contributions=rows(4)).met()
-        end.does(end.core.extracted(MADE))
-        end.hears(offer(k=5, cipher=last, nonce=NONCE, block=0, tag=tag), 0.25)
-        counted = end.all[-1]
-        differs = tag[0] == "c"
-        assert (
-            len(counted.saved.symbols)
-            == end.core.record.stored
-            == (0 if differs else SYMBOLS_AT_ONCE)
-        )
-        assert counted.record == end.core.record
-        assert end.core.record.partial == ""
-
-
-def test_a_status_between_models_shows_the_newest_steps_alone(news: PlantTelemetry) -> None:
-    end = Told(telemetry=news, step_s=None).met()
-    for k in range(3, 15):
-        end.hears(offer(k=k), 0.0)
-    shown = [published(end.wakes(end.core.wake_at() + 0.2), PlantStatus) for _ in range(3)]
-    sizes = [len(status[0].tail_k) for status in shown if status]
-    assert sizes == [12, 12, TAIL_AT_LEAST]
-    assert len(end.core.status(9.0).tail_k) == 12, "who asks is shown all"
-    assert len(end.core.status(9.0, whole=False).tail_k) == TAIL_AT_LEAST
-
-
 def test_blocks_that_cannot_be_extracted_are_an_error(news: PlantTelemetry) -> None:
-    end = keys_at_work(telemetry=news)
+    end = keys_at_work(news=news)
     (notice,) = gathered(end.core.extracted(ExtractionFailed("no memory"))).notices
     assert (notice.level, notice.subject) == ("error", "")
     assert "no memory" in notice.text
-    assert end.core.status(0.0).keys_refused == "no memory"
+    assert status_of(end.core, 0.0).keys_refused == "no memory"
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone(news: PlantTelemetry) -> None:
-    end = keys_at_work(telemetry=news)
+    end = keys_at_work(news=news)
     for now, count, level in ((1.0, 3, "error"), (2.0, 1, "info")):
         actions = gathered(end.core.appear(count))
-        assert actions.events == (Appearances(S, end.core.record.k, count),)
+        assert actions.events == (Appearances(S, end.core.state.record.link.k, count),)
         (notice,) = actions.notices
         assert (notice.level, notice.subject) == (level, "appearances")
         assert f"{count} time" in notice.text
         assert gathered(end.core.appear(count)) == Asked(actions.events), "as often as before"
-        status = end.core.status(0.0)
+        status = status_of(end.core, 0.0)
         assert (status.appearances, bool(status.keys_stopped)) == (count, count > 1)
         (said,) = published(gathered(end.core.wake(now)), Measurement)
         assert said.copy_number == (count > 1)
-        assert (said.nonce == end.core.record.nonce) == (count == 1)
+        assert (said.nonce == end.core.state.record.link.nonce) == (count == 1)
 
 
 # --- the end --------------------------------------------------------------------------------------
@@ -1132,7 +800,7 @@ def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> N
 def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantTelemetry) -> None:
     machine = Machine()
     machine.closing = "the valve does not move"
-    end = Told(machine=machine, telemetry=news).met()
+    end = Told(machine=machine, news=news).met()
     end.wakes(0.5)  # which is no tick
     end.wakes(1.0)
     machine.asked.clear()
@@ -1145,13 +813,4 @@ def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantT
     assert isinstance(status, PlantStatus)
     assert (status.phase, status.k) == ("stopped", 4)
     assert stopped.health == status, "the last status is kept"
-    assert stopped.save == Save(end.core.record)
-
-
-def test_the_last_message_of_a_plant_that_is_over_is_told_as_stopped(news: PlantTelemetry) -> None:
-    *symbols, last = encode_frame(b"a", 2)
-    record = RECORD._replace(state=(2, 0), partial="".join(map(str, symbols)))
-    for steps, phase in ((4, "stopped"), (5, "running")):
-        end = Told(record=record, telemetry=news, steps=steps).met()
-        end.hears(offer(cipher=last), 0.25)
-        assert end.core.status(0.0).phase == phase
+    assert stopped.save == Save(end.core.state.record)

@@ -6,11 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.link.records import ReceiverRecord
+from protocol.link.effects import Notice
 from protocol.link.session import rules_of
 from protocol.messages import Offer
-from protocol.scenario import Scenario
-from tests.support.plant_in_hand import PlantInHand
 from tests.support.safety import violations
 from wyner.api import System, design, eavesdrop, run, vary
 from wyner.simulate.faults import Faults
@@ -75,11 +73,6 @@ def _first(system: System) -> dict[str, Any]:
     return next(iter(world.history.plant.values())).as_event()
 
 
-def receiver(scenario: Scenario) -> PlantInHand:
-    record = ReceiverRecord("1" * 16, 0, (0.1, 0.0), (0.0,))
-    return PlantInHand(rules_of(scenario), "2" * 16, record)
-
-
 @pytest.mark.parametrize(
     ("model", "predictions", "says"),
     [
@@ -91,12 +84,21 @@ def receiver(scenario: Scenario) -> PlantInHand:
 def test_predictions_of_another_kind_are_malformed(
     model: bool, predictions: Any, says: str, linear: System, nonlinear: System
 ) -> None:
-    end = receiver((nonlinear if model else linear).scenario)
+    system = nonlinear if model else linear
+    world = Simulation(system.scenario, system.law, seed=2)
+    world.run(steps=2)
+    record = world.plant.state.record
     offer = Offer(
-        session="1" * 16, k=0, candidates=((0.0,),) * 4, cipher=0, predictions=predictions
+        session=record.session.id,
+        k=record.link.k,
+        candidates=((0.0,),) * 4,
+        cipher=0,
+        predictions=predictions,
     )
-    with pytest.raises(ValueError, match=says):
-        end.check(offer)
+    (said,) = world.plant.receive(Offer, offer.wire(), world.now_s)
+    assert isinstance(said, Notice)
+    assert says in said.text
+    assert world.plant.state.record == record
 
 
 def test_eavesdroppers_hear_the_predictions(nonlinear: System) -> None:

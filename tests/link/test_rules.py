@@ -6,22 +6,14 @@ import pytest
 
 from protocol.agreement import AgreementResult, Gauge
 from protocol.box_observer import Box, Estimate
-from protocol.defence.alarm_rule import AT_ONCE
-from protocol.defence.watch import UNWATCHED
 from protocol.link.fallback import Fallback
-from protocol.link.outputs import MOST_MISSED, OUTSIDE, OutputRule
-from protocol.link.records import ReceiverRecord, SenderRecord
-from protocol.link.session import Counted, CountedTransition, Truth, rules_of
+from protocol.link.outputs import MOST_MISSED, OutputRule
+from protocol.link.session import rules_of
 from protocol.messages import Offer
-from protocol.schemes.base import Carry
-from protocol.schemes.pipelined import Pipelined
 from protocol.schemes.sealed import Sealed
 from protocol.schemes.switched import Switched
-from protocol.secret.nonces import Contribution
-from protocol.secret.stream import NOWHERE, Position
 from runtime.scenario_file import scenario_of
-from tests.support.line_ends import line_rules
-from wyner.api import vary
+from tests.support.line import line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=5.0)
 S = "1" * 16
@@ -89,12 +81,6 @@ def test_an_offer_takes_a_digit_for_the_coin_and_one_for_a_sealed_symbol() -> No
     assert [one.digits for one in rules] == [0, 1, 1, 2]
 
 
-def test_rules_of_a_line_promise_nothing_beside() -> None:
-    assert (RULES.size, RULES.keyed, RULES.halts, RULES.predicted) == (2, False, False, False)
-    assert (RULES.schedule, RULES.outputs) == (None, None)
-    assert (RULES.alarm_rule, RULES.watch, RULES.digits) == (AT_ONCE, UNWATCHED, 0)
-
-
 @pytest.mark.parametrize("name", ["sustained", "watched", "encoder", "pendulum", "motor"])
 def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
     s = scenario_of(name)
@@ -120,14 +106,6 @@ def test_the_rules_of_a_scenario_are_what_it_says(name: str) -> None:
         assert rules.outputs.apart == Gauge.from_rows(*s.defender.disturbance.rows())
 
 
-def test_some_scenario_has_each_rule() -> None:
-    assert rules_of(scenario_of("watched")).keyed
-    assert rules_of(scenario_of("encoder")).outputs is not None
-    assert not rules_of(scenario_of("sustained")).halts
-    halting = {"defence.on_alarm": "safe", "link.watchdog_s": 5.0}
-    assert rules_of(vary(scenario_of("watched"), halting)).halts
-
-
 # --- readings of some outputs ---------------------------------------------------------------------
 
 
@@ -149,32 +127,6 @@ def estimate(rule: OutputRule) -> Estimate:
     return found
 
 
-def test_over_missed_steps_the_box_is_predicted_with_the_fallbacks_input(rule: OutputRule) -> None:
-    at = estimate(rule)
-    box, inputs = at.box, at.inputs
-    for missed in range(3):
-        reading = rule.observer.read(box.centre)
-        assert rule.box(at, missed, reading) == (
-            box if missed == 0 else rule.observer.met(box, reading)
-        )
-        u = rule.fallback.input(box.centre, (9.0,))
-        assert rule.instead(at, missed, (9.0,)) == u
-        assert rule.fallback.kind != "hold"
-        inputs = (rule.fallback.input(box.centre, inputs[0]),)
-        box = rule.observer.moved(box, inputs)
-
-
-def test_a_plant_that_holds_is_predicted_under_the_inputs_that_may_be_in_force(
-    rule: OutputRule,
-) -> None:
-    held = replace(rule, fallback=replace(rule.fallback, kind="hold"))
-    at = Estimate(BOX, FAR)
-    moved = rule.observer.moved(rule.observer.moved(BOX, FAR), FAR)
-    reading = rule.observer.read(moved.centre)
-    assert held.box(at, 2, reading) == rule.observer.met(moved, reading)
-    assert held.instead(at, 2, (0.125,)) == (0.125,)
-
-
 def test_after_many_missed_steps_the_box_begins_anew(rule: OutputRule) -> None:
     at = estimate(rule)
     origin = rule.fallback.input((0.0,) * len(rule.observer.A), (0.125,))
@@ -188,129 +140,7 @@ def test_after_many_missed_steps_the_box_begins_anew(rule: OutputRule) -> None:
     assert rule.instead(at, MOST_MISSED - 1, (0.125,)) != origin
 
 
-def test_gauges_say_how_far_a_reading_lies_over_how_far_it_may(rule: OutputRule) -> None:
-    expected = [rule.observer.read(c) for c in rule.predictions(BOX, FAR)]
-    reach = rule.observer.reach(BOX)
-    for off in (0.0, 0.5, 0.99):
-        reading = tuple(v + off * r for v, r in zip(expected[1], reach, strict=True))
-        verdict = rule.judge(BOX, FAR, reading)
-        assert verdict.gauges[1] == pytest.approx(off, abs=1e-6)
-        assert verdict.symbol == 1
-        assert verdict.gauges[0] >= OUTSIDE
-        assert verdict.gauges[0] == pytest.approx(
-            max(abs(v - c) / r for v, c, r in zip(reading, expected[0], reach, strict=True))
-        )
-
-
-def test_candidates_that_lie_too_far_apart_agree_on_nothing(rule: OutputRule) -> None:
-    reading = rule.observer.read(rule.predictions(BOX, FAR)[0])
-    assert rule.judge(BOX, FAR, reading).symbol == 0
-    strict = replace(rule, alpha=1.0)
-    verdict = strict.judge(BOX, FAR, reading)
-    assert (verdict.symbol, verdict.inside, verdict.unexplained) == (-1, 1, False)
-    rules = rules_of(scenario_of("encoder"))
-    assert rules.judge((), FAR, (), reading, BOX) == rule.judge(BOX, FAR, reading)
-    offer = OFFER.model_copy(update={"candidates": FAR})
-    for candidate in (0, 1):
-        told = rules.prediction((), offer, candidate, BOX)
-        assert told == rule.observer.read(rule.predictions(BOX, FAR)[candidate])
-    assert rules.box(None, 0, reading) == rule.box(None, 0, reading)
-    assert rules.box(estimate(rule), 1, reading) == rule.box(estimate(rule), 1, reading)
-
-
 # --- a transition ---------------------------------------------------------------------------------
-
-VERDICT = AgreementResult((0.0, 3.0), 0, 1)
-ROW = Contribution(4, 1, b"n" * 32, None)
-
-
-@pytest.mark.parametrize("role", ["plant", "controller"])
-@pytest.mark.parametrize("carried", [True, False])
-@pytest.mark.parametrize("digits", [None, NOWHERE, Position(2, 5)])
-def test_a_transition_has_what_its_record_its_offer_and_its_verdict_say(
-    role: str, carried: bool, digits: Position | None
-) -> None:
-    state = Switched(2).restore((2, 1) if carried else (1, -1))
-    record: SenderRecord | ReceiverRecord
-    if role == "plant":
-        record = ReceiverRecord(S, 7, (2.0,), (0.0,), state=state, transitions=4, p=9)
-    else:
-        record = SenderRecord(session=S, k=7, x=(2.0,), state=state, transitions=4, p=9)
-    offer = OFFER.model_copy(
-        update={
-            "predictions": ((3.0,), (4.0,)),
-            "stream_block": None if digits is None else digits.block,
-            "stream_at": None if digits is None else digits.at,
-        }
-    )
-    named = digits if digits != NOWHERE else None
-    keyed = named is not None
-    truth = Truth((7.0,), (8.0,))
-    carry = Carry(0 if not carried else -1, 1 if carried else -1)
-    made = CountedTransition.of(
-        Switched(2),
-        record,
-        offer,
-        (3.5,),
-        Counted(VERDICT, (2, 0), carry, (1,) if keyed else ()),
-        1 if carried else -1,
-        ROW,
-        1,
-        (1.5,),
-        truth,
-        0,
-    )
-    assert made == CountedTransition(
-        session=S,
-        j=4,
-        k=7,
-        x=(2.0,),
-        candidates=CANDIDATES,
-        cipher=1,
-        x_next=(3.5,),
-        role="message" if carried else "test",
-        verdict=VERDICT,
-        symbol=carry.agreed,
-        key=carry.pad,
-        message_symbol=1 if carried else -1,
-        p=10 if carried else 9,
-        s=2,
-        tested=not carried,
-        counts=ROW.counts,
-        predictions=((3.0,), (4.0,)),
-        coin=1,
-        u=(1.5,),
-        truth=truth,
-        digits=named,
-        keyed=keyed,
-        expected=0,
-    )
-    assert made.shared == made._replace(coin=-1, u=(), truth=None, expected=-1)
-    told = made.as_event()
-    assert told["coin"] == 1
-    assert told["u"] == (1.5,)
-    assert told["expected"] == 0
-    assert (told["true_x_next"], told["true_u"]) == ((7.0,), (8.0,))
-    assert "attack_failed" not in told
-    assert (told.get("digits"), told.get("keyed")) == (named, keyed or None)
-    public = made.shared.as_event()
-    assert not {"coin", "u", "expected", "true_u", "true_x_next"} & set(public)
-    none = CountedTransition.of(
-        Pipelined(2), record, offer, (3.5,), Counted(VERDICT, (2, 0), carry, ()), 1, None
-    )
-    assert (none.counts, none.coin, none.u, none.truth, none.expected) == (0, -1, (), None, -1)
-    assert none.tested, "each transition is tested there"
-
-
-def test_a_truth_says_why_an_attack_is_over_where_it_is() -> None:
-    assert Truth((1.0,), (2.0,)).fields() == {"true_x_next": (1.0,), "true_u": (2.0,)}
-    failed = Truth((1.0,), (2.0,), "out of ideas").fields()
-    assert failed["attack_failed"] == "out of ideas"
-    assert set(failed) == {"true_x_next", "true_u", "attack_failed"}
 
 
 # --- what is saved -------------------------------------------------------------------------------
-
-
-def test_a_records_state_says_what_the_automaton_is_doing() -> None:
-    assert SenderRecord(state=(3, 1)).s == ReceiverRecord(S, 0, (), (), state=(3, 1)).s == 3

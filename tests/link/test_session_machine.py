@@ -18,15 +18,15 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, 
 
 from protocol.link.effects import Effects, Save
 from protocol.link.events import Event, SessionBegan
-from protocol.link.records import SenderRecord
+from protocol.link.records import ControllerRecord
 from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Offer, PlantHello
 from protocol.schemes.pipelined import Pipelined
 from runtime.perform import CrashPoint
-from tests.support.line_ends import disowned, line_rules
+from tests.support.line import disowned, line_rules
 from tests.support.mail import Mail, mail
+from tests.support.pair import MEMORY, LinePair, Name
 from tests.support.size import size
-from tests.support.two_ends import MEMORY, LineEnds, Name
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PIPELINED = line_rules(alpha=16.0, largest_input=1e9, scheme=Pipelined(5))
@@ -48,7 +48,7 @@ class Chosen:
         return self.next % size
 
 
-class Ends(LineEnds):
+class Ends(LinePair):
     """Ends of which is known what they counted, offered and received, whatever a journal forgets.
 
     Attributes
@@ -83,13 +83,13 @@ class Ends(LineEnds):
     def do(self, side: Name, act: Callable[[float], Effects]) -> None:
         super().do(side, act)
         if side == "plant":
-            assert not self.plant.refused
+            assert self.plant.state.session.state != "refused"
             return
-        record = self.ends[side].endpoint.record
-        assert isinstance(record, SenderRecord)
+        record = self.ends[side].endpoint.state.record
+        assert isinstance(record, ControllerRecord)
         for offer in self._offered:
             if offer == record.offer:
-                at = (offer.session, record.transitions)
+                at = (offer.session, record.link.transitions)
                 first = self._ciphers.setdefault(at, offer.cipher)
                 assert first == offer.cipher, "a transition was offered two cipher symbols"
         self._offered.clear()
@@ -124,7 +124,7 @@ class Ends(LineEnds):
             self.sent[event.session, event.j] = event.shared
             return
         t = event.shared
-        assert t.session == self.plant.record.session, "a step counts in another session"
+        assert t.session == self.plant.state.record.session.id, "a step counts in another session"
         assert self.got.setdefault((t.session, t.j), t) == t, "a transition was counted anew"
 
 
@@ -199,12 +199,12 @@ class Link(RuleBasedStateMachine):
         before = {side: bag[:] for side, bag in mail.items()}
         mail["plant"].clear()
         mail["controller"].clear()
-        if not ends.plant.accepted:
+        if not ends.plant.state.session.accepted:
             ends.now += 2.5
         for _ in range(30):
             if mail["plant"]:
                 before["plant"].append(mail["plant"].pop(0))
-                ends.line.coin = ends.plant.record.k % self.shared.size
+                ends.line.coin = ends.plant.state.record.link.k % self.shared.size
                 ends.line.d = 0.3
                 ends.hear("plant", before["plant"][-1])
             elif mail["controller"]:
@@ -235,7 +235,7 @@ class Link(RuleBasedStateMachine):
             self.ends.device.u = None  # what it was told is known to nobody any more
         self.ends.die(side)
 
-    @precondition(lambda self: self.ends.plant.session.controller is not None)
+    @precondition(lambda self: self.ends.plant.state.session.controller is not None)
     @rule(dies=st.sampled_from(DEATHS))
     def the_controller_knows_no_session(self, dies: CrashPoint | None) -> None:
         """As one does that was misled: whatever the plant is doing, its session is over."""

@@ -5,7 +5,7 @@ import random
 from protocol.messages import ControllerHello
 from tests.support.asked import gathered
 from tests.support.journals import plant_journal
-from tests.support.line_ends import line_plant, line_rules
+from tests.support.line import line_plant, line_rules
 
 RULES = line_rules(alpha=4.0, largest_input=1e9)
 PARTNER = "c" * 16
@@ -30,7 +30,7 @@ def test_a_plant_whose_partner_falls_silent_never_asks_for_the_same_instant_agai
             update={"verdict": "accepted", "session": "5" * 16, "answers": "b" * 16}
         )
         gathered(plant.receive(ControllerHello, accepted.wire(), now))
-        assert plant.accepted
+        assert plant.state.session.accepted
         until = now + 2.5
         while now < until:
             now = max(now, plant.wake_at())

@@ -8,7 +8,7 @@ import pytest
 from protocol.defence.alarm_rule import AT_ONCE, AlarmRule
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
-from tests.support.small_run import SCENARIOS
+from runtime.shipped import SCENARIOS
 
 
 def tables(name: str) -> dict[str, Any]:

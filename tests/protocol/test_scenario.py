@@ -2,8 +2,6 @@
 
 import json
 import pickle
-import subprocess
-import sys
 import tomllib
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -13,7 +11,6 @@ import pytest
 
 from protocol.scenario import LAWS, Control, Scenario, ScenarioError, ScenarioTable, parse_scenario
 from runtime.scenario_file import load_scenario
-from tests.support.patience import PATIENCE_S
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 SHIPPED = sorted(SCENARIOS.glob("*.toml"))
@@ -160,45 +157,6 @@ def test_a_law_reads_its_own_table(monkeypatch: pytest.MonkeyPatch) -> None:
         assert line.startswith('mine.toml: control.alphabet.spacing: got "wide", ')
 
 
-def test_a_table_of_another_law_is_one_line() -> None:
-    (line,) = problems(with_value("control.alphabet", {"spacing": 2.0}))
-    assert line.startswith("mine.toml: control.alphabet: got ")
-    assert "no such field" in line
-
-
-def test_who_reads_a_laws_table_loads_no_law() -> None:
-    """The plant's process: it loads nothing of the controller."""
-    code = (
-        "import json, sys\n"
-        "from protocol.scenario import parse_scenario\n"
-        "control = parse_scenario(json.loads(sys.argv[1]), 'mine.toml').control\n"
-        "assert not [name for name in sys.modules if name.startswith('controller_service')]\n"
-        "print(control.law, control.model_dump()['alphabet'])"
-    )
-    data = with_value("control.law", "packed") | {"description": ""}
-    data["control"]["alphabet"] = {"spacing": 3.0}
-    del data["control"]["costs"][0]
-    done = subprocess.run(
-        [sys.executable, "-c", code, json.dumps(data)],
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.stdout == "packed {'spacing': 3.0}\n", done.stderr
-
-
-def test_each_wrong_field_has_its_line() -> None:
-    data = paper()
-    data["plant"]["period_s"] = -1
-    data["control"]["horizon"] = "long"
-    data["secrecy"]["beta"] = 3
-    lines = problems(data)
-    assert len(lines) == 3
-    for path in ("plant.period_s", "control.horizon", "secrecy.beta"):
-        assert sum(line.startswith(f"mine.toml: {path}:") for line in lines) == 1
-
-
 def test_a_disturbance_that_may_leave_says_so() -> None:
     data = with_value("plant.disturbance.half_widths", [0.2, 0.2])
     data["plant"]["disturbance"]["may_leave_defender_set"] = True
@@ -279,13 +237,6 @@ def test_the_fingerprint_keeps_with_everything_else(path: str, value: object) ->
     assert changed(path, value).fingerprint() == parse_scenario(paper(), "").fingerprint()
 
 
-def test_more_candidates_are_another_fingerprint() -> None:
-    three = [{"next_state": 1.0}, {"input": 1.0}, {"next_state": 1.0, "input": 1.0}]
-    data = with_value("control.costs", three)
-    data["secrecy"]["candidates"] = 3
-    assert parse_scenario(data, "").fingerprint() != parse_scenario(paper(), "").fingerprint()
-
-
 @pytest.mark.parametrize(
     ("path", "value", "same"),
     [
@@ -344,20 +295,6 @@ def test_the_papers_constants() -> None:
     assert s.control.horizon == 250
     assert s.control.inputs.half_widths == (6.0,)
     assert [(c.next_state, c.input) for c in s.control.costs] == [(1.0, 0.0), (0.0, 1.0)]
-
-
-def test_the_sustained_scenario_is_the_papers_system_under_another_law() -> None:
-    papers = load_scenario(SCENARIOS / "paper.toml")
-    mine = load_scenario(SCENARIOS / "sustained.toml")
-    assert (papers.control.law, mine.control.law) == ("paper", "sustained")
-    assert mine.control.model_dump(exclude={"law"}) == papers.control.model_dump(exclude={"law"})
-    assert (mine.plant, mine.defender, mine.secrecy) == (
-        papers.plant,
-        papers.defender,
-        papers.secrecy,
-    )
-    assert mine.fingerprint() == papers.fingerprint()
-    assert mine.design_fingerprint() == papers.design_fingerprint()
 
 
 def test_keys_are_made_under_a_claim_that_is_stated() -> None:

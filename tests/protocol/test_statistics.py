@@ -61,19 +61,6 @@ def test_wilson_covers_at_its_confidence() -> None:
         assert 0.92 <= np.mean(inside) <= 0.985, p
 
 
-def test_the_bootstrap_is_near_the_normal_interval_and_the_same_twice() -> None:
-    rng = np.random.default_rng(2)
-    values = rng.poisson(7.0, size=2000)
-    histogram = {int(v): int((values == v).sum()) for v in np.unique(values)}
-    interval = mean_over_runs(histogram)
-    assert interval == mean_over_runs(dict(reversed(histogram.items())))
-    assert interval != mean_over_runs(histogram, seed=1)
-    assert interval.value == pytest.approx(values.mean())
-    normal = normal_mean(float(values.sum()), float((values**2).sum()), len(values))
-    assert interval.low == pytest.approx(normal.low, abs=0.01)
-    assert interval.high == pytest.approx(normal.high, abs=0.01)
-
-
 def test_the_bootstrap_covers_at_its_confidence() -> None:
     rng = np.random.default_rng(3)
     inside = 0
@@ -101,12 +88,6 @@ def test_runs_that_are_all_equal_or_few_have_no_interval_and_say_so() -> None:
     assert Interval(2.0, 1.0, 3.0).scaled(2.0) == (4.0, 2.0, 6.0)
     assert Interval(2.0, 1.0, 3.0).relative_width == 1.0
     assert Interval(0.25, 0.0, 0.5).complement() == (0.75, 0.5, 1.0)
-
-
-def test_normal_mean_of_known_values() -> None:
-    interval = normal_mean(15.0, 55.0, 5)  # 1 to 5: variance 5/2, Student's quantile 2.7764
-    assert interval.value == 3.0
-    assert interval.width == pytest.approx(2 * 2.7764451 * 0.5**0.5)
 
 
 def test_wrong_arguments_are_told() -> None:
@@ -149,21 +130,6 @@ def test_a_share_over_runs_covers_where_the_steps_of_a_run_depend(runs: int) -> 
     assert over_steps / DRAWS < 0.6  # what was shown before
 
 
-def test_one_trial_a_run_is_wilson_over_runs_and_so_is_a_share_without_any_spread() -> None:
-    assert share_over_runs([(1, 1)] * 7 + [(0, 1)] * 3) == wilson(7, 10)
-    assert share_over_runs([(200, 200)] * 20) == wilson(20, 20)
-    assert share_over_runs([(0, 200)] * 20 + [(0, 0)] * 5) == wilson(0, 20)
-
-
-def test_a_share_over_runs_is_the_same_twice_and_lies_around_its_estimate() -> None:
-    parts = [(100, 100)] * 5 + [(50, 100)] * 5
-    share = share_over_runs(parts)
-    assert share == share_over_runs(parts)
-    assert share.value == 0.75
-    assert share.low < 0.65
-    assert share.high > 0.85
-
-
 # --- looked at again and again --------------------------------------------------------------------
 
 
@@ -196,19 +162,6 @@ def test_the_alarm_of_a_blind_tap_looked_at_after_every_key_stays_below_its_prob
             1 + z2 / n
         )
         assert float((low > 0.5).any(axis=1).mean()) > 0.2
-
-
-def test_the_alarm_holds_where_each_guess_has_a_chance_of_its_own_that_is_no_better() -> None:
-    runs, keys, alpha = 10_000, 1000, 0.05
-    rng = np.random.default_rng(12)
-    fewest = first_alarm(alpha, 0.5, keys)[1:]
-    right = np.zeros((runs, keys), dtype=np.int64)
-    p = np.full(runs, 0.5)
-    for n in range(keys):
-        right[:, n] = rng.random(runs) < p
-        p = np.where(right[:, n] > 0, 0.5, 0.3)  # it depends on what came before
-    right = np.cumsum(right, axis=1)
-    assert float((right >= fewest).any(axis=1).mean()) < alpha
 
 
 def test_whoever_is_always_right_is_found_out_within_eight_keys() -> None:
@@ -252,28 +205,6 @@ def test_a_confidence_sequence_lies_around_its_estimate_in_the_unit_interval(
         assert interval.high <= wider.high
     else:
         assert math.isnan(interval.value)
-
-
-def test_a_mean_that_is_looked_at_until_its_interval_is_narrow_is_covered() -> None:
-    """The rule of ``[stop]``: doubling looks, and the first narrow interval is the one shown."""
-    rng = np.random.default_rng(14)
-    shown = dict.fromkeys(("sequence", "bootstrap"), 0)
-    tries = 400
-    for _ in range(tries):
-        values = rng.negative_binomial(1, 0.2, size=640)  # mean 4, skewed
-        for name, interval_of in (("sequence", mean_sequence), ("bootstrap", _quick)):
-            for runs in (10, 20, 40, 80, 160, 320, 640):
-                seen, counts = np.unique(values[:runs], return_counts=True)
-                interval = interval_of(dict(zip(seen.tolist(), counts.tolist(), strict=True)))
-                if interval.relative_width <= 0.8:
-                    break
-            shown[name] += interval.low <= 4.0 <= interval.high
-    assert shown["sequence"] / tries >= 0.95
-    assert shown["bootstrap"] < shown["sequence"]
-
-
-def _quick(histogram: dict[int, int]) -> Interval:
-    return mean_over_runs(histogram, resamples=500)
 
 
 # --- what guessing leaves -------------------------------------------------------------------------

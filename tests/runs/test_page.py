@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tests.support.patience import PATIENCE_S
-from tests.support.small_run import SmallRun
+from tests.support.recorded_pair import RecordedPair
 from wyner.cli.main import main
 from wyner.drawing.run import LONG, draw_keys, draw_over_time
 from wyner.drawing.style import drawing
@@ -47,10 +47,10 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def run_dir(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("report") / "run"
-    small = SmallRun(folder, (SECRET, HOSTILE.encode()))
+    small = RecordedPair(folder, SECRET, HOSTILE.encode())
     small.until_received(1)
     small.steps(20, {5: "offer lost"})
-    small.close()
+    small.stop()
     return folder
 
 

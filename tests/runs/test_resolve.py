@@ -7,7 +7,7 @@ import pytest
 
 from runtime.recording import TraceError
 from runtime.run_folder import PLANT_TRACE
-from tests.support.small_run import Fault, SmallRun
+from tests.support.recorded_pair import Fault, RecordedPair
 from tests.support.traces import Event, Resolved, read_trace
 from wyner.runs.run import Run, RunError
 
@@ -76,9 +76,9 @@ FAULTS: dict[str, dict[int, Fault]] = {
 def test_who_counts_and_who_checks_take_the_same_steps(
     tmp_path: Path, faults: dict[int, Fault]
 ) -> None:
-    run = SmallRun(tmp_path, (b"a", b"b"))
+    run = RecordedPair(tmp_path, b"a", b"b")
     run.steps(120, faults)
-    run.close()
+    run.stop()
     events = read_trace(tmp_path / PLANT_TRACE).events
     mine = [
         (e["event"], e["session"], e["k"])
@@ -93,9 +93,9 @@ def test_who_counts_and_who_checks_take_the_same_steps(
 
 
 def test_what_no_plant_wrote_is_one_line_that_names_the_trace(tmp_path: Path) -> None:
-    run = SmallRun(tmp_path)
+    run = RecordedPair(tmp_path, b"hi")
     run.steps(4)
-    run.close()
+    run.stop()
     whole = (tmp_path / PLANT_TRACE).read_bytes().splitlines(keepends=True)
     wrong = b'{"event":"transition","session":"1","k":1}\n'
     (tmp_path / PLANT_TRACE).write_bytes(b"".join([*whole[:3], wrong, *whole[3:]]))

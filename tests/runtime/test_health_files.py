@@ -14,6 +14,7 @@ from protocol.messages import ControllerStatus, Status
 from runtime.health import look_at_status, read_status
 from runtime.health_files import HealthFiles, HealthWriter
 from tests.link.test_controller_tells import Told
+from tests.support.end_in_hand import status_of
 from tests.support.patience import PATIENCE_S
 
 LOG = logging.getLogger("health files")
@@ -63,20 +64,6 @@ def test_nobody_waits_for_a_slow_disk_and_the_newest_status_counts(tmp_path: Pat
     assert (slow.written, other.written) == ([1, 999], [7])
 
 
-def test_a_writer_goes_on_whatever_becomes_of_a_status(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    free = threading.Event()
-    free.set()
-    writer = HealthWriter()
-    writer.put("a", OnDisk(tmp_path, free, RuntimeError("a fault of its own")), status(1))
-    good = OnDisk(tmp_path, free)
-    writer.put("b", good, status(2))
-    writer.close(30)
-    assert good.written == [2]
-    assert "a fault of its own" in caplog.text
-
-
 @pytest.mark.parametrize("fault", ["folder", "link", "full"])
 def test_a_status_that_cannot_be_written_is_logged_once_and_tried_again(
     tmp_path: Path,
@@ -115,13 +102,7 @@ def test_a_status_begins_with_its_health_and_is_read_without_it(
     tmp_path: Path,
 ) -> None:
     path = tmp_path / "status.json"
-    HealthFiles(path, LOG).write(Told().at_work().core.status(), 0.0)
+    HealthFiles(path, LOG).write(status_of(Told().at_work().core), 0.0)
     assert path.read_bytes().startswith(b'{"health":"ok: ')
     found = read_status(path, ControllerStatus)
     assert found.transitions == 2
-
-
-def test_a_writer_that_was_never_asked_starts_no_thread_and_ends() -> None:
-    before = set(threading.enumerate())
-    HealthWriter().close(30)
-    assert set(threading.enumerate()) <= before

@@ -11,8 +11,8 @@ import pytest
 
 from protocol.link.records import Side
 from runtime.errors import Failure
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.two_ends import SIDES
+from tests.support.pair import SIDES
+from tests.support.recorded_pair import RecordedPair
 
 MESSAGE = b"a"
 
@@ -28,7 +28,7 @@ def test_a_disk_that_fails_stops_an_end_and_it_goes_on_exactly_once(
     A ``short`` one writes half, as on a disk that has become full. One that is ``read-only`` is so
     under the files that are open.
     """
-    loop = RecordedLoop(tmp_path, MESSAGE, "keys")
+    loop = RecordedPair(tmp_path, MESSAGE, name="keys")
     loop.run(lambda: loop.transitions >= 3)
     place = str(tmp_path / side)
     writes = 0
@@ -71,7 +71,7 @@ def test_a_wall_clock_that_jumps_changes_nothing(
     draw = random.Random(0)
     monkeypatch.setattr(time, "time", lambda: draw.uniform(0, 2e9))
     monkeypatch.setattr(time, "time_ns", lambda: draw.randrange(2 * 10**18))
-    loop = RecordedLoop(tmp_path, MESSAGE, "keys")
+    loop = RecordedPair(tmp_path, MESSAGE, name="keys")
     loop.run(lambda: loop.delivered >= 1)
     assert loop.received == [MESSAGE]
     loop.stop()

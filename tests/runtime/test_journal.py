@@ -16,13 +16,14 @@ import pytest
 
 from protocol.link.distiller import KeyRows
 from protocol.link.effects import Save
-from protocol.link.records import INITIAL_ID, Loaded, ReceiverRecord, SenderRecord
+from protocol.link.records import INITIAL_ID, Loaded
 from protocol.link.step import Answered, Begun, Read
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import Part
+from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
 from runtime import journal as journals
 from runtime.journal import (
+    BATCH,
     JOURNAL_VERSION,
     REMEMBERED,
     ControllerJournal,
@@ -31,13 +32,14 @@ from runtime.journal import (
 )
 from tests.support.journals import copied, step_of
 from tests.support.patience import PATIENCE_S
+from tests.support.records import changed, controller_record, plant_record
 
 SCENARIO = "f" * 64
 SESSION = "0123456789abcdef"
-RECEIVER = ReceiverRecord(
+RECEIVER = plant_record(
     session=SESSION, k=4, x=(0.1, -0.2), u=(3.0,), applied_k=3, x_after=(1e-17, 2.0)
 )
-SENDER = SenderRecord(
+SENDER = controller_record(
     session=SESSION,
     ended=("fedcba9876543210",),
     state=(2, 1),
@@ -58,7 +60,8 @@ SENDER = SenderRecord(
 
 MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4, x_after=(1.0, 2.0))
 OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
-PART = Part(block=3, number=1, first=4, digits=bytes(range(7)))
+PART = Part(block=3, first=4, digits=bytes(range(7)))
+KEYS = Keys(block=3, first=11, keys=bytes(range(64)))
 
 
 def row(j: int) -> Contribution:
@@ -71,11 +74,11 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
     plant = PlantJournal(None if in_memory else tmp_path / "p", SCENARIO)
     assert controller.load() == Loaded()
     assert plant.load() == Loaded()
-    controller.save(Save(SENDER, rows=KeyRows((row(5), row(4)), parts=(PART,))))
-    plant.save(Save(RECEIVER._replace(stored=3), symbols="100"))
-    plant.save(Save(RECEIVER._replace(stored=5), symbols="11", step=Begun(OFFER, 1)))
-    assert plant.load() == Loaded(RECEIVER._replace(stored=5), Begun(OFFER, 1), symbols="10011")
-    controller.save(Save(SENDER, step=Answered(MEASUREMENT, OFFER)))
+    controller.save(Save(SENDER, rows=KeyRows((row(4), row(5)), keys=(KEYS,), part=PART)))
+    plant.save(Save(changed(RECEIVER, stored=3), symbols="100"))
+    plant.save(Save(changed(RECEIVER, stored=5), symbols="11", step=Begun(OFFER, 1)))
+    assert plant.load() == Loaded(changed(RECEIVER, stored=5), Begun(OFFER, 1), symbols="10011")
+    controller.save(Save(SENDER, step=Answered(MEASUREMENT, OFFER), rows=KeyRows(part=PART)))
     step = Save(RECEIVER, step=Read(OFFER, 1, MEASUREMENT))
     plant.save(step)
     if not in_memory:
@@ -84,42 +87,55 @@ def test_all_comes_back_to_the_last_bit(tmp_path: Path, in_memory: bool) -> None
         controller = ControllerJournal(controller.path, SCENARIO)
         plant = PlantJournal(plant.path, SCENARIO)
     rows = (row(4), row(5))
-    assert controller.load() == Loaded(SENDER, Answered(MEASUREMENT, OFFER), rows, (PART,))
+    held = Held(PART, (KEYS,))
+    assert controller.load() == Loaded(SENDER, Answered(MEASUREMENT, OFFER), rows, held)
     assert plant.load() == Loaded(RECEIVER, Read(OFFER, 1, MEASUREMENT)), "the frame is over"
-    plant.save(Save(RECEIVER._replace(k=5)))
-    assert plant.load() == Loaded(RECEIVER._replace(k=5)), "a record takes the step's place"
+    plant.save(Save(changed(RECEIVER, k=5)))
+    assert plant.load() == Loaded(changed(RECEIVER, k=5)), "a record takes the step's place"
     controller.close()
     plant.close()
 
 
-def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path) -> None:
+@pytest.mark.parametrize("count", [3, BATCH, 3 * BATCH + 2])
+def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path, count: int) -> None:
+    """Those that stand in the step's row, and those that have left it; each alone or together."""
+    rows = [row(j) for j in range(1, 1 + count)]
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Save(RECEIVER, rows=KeyRows(tuple(map(row, range(5))))))
-        journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=(range(2), range(3, 4)))))
-        assert journal.load().rows == (row(2), row(4))
+        for one in rows:
+            journal.save(Save(RECEIVER, rows=KeyRows((one,))))
+    for over in (range(1, 2), range(3, 6), range(7, count - 1)):
+        with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+            assert journal.load().rows == tuple(rows)
+            journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=(over,))))
+            rows = [one for one in rows if one.j not in over]
+            assert journal.load().rows == tuple(rows)
+            gone = [bytes([j]) * 32 for j in over]
+        assert not any(nonce in (tmp_path / "p").read_bytes() for nonce in gone)
     with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        following = RECEIVER._replace(session="fedcba9876543210")
+        following = changed(RECEIVER, session="fedcba9876543210")
         journal.save(Save(following, rows=KeyRows((row(0),))))
         assert journal.load().rows == (row(0),)
 
 
-def test_digits_of_the_key_stream_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
+def test_keys_and_digits_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
     """What was erased is in no file of the journal any more."""
-    secret = b"digits that have served"
+    secret, key = b"digits that have served", b"a key that was used" * 2
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        first, second = Part(0, 0, 0, secret), Part(0, 1, len(secret), b"behind them")
-        journal.save(Save(RECEIVER, rows=KeyRows(parts=(first, second))))
-        assert journal.load().parts == (first, second)
-        left = Part(0, 0, 7, secret[7:])
-        journal.save(Save(RECEIVER, rows=KeyRows(parts=(left,))))
-        assert journal.load().parts == (left, second)
-        journal.save(Save(RECEIVER, rows=KeyRows(parts=(left._replace(digits=b""),))))
-        assert journal.load().parts == (second,)
-    assert secret not in path.read_bytes()
+        keys, part = Keys(0, 9, key + bytes(64)), Part(0, 0, secret)
+        other = Keys(1, 0, key[::-1])
+        journal.save(Save(RECEIVER, rows=KeyRows(keys=(keys, other), part=part)))
+        assert journal.load().held == Held(part, (keys, other))
+        part, keys = Part(0, 7, secret[7:]), Keys(0, 20, bytes(64))
+        journal.save(Save(RECEIVER, rows=KeyRows(keys=(keys,), part=part)))
+        assert journal.load().held == Held(part, (keys, other))
+        journal.save(Save(RECEIVER, rows=KeyRows(keys=(other._replace(keys=b""),))))
+        assert journal.load().held == Held(keys=(keys,))
+    for gone in (secret, secret[7:], key, key[::-1]):
+        assert gone not in path.read_bytes()
     with PlantJournal(path, SCENARIO) as journal:
-        journal.save(Save(RECEIVER._replace(session="fedcba9876543210")))
-        assert journal.load().parts == ()
+        journal.save(Save(changed(RECEIVER, session="fedcba9876543210")))
+        assert journal.load().held == NOTHING_HELD
 
 
 def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
@@ -133,7 +149,7 @@ def test_the_message_received_last_is_kept_and_no_other(tmp_path: Path) -> None:
 
 
 def send(journal: ControllerJournal, name: str, payload: bytes, delivered: int = 0) -> None:
-    record = SENDER._replace(message=delivered)
+    record = changed(SENDER, message=delivered)
     journal.save(Save(record, queued=SendCommand(id=name, payload=payload), durable=True))
 
 
@@ -157,7 +173,7 @@ def test_a_message_that_was_delivered_is_gone_and_its_identifier_is_known(tmp_pa
     with ControllerJournal(path, SCENARIO) as journal:
         send(journal, INITIAL_ID, secret)
         send(journal, "next", b"waits")
-        journal.save(Save(SENDER._replace(message=1)))
+        journal.save(Save(changed(SENDER, message=1)))
         assert journal.payload(0) is None
         assert journal.waiting() == [(1, "next", b"waits")]
         assert journal.crc_of(INITIAL_ID) == crc32(secret)
@@ -173,7 +189,7 @@ def test_a_long_run_of_messages_and_steps_takes_no_more_room(tmp_path: Path) -> 
         for number in range(3 * REMEMBERED):
             payload = b"message number %d " % number * 10
             send(journal, f"m{number}", payload, delivered=number)
-            journal.save(Save(SENDER._replace(message=number + 1, k=number)))
+            journal.save(Save(changed(SENDER, message=number + 1, k=number)))
             if number > 2 * REMEMBERED:
                 sizes.add(path.stat().st_size)
         log = path.with_name("c-wal").read_bytes()
@@ -193,11 +209,11 @@ import os, sys
 from pathlib import Path
 from protocol.link.distiller import KeyRows
 from protocol.link.effects import Save
-from protocol.link.records import SenderRecord
+from protocol.link.records import ControllerRecord, LinkRecord
 from runtime.journal import ControllerJournal
 with ControllerJournal(Path(sys.argv[1]), "f" * 64) as journal:
     for k in range(50):
-        journal.save(Save(SenderRecord(k=k), durable=k in (20, 30)))
+        journal.save(Save(ControllerRecord(link=LinkRecord(k=k)), durable=k in (20, 30)))
         os.write(2, b"%d\n" % k)
     os.write(2, b"over\n")
 """
@@ -242,7 +258,7 @@ def test_another_boot_is_told_until_the_session_that_it_cut_has_ended(
     """A process that dies before it has ended the session is followed by one that ends it."""
     boot = tmp_path / "boot"
     monkeypatch.setattr(journals, "BOOT_ID", boot)
-    saves = [Save(RECEIVER), Save(RECEIVER), Save(RECEIVER._replace(session="another")), None]
+    saves = [Save(RECEIVER), Save(RECEIVER), Save(changed(RECEIVER, session="another")), None]
     for name, save, fell_back in zip("1222", saves, (False, True, True, False), strict=True):
         boot.write_text(name)
         journal = PlantJournal(tmp_path / "p", SCENARIO)
@@ -380,32 +396,32 @@ from protocol.link.distiller import KeyRows
 from protocol.link.effects import Save
 from runtime.journal import PlantJournal
 from protocol.messages import Measurement, Offer
-from protocol.link.records import ReceiverRecord
 from protocol.link.step import IDLE, Read
+from tests.support.records import changed, plant_record
 
 def count(record):
-    record = record._replace(k=record.k + 1, p=record.p + 1)
-    if record.p % 50 == 0:
-        record = record._replace(stored=0, messages=record.messages + 1)
-        journal.save(Save(record, received=b"%d" % record.p))
-    elif record.p % 7 == 0:
-        record = record._replace(stored=record.stored + 1)
+    record = changed(record, k=record.link.k + 1, p=record.link.p + 1)
+    if record.link.p % 50 == 0:
+        record = changed(record, stored=0, messages=record.frame.messages + 1)
+        journal.save(Save(record, received=b"%d" % record.link.p))
+    elif record.link.p % 7 == 0:
+        record = changed(record, stored=record.frame.stored + 1)
         journal.save(Save(record, symbols="1"))
     return record
 
 journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
 record, step, *_ = journal.load()
 if record is None:
-    record = ReceiverRecord(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
+    record = plant_record(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
     journal.save(Save(record))
 if step != IDLE:
     record = count(record)
 while True:
-    offer = Offer(session=record.session, k=record.k, candidates=((1.0,), (2.0,)), cipher=0)
-    measurement = Measurement(
-        session=record.session, k=record.k + 1, x=(0.5,), applied_k=record.k, x_after=(0.5,)
-    )
-    journal.save(Save(record, step=Read(offer, record.k % 2, measurement)))
+    k = record.link.k
+    offer = Offer(session=record.session.id, k=k, candidates=((1.0,), (2.0,)), cipher=0)
+    x = (0.5,)
+    measurement = Measurement(session=record.session.id, k=k + 1, x=x, applied_k=k, x_after=x)
+    journal.save(Save(record, step=Read(offer, k % 2, measurement)))
     sys.stdout.write(f"{measurement.k}\\n")
     sys.stdout.flush()
     record = count(record)
@@ -435,16 +451,16 @@ def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
             record, _, _, _, symbols, _ = journal.load()
             offer, coin, measurement = step_of(journal)
             assert record is not None
-            assert record.k + (offer is not None) in (acknowledged, acknowledged + 1)
+            assert record.link.k + (offer is not None) in (acknowledged, acknowledged + 1)
             if offer is not None:
-                assert offer.k == record.k
+                assert offer.k == record.link.k
                 assert measurement is not None
-                assert measurement.k == record.k + 1
-                assert coin == record.k % 2
+                assert measurement.k == record.link.k + 1
+                assert coin == record.link.k % 2
             # all or nothing: the symbols and messages are those of this very record
-            whole, since = divmod(record.k, 50)
-            assert record.p == record.k
-            assert record.messages == whole
+            whole, since = divmod(record.link.k, 50)
+            assert record.link.p == record.link.k
+            assert record.frame.messages == whole
             assert journal.last_message() == (b"%d" % (50 * whole) if whole else None)
             first = 50 * whole + 1
             assert len(symbols) == sum(p % 7 == 0 for p in range(first, first + since))
@@ -492,7 +508,7 @@ def state(path: Path) -> Any:
         return None
 
 
-def changed(before: bytes, after: bytes) -> range:
+def rewritten(before: bytes, after: bytes) -> range:
     """Where a write was: from the first byte that differs to the last."""
     differs = [i for i in range(len(after)) if before[i : i + 1] != after[i : i + 1]]
     return range(differs[0], differs[-1] + 1)
@@ -510,7 +526,7 @@ def test_a_torn_or_flipped_save_is_not_there_or_told(tmp_path: Path) -> None:
     log = "journal-wal"
     old, new = (path.with_name(log).read_bytes() for path in (before, after))
     assert before.read_bytes() == after.read_bytes()
-    place = changed(old, new)
+    place = rewritten(old, new)
     versions = [new[:end] + old[end:] for end in place[::41]]
     versions += [new[:i] + bytes([new[i] ^ 0x41]) + new[i + 1 :] for i in place[::37]]
     assert len(versions) > 200

@@ -1,16 +1,11 @@
 """Sessions of the bus come back after a freeze and after a silence; time is an argument."""
 
 import logging
-import socket
 import threading
-import time
-from collections.abc import Callable
-from contextlib import suppress
 
 import pytest
 
-from runtime.addresses import free_endpoints
-from runtime.bus import ChannelClosed, TransportError
+from runtime.bus import TransportError
 from runtime.errors import Failure
 from runtime.link_watchdog import (
     FROZEN_S,
@@ -20,7 +15,6 @@ from runtime.link_watchdog import (
     LinkWatchdog,
     watched,
 )
-from runtime.zenoh_bus import ZenohBus
 from runtime.zenoh_settings import LEASE_MS
 from tests.support.patience import PATIENCE_S
 
@@ -132,118 +126,3 @@ def test_what_cannot_be_opened_again_ends_the_process_in_order() -> None:
         watched(stopping, LOG, bus, listens=bus, silent_s=0.0),
     ):
         assert stopping.wait(PATIENCE_S)
-
-
-KEEP_ALIVE = b"\x01\x00\x04"
-"""A batch of Zenoh's over TCP that says no more than that its sender is alive."""
-
-
-class Splitting:
-    """A way between two ends on which a link can be split: it lives, and nothing comes over it."""
-
-    def __init__(self, listens: str, leads: str) -> None:
-        self._leads = int(leads.rpartition(":")[2])
-        self._socket = socket.create_server(("127.0.0.1", int(listens.rpartition(":")[2])))
-        self._deaf: set[tuple[socket.socket, str]] = set()
-        self._links: list[socket.socket] = []
-        self._threads: list[threading.Thread] = []
-        self._start(self._accept)
-
-    def _start(self, target: Callable[..., None], *told: object) -> None:
-        thread = threading.Thread(target=target, args=told, daemon=True)
-        self._threads.append(thread)
-        thread.start()
-
-    def split(self, way: str) -> None:
-        """Of what goes ``forth`` or ``back`` over the links of now only signs of life arrive."""
-        self._deaf |= {(link, way) for link in self._links}
-
-    def _accept(self) -> None:
-        while True:
-            try:
-                link, _ = self._socket.accept()
-            except OSError:
-                return
-            try:
-                onwards = socket.create_connection(("127.0.0.1", self._leads))
-            except OSError:
-                link.close()
-                continue
-            self._links += [link, onwards]
-            for way, source, sink in (("forth", link, onwards), ("back", onwards, link)):
-                self._start(self._carry, link, way, source, sink)
-
-    def _carry(
-        self, link: socket.socket, way: str, source: socket.socket, sink: socket.socket
-    ) -> None:
-        with suppress(OSError), source.makefile("rb") as batches:
-            while len(head := batches.read(2)) == 2:
-                batch = batches.read(int.from_bytes(head, "little"))
-                sink.sendall(KEEP_ALIVE if (link, way) in self._deaf else head + batch)
-        for end in (source, sink):
-            with suppress(OSError):
-                end.shutdown(socket.SHUT_RDWR)
-
-    def close(self) -> None:
-        """Carry no more."""
-        with suppress(OSError):
-            self._socket.shutdown(socket.SHUT_RDWR)
-        self._socket.close()
-        for link in self._links:
-            with suppress(OSError):
-                link.shutdown(socket.SHUT_RDWR)
-        for thread in self._threads:
-            thread.join(PATIENCE_S)
-        for link in self._links:
-            link.close()
-
-
-@pytest.mark.slow
-@pytest.mark.integration
-@pytest.mark.parametrize("deaf", ["listening", "connecting"])
-def test_an_end_to_which_nothing_comes_over_a_living_link_hears_again(
-    deaf: str, caplog: pytest.LogCaptureFixture
-) -> None:
-    at, by = free_endpoints(2)
-    way = Splitting(by, at)
-    with ZenohBus(listen=[at]) as listening, ZenohBus(connect=[by]) as connecting:
-        hears, says = (listening, connecting)
-        if deaf == "connecting":
-            hears, says = says, hears
-        channel = hears.channel("wyner/v3/loop/field/offer", 100)
-        publisher = says.publisher("wyner/v3/loop/field/offer")
-        heard: list[bytes] = []
-        over = threading.Event()
-
-        def listen() -> None:
-            with suppress(ChannelClosed):
-                while True:
-                    heard.extend(payload for _, payload in channel.receive(wait=True))
-
-        def say() -> None:
-            while not over.wait(0.02):
-                publisher.put(b"an offer")
-
-        def hears_again() -> bool:
-            heard.clear()
-            until = time.monotonic() + PATIENCE_S
-            while len(heard) < 20 and time.monotonic() < until:
-                time.sleep(0.01)
-            return len(heard) >= 20
-
-        threads = [threading.Thread(target=listen), threading.Thread(target=say)]
-        for thread in threads:
-            thread.start()
-        try:
-            with watched(over, LOG, hears, listens=hears):
-                assert hears_again()
-                way.split("forth" if deaf == "listening" else "back")
-                time.sleep(0.2)
-                assert hears_again()
-            assert "nothing has come for" in caplog.text
-        finally:
-            over.set()
-            channel.close()
-            for thread in threads:
-                thread.join(PATIENCE_S)
-            way.close()

@@ -18,6 +18,7 @@ from runtime.errors import UsageError
 from runtime.host import Host
 from runtime.metrics import NotedBus, Statuses, served
 from runtime.pace import Pace
+from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 
@@ -42,7 +43,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
             PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime")), 0.0
         )
         files.close()
-        status = plant.status(0.0).model_copy(
+        status = status_of(plant, 0.0).model_copy(
             update={"k": 70, "missed": 3, "latency_counts": (5, 2, *[0] * 17, 1)}
             | {"keys_made": 63, "keys_stopped": "no pad is left" if loop == "b" else ""}
             | {"key_blocks_lost": 2, "digits_left": 128}
@@ -53,7 +54,7 @@ def test_every_loop_is_told_of_by_its_newest_status(
     config = ControllerConfig(sustained, tmp_path / "a", "a", sustained_law)
     controller, files = open_controller(config)
     files.close()
-    told = controller.status().model_copy(update={"delivered": 2})
+    told = status_of(controller).model_copy(update={"delivered": 2})
     bus.publisher(key_of(ControllerStatus, "a")).put(told.wire())
     tap = TapStatus(
         **{"seq": 1, "t_ns": 1, "name": "nearest-centre", "steps": 9, "lost": 2, "mirrored": 20},
@@ -109,7 +110,7 @@ def test_nothing_is_told_of_a_loop_that_has_left(
     for loop in ("a", "b"):
         config = PlantConfig(sustained, tmp_path / loop, loop, Pace("realtime"))
         core, files = open_plant(config, 0.0)
-        management.publisher(key_of(PlantStatus, loop)).put(core.status(0.0).wire())
+        management.publisher(key_of(PlantStatus, loop)).put(status_of(core, 0.0).wire())
         if loop == "a":
             monkeypatch.setattr(core, "start", fails)
         host.add(loop, core, files, logging.getLogger("metrics"))

@@ -4,17 +4,17 @@ import pytest
 
 from protocol.link.effects import Effects, Extract, Notice, Publish, Save, Show, Tell
 from protocol.link.events import Event, Missed
-from protocol.link.records import SenderRecord
 from protocol.link.step import Answered
 from protocol.messages import ControllerStatus, Measurement, Message, Offer, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.perform import Crashed, CrashingPorts, perform
+from tests.support.records import controller_record
 from tests.support.rehearsal import Rehearsal
 
 SAID = Measurement(session="1" * 16, k=1, x=(0.0,), applied_k=0, x_after=(0.0,))
 OFFER = Offer(session="1" * 16, k=0, candidates=((1.0,),), cipher=0)
-STEP = Save(SenderRecord(), Answered(SAID, OFFER))
-RECORD = Save(SenderRecord(k=7))
+STEP = Save(controller_record(), Answered(SAID, OFFER))
+RECORD = Save(controller_record(k=7))
 BLOCK = ClosedBlock("1" * 16, 0, 1, 1, 1, 2, "1", (b"n" * 32,), 1)
 WELL = next(
     arrival.message

@@ -9,13 +9,12 @@ import pytest
 from runtime.files import (
     PUBLIC_FILE,
     StatusFile,
-    make_folder,
     open_private,
     replacing,
     write_atomically,
 )
 from runtime.journal import PlantJournal
-from runtime.recording import LONGEST, LineWriter, TraceWriter, decode, read_lines
+from runtime.recording import LineWriter, TraceWriter, read_lines
 
 
 def mode(path: Path) -> int:
@@ -38,15 +37,6 @@ def test_folders_and_files_are_the_owners_alone_whatever_the_umask(tmp_path: Pat
     assert {mode(p) for p in found if p.is_file()} == {0o600}
     assert mode(tmp_path / "runs") == 0o700
     assert mode(tmp_path / "public.json") == 0o644
-
-
-def test_a_folder_that_is_there_keeps_its_mode(tmp_path: Path) -> None:
-    tmp_path.chmod(0o755)
-    make_folder(tmp_path)
-    assert mode(tmp_path) == 0o755
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(OSError, match="Not a directory"):
-        make_folder(tmp_path / "file")
 
 
 @pytest.mark.parametrize("kind", ["link", "pipe", "dangling"])
@@ -98,15 +88,3 @@ def test_lives_and_their_end_marks(tmp_path: Path) -> None:
     ends = [lines[4].value, lines[9].value]
     assert all(end and end["lines"] == 4 and end["last"] for end in ends)
     assert writer.size == path.stat().st_size
-
-
-def test_a_line_too_long_is_read_past(tmp_path: Path) -> None:
-    path = tmp_path / "lines"
-    with path.open("wb") as file:
-        file.write(b'{"event":"a"}\n["')
-        for _ in range(LONGEST // 2**20 + 3):
-            file.write(b"x" * 2**20)
-        file.write(b'"]\n{"event":"b"}\n')
-    values = [line.value for line in read_lines(path)]
-    assert values == [{"event": "a"}, None, {"event": "b"}]
-    assert decode(b"[" * 100_000) is None

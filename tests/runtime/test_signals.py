@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 
 import pytest
@@ -52,11 +51,6 @@ def test_a_service_stops_when_its_standard_input_ends() -> None:
         assert child.communicate(timeout=PATIENCE_S)[0] == "stopped\n"
 
 
-def test_without_the_variable_standard_input_does_not_matter() -> None:
-    with stopping_child(0.3, WYNER_STOP_WITH_STDIN="") as child:
-        assert child.communicate(timeout=PATIENCE_S)[0] == "still running\n"
-
-
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_a_service_stops_on_a_signal(number: signal.Signals) -> None:
     with stopping_child(PATIENCE_S) as child:
@@ -79,16 +73,6 @@ with stop_on_signals() as stopping:
 def test_a_signal_that_another_thread_takes_ends_the_wait() -> None:
     command = [sys.executable, "-c", HANDED_TO_ANOTHER_THREAD]
     assert subprocess.run(command, timeout=PATIENCE_S, check=False).returncode == 0
-
-
-def test_whoever_waits_for_a_stop_waits_no_longer_than_asked() -> None:
-    with stop_on_signals() as stopping:
-        began = time.monotonic()
-        assert not stopping.wait(0.05)
-        assert 0.05 <= time.monotonic() - began < 5.0
-        threading.Timer(0.01, stopping.set).start()
-        assert stopping.wait()
-        assert stopping.wait(0.0)
 
 
 LOST = """

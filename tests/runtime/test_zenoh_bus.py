@@ -4,7 +4,6 @@ import json
 import os
 import queue
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -25,7 +24,6 @@ from runtime.zenoh_bus import (
     open_bus,
     open_router,
 )
-from runtime.zenoh_settings import OPEN_MS
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S
 
@@ -239,29 +237,6 @@ def test_of_a_message_too_large_the_size_and_the_beginning_arrive() -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="no /proc here")
-def test_no_message_goes_through_a_segment_of_shared_memory() -> None:
-    """Statuses do, with Zenoh's own settings, and touch 16 MiB of it little by little."""
-
-    def segments() -> set[str]:
-        maps = Path("/proc/self/maps").read_text().splitlines()
-        return {line.split()[-1] for line in maps if ".zenoh" in line}
-
-    before = segments()  # other tests open sessions with Zenoh's own settings
-    heard: queue.Queue[bytes] = queue.Queue()
-    (endpoint,) = free_endpoints(1)
-    with ZenohBus(listen=[endpoint]) as speaker, ZenohBus(connect=[endpoint]) as listener:
-        listener.subscribe("wyner/test/large", lambda _key, body, _t: heard.put(body))
-        put = speaker.publisher("wyner/test/large").put
-        until = time.monotonic() + PATIENCE_S
-        while heard.empty():
-            assert time.monotonic() < until
-            put(bytes(10_000))
-            time.sleep(0.02)
-        assert segments() <= before
-
-
-@pytest.mark.integration
 def test_an_address_in_use_is_one_line_that_names_it() -> None:
     endpoints = free_endpoints(1)
     with ZenohBus(listen=endpoints), pytest.raises(TransportError) as caught:
@@ -304,15 +279,6 @@ def test_a_client_waits_for_its_router_and_goes_through_it() -> None:
         send_until_heard(first, Inbox(second))
     with pytest.raises(TransportError, match="client: expected"):
         ZenohBus(listen=endpoints, client=True)
-
-
-@pytest.mark.integration
-def test_a_client_that_waits_no_longer_says_which_router_it_waited_for() -> None:
-    (endpoint,) = free_endpoints(1)
-    began = time.monotonic()
-    with pytest.raises(TransportError, match=f"{endpoint}: cannot be opened"):
-        ZenohBus(connect=[endpoint], client=True, patience_s=0.2)
-    assert time.monotonic() - began < 20.0  # it was told 0.2 s
 
 
 # --- other processes -----------------------------------------------------------------------------
@@ -371,24 +337,6 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
             return b"last" in inbox.payloads()
 
         until(heard, "the last message at the listener awake")
-
-
-@pytest.mark.slow
-@pytest.mark.integration
-def test_closing_waits_for_an_attempt_to_connect_and_that_is_short() -> None:
-    """A stopped container's address answers nothing; both buses must close in a stop's 5 s."""
-    with socket.socket() as silent, socket.socket() as first, socket.socket() as second:
-        silent.bind(("127.0.0.1", 0))
-        silent.listen(0)
-        for waiting in (first, second):  # they fill the backlog; the next is not answered
-            waiting.setblocking(False)
-            with suppress(BlockingIOError):
-                waiting.connect(silent.getsockname())
-        bus = ZenohBus(connect=[f"tcp/127.0.0.1:{silent.getsockname()[1]}"])
-        time.sleep(0.1)  # it is trying now
-        before = time.monotonic()
-        bus.close()
-        assert time.monotonic() - before < OPEN_MS / 1000 + 0.5
 
 
 NEVER_CLOSES = """

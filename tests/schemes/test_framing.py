@@ -5,7 +5,6 @@ import random
 import zlib
 from itertools import pairwise
 
-import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,7 +18,6 @@ from protocol.schemes.framing import (
     encode_frame,
     frame_length,
 )
-from protocol.text import readable
 
 sizes = st.one_of(st.integers(2, 16), st.integers(17, 256))
 payloads = st.binary(max_size=40)
@@ -85,12 +83,6 @@ def test_sizes_that_divide_a_byte_write_its_bits_in_order(
     assert encode_frame(payload, size) == bytes([1, *digits])
 
 
-def test_bits_of_a_byte_are_most_significant_first() -> None:
-    symbols = encode_frame(b"\x81", 2)
-    assert symbols[:17] == bytes([1, *[0] * 15, 1])  # start, then a length of 1
-    assert symbols[17:25] == bytes([1, 0, 0, 0, 0, 0, 0, 1])
-
-
 @settings(max_examples=200)
 @given(sizes, payloads, st.randoms(use_true_random=False))
 def test_one_damaged_symbol_is_never_a_message(
@@ -103,18 +95,6 @@ def test_one_damaged_symbol_is_never_a_message(
     found = next((p for s in symbols if (p := deframer.push(s)) is not None), None)
     assert found != payload
     assert deframer.refused or found is None
-
-
-def test_every_single_damaged_bit_is_refused() -> None:
-    symbols = encode_frame(b"paper", 2)
-    body = range(1 + 16, len(symbols))  # beyond the length, which says where the frame ends
-    for place in body:
-        damaged = bytearray(symbols)
-        damaged[place] ^= 1
-        deframer = Deframer(2)
-        assert push_all(deframer, bytes(damaged)) == []
-        assert deframer.refused == 1
-        assert len(deframer.ended) == len(b"paper")
 
 
 def test_every_frame_that_fails_is_counted_and_the_next_one_is_whole() -> None:
@@ -179,21 +159,3 @@ def test_the_longest_payload_fits_and_one_more_byte_does_not() -> None:
     assert push_all(Deframer(16), encode_frame(payload, 16)) == [payload]
     with pytest.raises(ValueError, match="got 65536 bytes, expected at most 65535"):
         encode_frame(bytes(MAX_PAYLOAD + 1), 2)
-
-
-def test_reset_forgets_the_frame_under_way() -> None:
-    deframer = Deframer(2)
-    push_all(deframer, encode_frame(b"never", 2)[:30])
-    deframer.reset()
-    assert push_all(deframer, encode_frame(b"again", 2)) == [b"again"]
-
-
-def test_readable_is_one_printable_line() -> None:
-    assert readable(b"Z\xc3\xbcrich") == "Zürich"
-    assert readable(b"a\nb\x00c\xff\x1b[2J") == "a·b·c··[2J"
-
-
-def test_symbols_of_numpys_kind_are_taken() -> None:
-    deframer, cipher = Deframer(2), np.array(list(encode_frame(b"Hi", 2)))
-    assert [p for p in map(deframer.push, (cipher + 2) % 2) if p is not None] == [b"Hi"]
-    assert bytes(deframer.symbols) == b""

@@ -3,8 +3,6 @@
 Nothing is edited anywhere else: what is shipped does not know that these exist.
 """
 
-import base64
-import json
 import tomllib
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
@@ -20,21 +18,16 @@ from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.schemes.base import COVER, Carry, Scheme
 from protocol.schemes.registry import SCHEMES, make_scheme, scheme_named
 from protocol.schemes.table import StateTable, advance_many
-from runtime.run_folder import BELIEFS, SCENARIO
+from runtime.run_folder import SCENARIO
+from runtime.shipped import SCENARIOS
 from tap_service.capture.transcript import Transition
-from tap_service.config import TapConfig
 from tap_service.eavesdroppers import LADDER
-from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess, Model
-from tap_service.inference.list_decoding import ListDecoding
-from tap_service.service import TapService
-from tests.support.memory_bus import MemoryBus
-from tests.support.patience import PATIENCE_S
+from tap_service.eavesdroppers.base import Belief, Eavesdropper, Guess
+from tests.support.recorded_pair import RecordedPair
 from tests.support.safety import violations
-from tests.support.small_run import SCENARIOS, SmallRun
-from tests.system.test_services import System
 from wyner.cli.main import main
 from wyner.simulate.engine import follow, simulate_runs, transfer
-from wyner.simulate.engine.taps import listen, transcript
+from wyner.simulate.engine.taps import listen
 from wyner.simulate.faults import Faults
 from wyner.simulate.network import simulate
 
@@ -303,10 +296,10 @@ def test_exactly_once_when_messages_are_lost_and_processes_die(
 def test_the_check_and_every_tap_follow_it(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], cls: type[Scheme[Any]]
 ) -> None:
-    run = SmallRun(tmp_path, (b"over the hill",), changes=changed(cls.name))
+    run = RecordedPair(tmp_path, b"over the hill", changes=changed(cls.name))
     run.until_received(1)
     run.steps(20, {3: "offer lost", 6: "repeated", 9: "plant dies", 12: "controller dies"})
-    run.close()
+    run.stop()
     code = main(["check", str(tmp_path)])
     assert code == 0, capsys.readouterr().out
     capsys.readouterr()
@@ -331,65 +324,4 @@ def test_eavesdroppers_read_what_it_sends(
     assert (oracle.delivered, oracle.read, decoder.read) == (1, 1, 1)
 
 
-@pytest.mark.parametrize("cls", OWN)
-def test_the_list_decoder_goes_on_where_something_was_missed(
-    sustained: Scenario, sustained_law: CandidateLaw, cls: type[Scheme[Any]]
-) -> None:
-    """Ciphertext symbols missed inside a frame: every value is followed, the check picks one."""
-    scenario = under(sustained, cls.name)
-    runs = simulate_runs(scenario, sustained_law, seed=12, runs=range(1), steps=900, record=True)
-    sent = transfer(runs, payloads=[b"Ahoy there"])
-    carriers = np.flatnonzero(sent.pad[:, 0] != NO_SYMBOL)
-    missed = {int(carriers[40]), int(carriers[60])}
-    model = Model.of(scenario.knowledge(), "test")
-    decoding = ListDecoding(make_scheme(cls.name, 2), edge=1.0)
-    for t in transcript(runs, sent, 0):
-        assert t.x is not None
-        assert t.x_next is not None
-        assert t.candidates is not None
-        assert t.cipher is not None
-        gauges = model.gauges(t.x, t.candidates, t.x_next)
-        if t.k in missed:
-            decoding.step_sampled(t.k, np.array([gauges]), None)
-        else:
-            decoding.step(t.k, gauges, t.cipher)
-    assert decoding.whole == [b"Ahoy there"]
-
-
 # --- live -----------------------------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_three_live_services_follow_it(
-    sustained: Scenario,
-    sustained_law: CandidateLaw,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-) -> None:
-    """By the file's name, so that the list decoder's own process finds the scheme too."""
-    name = f"{__file__}:Hoarding"
-    text = (SCENARIOS / "sustained.toml").read_text()
-    for old, new in changed(name):
-        text = text.replace(old, new)
-    (tmp_path / SCENARIO).write_text(text)
-    scenario = under(sustained, name)
-    system = System(scenario, sustained_law, tmp_path)
-    config = TapConfig(
-        tmp_path,
-        scenario.knowledge(),
-        names=("nearest-centre", "list-decoder", f"{__file__}:Last"),
-        finish_s=PATIENCE_S,
-    )
-    tap = TapService(config)
-    tap.attach(MemoryBus(system.field), MemoryBus(system.management))
-    with system.controller(b"at nine"), system.plant(steps=900):
-        while "plant" not in system.codes:
-            tap.work(0.05)
-    tap.finish()
-    tap.close()
-    assert system.recovered() == [b"at nine"]
-    beliefs = json.loads((tmp_path / BELIEFS).read_text())
-    assert base64.b64decode(beliefs["list-decoder"]["message"]) == b"at nine"
-    assert b"steps" in base64.b64decode(beliefs["last"]["message"])
-    code = main(["check", str(tmp_path)])
-    assert code == 0, capsys.readouterr().out

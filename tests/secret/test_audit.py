@@ -8,7 +8,6 @@ from collections.abc import Callable
 
 import pytest
 
-from protocol.gilbert_elliott import GilbertElliott
 from protocol.secret.bound import Assumption, quantile
 from protocol.secret.extractor import extract, words
 from protocol.secret.galois import product
@@ -121,27 +120,6 @@ def test_the_quantile_without_l_breaks_where_her_misses_are_the_links(tap: Tap, 
     assert broken == {"naive": naive, "proper": 0}
 
 
-def test_a_repeat_with_the_same_nonce_is_a_second_chance() -> None:
-    """The link loses half of both ways: a message goes out until an answer comes back."""
-    claim = Assumption(0.3)
-    broken = {"the same nonce": 0, "copy 0 only": 0}
-    for seed in range(40):
-        generator = random.Random(seed)
-        missed = missed_first = counted_first = 0
-        for _ in range(512):
-            misses = [generator.random() < 0.3]
-            first = generator.random() < 0.5
-            while generator.random() >= 0.25:
-                misses.append(generator.random() < 0.3)
-            missed += all(misses)
-            counted_first += first
-            missed_first += first and misses[0]
-        broken["the same nonce"] += bits_held(claim.rows(256, 256, 512), missed) > 0
-        rows = claim.rows(256, 256, counted_first)
-        broken["copy 0 only"] += bits_held(rows, missed_first) > 0
-    assert broken == {"the same nonce": 40, "copy 0 only": 0}
-
-
 @pytest.mark.parametrize(
     ("true", "claimed", "breached"), [(0.3, 0.3, 0), (0.3, 0.5, 20), (0.0, 0.3, 20), (0.45, 0.5, 0)]
 )
@@ -157,72 +135,3 @@ def test_a_claim_above_the_truth_breaks(true: float, claimed: float, breached: i
     assert found == breached or found >= breached - 1 >= 18
     # the audit says so even where the bound's slack hides it
     assert miss_rate(everything, claimed).refuted == (true < claimed)
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_she_may_hear_more_than_the_receiver_it_is_what_she_misses_of_his(seed: int) -> None:
-    """She hears 70 % and the partner 50 %, each by itself: keys could be made, 40 blocks.
-
-    What makes a key is that she misses something that the partner got, not that she hears less.
-    """
-    generator = random.Random(seed)
-    hers = his = breached = 0
-    rows = []
-    for _ in range(40):
-        missed = [generator.random() < 0.3 for _ in range(512)]
-        counted = [generator.random() >= 0.5 for _ in range(512)]
-        hers += missed.count(False)
-        his += sum(counted)
-        rows.append(quantile(sum(counted), 0.3, 1e-12))
-        both = sum(lost and got for lost, got in zip(missed, counted, strict=True))
-        breached += bits_held(rows[-1], both) > 0
-    assert hers > 1.3 * his
-    assert min(rows) > 20
-    assert breached == 0
-
-
-def test_bursts_claimed_as_independent_break_and_show() -> None:
-    channel = GilbertElliott(0.0, 1.0, 0.02 * 3 / 7, 0.02)  # mean 0.3, bursts of 50
-    rows = {
-        "claimed": Assumption(0.3).rows(256, 256, 512),
-        "eps_inf": Assumption(channel.eps_inf).rows(256, 256, 512),
-    }
-    generator = random.Random(2)
-    broken = dict.fromkeys(rows, 0)
-    everything: list[bool] = []
-    bad = False
-    for _ in range(40):
-        misses = []
-        for _ in range(512):
-            bad = (
-                generator.random() >= channel.to_good
-                if bad
-                else (generator.random() < channel.to_bad)
-            )
-            misses.append(bad)
-        everything += misses
-        for rule, count in rows.items():
-            broken[rule] += bits_held(count, sum(misses)) > 0
-    assert rows["eps_inf"] == 0
-    assert broken["eps_inf"] == 0
-    assert broken["claimed"] >= 4
-    audit = miss_rate(everything, 0.3)
-    assert audit.bursts
-    assert audit.lag == 1
-
-
-def test_independent_misses_show_no_bursts_and_refute_nothing() -> None:
-    generator = random.Random(3)
-    flagged = 0
-    for _ in range(200):
-        audit = miss_rate([generator.random() < 0.3 for _ in range(512)], 0.3)
-        assert audit.low < 0.3 < audit.high
-        flagged += audit.bursts or audit.refuted
-    assert flagged == 0
-
-
-def test_nothing_heard_is_nothing_known() -> None:
-    assert miss_rate([], 0.3).high == 1.0
-    assert not miss_rate([True] * 50, 0.3).refuted
-    assert miss_rate([True] * 50, 0.3).copies == 0
-    assert miss_rate([False] * 2000, 0.3).refuted

@@ -1,23 +1,27 @@
 """What a long run leaves in memory: after many blocks no structure is larger than after a few."""
 
+from plant_service.punctuality import Punctuality
 from tests.support.held_memory import kept
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
-from tests.support.two_ends import SIDES
+from tests.support.keyed_pair import KeyedPair, keyed_rules
+from tests.support.pair import SIDES
+
+ELSEWHERE = (KeyedPair, Punctuality)
+"""A plant's punctuality is that of its newest thousand steps."""
 
 
-def measured(world: KeyedEnds) -> dict[str, tuple[int, int]]:
-    found = {f"the {side}'s end": kept([world.ends[side].peer], (KeyedEnds,)) for side in SIDES}
-    found |= {f"the {side}'s journal": kept([world.journals[side]], (KeyedEnds,)) for side in SIDES}
+def measured(world: KeyedPair) -> dict[str, tuple[int, int]]:
+    found = {f"the {side}'s end": kept([world.ends[side].endpoint], ELSEWHERE) for side in SIDES}
+    found |= {f"the {side}'s journal": kept([world.journals[side]], (KeyedPair,)) for side in SIDES}
     return found
 
 
 def test_ends_and_journals_hold_no_more_after_many_blocks() -> None:
     """Nobody takes of the key stream here, so it is as long as it gets."""
-    world = KeyedEnds(keyed_rules())
+    world = KeyedPair(keyed_rules())
     world.well(200)
     blocks, most = len(world.confirmed["plant"]), dict[str, tuple[int, int]]()
     for _ in range(60):  # within a block there is more, and then less
-        world.step()
+        world.next()
         for name, (objects, size) in measured(world).items():
             before = most.get(name, (0, 0))
             most[name] = max(before[0], objects), max(before[1], size)

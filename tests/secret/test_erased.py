@@ -10,10 +10,10 @@ from typing import Any, NamedTuple
 import pytest
 
 from protocol.link.distiller import Distiller
-from protocol.link.records import Loaded, Side
+from protocol.link.records import KeyRecord, Loaded, Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
-from protocol.secret.stream import Part, Position, Stream
+from protocol.secret.stream import Keys, KeyStream, Position
 from runtime.chance import fresh_nonce
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
@@ -25,9 +25,10 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.pair import SIDES
+from tests.support.recorded_pair import RecordedPair
+from tests.support.safety import BEYOND, first_held
 from tests.support.traces import read_trace
-from tests.support.two_ends import SIDES
 
 RUN = 16
 """Digits in a row that are looked for: 32 bits, so that none is found by chance."""
@@ -42,26 +43,26 @@ class Stopped(NamedTuple):
     keys: dict[int, Sequence[bytes]]
 
 
-def confirmed(loop: RecordedLoop) -> int:
+def confirmed(loop: RecordedPair) -> int:
     """The newest block that both ends have confirmed."""
-    return min(loop.plant.keys.confirmed, loop.controller.keys.confirmed)
+    return min(loop.plant.state.keys.record.confirmed, loop.controller.state.keys.record.confirmed)
 
 
 @pytest.fixture(scope="module", params=["at a confirmation", "later"])
 def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Stopped:
     keys: dict[int, Sequence[bytes]] = {}
-    add = Stream.add
+    add = KeyStream.add
 
-    def noted(self: Stream, block: int, new: Sequence[bytes]) -> tuple[Part, ...]:
+    def noted(self: KeyStream, block: int, new: Sequence[bytes]) -> tuple[Keys, ...]:
         assert keys.setdefault(block, new) == new
         return add(self, block, new)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Stream, "add", noted)
-        loop = RecordedLoop(tmp_path_factory.mktemp("erased") / "run", b"a message", "sealed")
+        patch.setattr(KeyStream, "add", noted)
+        loop = RecordedPair(tmp_path_factory.mktemp("erased") / "run", b"a message", name="sealed")
         loop.run(lambda: confirmed(loop) >= 2)
         if request.param == "later":
-            loop.advance(100)
+            loop.steps(100)
         over = confirmed(loop)
         loop.stop()
     return Stopped(loop.folder, {block: keys[block] for block in range(over + 1)})
@@ -96,19 +97,28 @@ def forms(secret: bytes) -> tuple[bytes, ...]:
 
 
 @pytest.mark.parametrize("side", SIDES)
-def test_no_nonce_or_key_of_a_block_that_is_over_is_in_any_file(
+def test_no_nonce_of_a_block_that_is_over_and_no_key_that_was_begun_is_in_any_file(
     stopped: Stopped, side: Side
 ) -> None:
     files, of = contents(stopped.folder, side), nonces(stopped.folder)
-    looked_at = 0
+    last = newest(stopped, side)
+    looked_at, left = 0, False
     for block, keys in stopped.keys.items():
         assert keys
-        for secret in (*of[block], *keys):
+        over, first = list(of[block]), 0
+        for key in keys:
+            if Position(block, first) <= last:
+                over.append(key)
+            else:
+                left |= any(key in data for data in files.values())
+            first += len(digits(key, 4))
+        for secret in over:
             looked_at += 1
             for name, data in files.items():
                 found = any(form in data for form in forms(secret))
                 assert not found, f"{name}: of block {block}"
-    assert looked_at > 300
+    assert looked_at > 250
+    assert left, "such a look finds keys that are to come"
     # and such a look finds what is there: the block that is under way
     rest = [nonce for block, some in of.items() if block > max(stopped.keys) for nonce in some]
     assert any(form in data for n in rest for form in forms(n) for data in files.values())
@@ -116,7 +126,8 @@ def test_no_nonce_or_key_of_a_block_that_is_over_is_in_any_file(
 
 @pytest.mark.parametrize("side", SIDES)
 def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -> None:
-    """A digit is a byte of a part in the journal; those of one key stand side by side there."""
+    """A digit is a byte of a part in the journal; those that are left of the key in use stand
+    side by side there."""
     files = contents(stopped.folder, side)
     last = newest(stopped, side)
     looked_at, left = 0, False
@@ -154,9 +165,7 @@ def newest(stopped: Stopped, side: Side) -> Position:
 def test_the_last_digit_that_has_served_is_no_part_of_a_journal(
     stopped: Stopped, side: Side
 ) -> None:
-    parts = loaded_of(stopped, side).parts
-    assert parts
-    assert min(part.begins for part in parts) > newest(stopped, side)
+    assert newest(stopped, side) < first_held(loaded_of(stopped, side).held) < BEYOND
 
 
 @pytest.mark.parametrize("side", SIDES)
@@ -166,5 +175,5 @@ def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side
     assert loaded.record is not None
     assert loaded.rows
     keys = Distiller(scenario.keys.schedule(), 4, fresh_nonce)
-    keys.begin(loaded.record.session, rows=loaded.rows)
+    keys.resume(loaded.record.session.id, KeyRecord(), rows=loaded.rows)
     assert not [block.number for block in keys.tasks() if block.number in stopped.keys]

@@ -17,14 +17,6 @@ from protocol.secret.galois import (
     product,
     tables,
 )
-from tests.support.toeplitz import (
-    length_by_hashing,
-    length_by_rank,
-    matrix,
-    rank,
-    seed_bits,
-    toeplitz,
-)
 
 ELEMENT = st.integers(0, ORDER)
 
@@ -91,55 +83,6 @@ def test_rows_depend_on_every_nonce_and_never_outnumber_them() -> None:
         assert all(a != b for a, b in zip(rows, extract(changed, 4), strict=True))
     with pytest.raises(ValueError, match=r"^rows: got 13, expected at most the 12 nonces"):
         extract(nonces, 13)
-
-
-@given(st.integers(1, 200), st.integers(1, 60), st.integers(0, 2**32))
-def test_the_fast_toeplitz_product_is_the_matrix_product(n: int, length: int, seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    bits = generator.integers(0, 2, n).astype(np.uint8)
-    diagonals = generator.integers(0, 2, seed_bits(n, length)).astype(np.uint8)
-    T = matrix(diagonals, n, length)
-    assert (toeplitz(bits, diagonals, length) == (T @ bits) % 2).all()
-    assert (T[1:, 1:] == T[:-1, :-1]).all()
-
-
-def test_lengths_pay_for_tag_and_distance() -> None:
-    assert length_by_rank(128, 0, 2**-40) == 88
-    assert length_by_rank(128, 64, 2**-40) == 24
-    assert length_by_rank(64, 64, 0.5) == 0
-    assert length_by_hashing(21_760, 64, 2**-41) == 21_760 - 64 - 80
-    assert length_by_rank(21_760, 64, 5e-13) > length_by_hashing(21_760, 64, 5e-13)
-
-
-@pytest.mark.parametrize("over, low, high", [(-4, 0.02, 0.12), (0, 0.60, 0.80), (4, 1.0, 1.0)])
-def test_toeplitz_beyond_what_she_missed_gives_parities_away(
-    over: int, low: float, high: float
-) -> None:
-    """P[she knows a parity] is below 2^(l - h) up to l = h, and certain above it."""
-    generator = np.random.default_rng(3)
-    h, trials = 64, 300
-    length = h + over
-    known = 0
-    for _ in range(trials):
-        seed = generator.integers(0, 2, seed_bits(256, length)).astype(np.uint8)
-        missed = generator.choice(256, h, replace=False)
-        known += rank(matrix(seed, 256, length)[:, missed]) < length
-    assert low <= known / trials <= high
-
-
-def test_half_heard_nonces_are_half_known_keys() -> None:
-    """Every missed nonce is known in its first half: so is every row of the Cauchy matrix."""
-    generator = random.Random(4)
-    nonces = [generator.randbytes(32) for _ in range(40)]
-    halves = [nonce[:16] for nonce in nonces]
-    rows = extract(nonces, 8)
-    assert [row[:16] for row in rows] == extract(halves, 8)
-    # Toeplitz, at the length that counts half of each missed nonce, gives nothing away
-    bits = np.unpackbits(np.frombuffer(b"".join(nonces), np.uint8))
-    missed = np.concatenate([np.arange(256 * j + 128, 256 * (j + 1)) for j in range(10)])
-    length = length_by_rank(len(missed), 0, 2**-20)
-    seed = np.random.default_rng(5).integers(0, 2, seed_bits(len(bits), length)).astype(np.uint8)
-    assert rank(matrix(seed, len(bits), length)[:, missed]) == length
 
 
 @pytest.mark.parametrize("unheard", [16, 64, 128, 240])

@@ -11,8 +11,8 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
-from controller_service import core as controller_core
-from plant_service import core as plant_core
+from controller_service import chooser
+from plant_service import stepper
 from protocol.link import distiller as distiller_module
 from protocol.link.distiller import Distiller
 from protocol.link.records import Side
@@ -20,9 +20,9 @@ from protocol.secret.nonces import Contribution, contribution_of
 from runtime.perform import CrashPoint
 from tests.support.asked import hasty
 from tests.support.broken import FIRST_COPY, broken
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
+from tests.support.pair import SIDES
 from tests.support.size import size
-from tests.support.two_ends import SIDES
 
 SIDE = st.sampled_from(SIDES)
 POINTS: tuple[CrashPoint, ...] = ("saving", "publishing", "tracing", "extracting")
@@ -38,8 +38,8 @@ class KeyedLink(RuleBasedStateMachine):
         self.world = self.begun()
 
     @staticmethod
-    def begun() -> KeyedEnds:
-        return KeyedEnds(keyed_rules())
+    def begun() -> KeyedPair:
+        return KeyedPair(keyed_rules())
 
     def teardown(self) -> None:
         self.world.close()
@@ -86,8 +86,8 @@ class KeyedLinkOnDisk(KeyedLink):
     """Journals as the services have them, opened anew from their files after each death."""
 
     @staticmethod
-    def begun() -> KeyedEnds:
-        return KeyedEnds(keyed_rules(), on_disk=True)
+    def begun() -> KeyedPair:
+        return KeyedPair(keyed_rules(), on_disk=True)
 
 
 TestKeyedLink = KeyedLink.TestCase
@@ -102,7 +102,7 @@ TestKeyedLinkOnDisk.settings = settings(TestKeyedLink.settings, max_examples=siz
 
 
 def test_both_ends_confirm_the_same_blocks_while_all_is_well() -> None:
-    world = KeyedEnds(keyed_rules())
+    world = KeyedPair(keyed_rules())
     world.well(900)
     plant, controller = (world.confirmed[side] for side in SIDES)
     assert len(plant) > 20
@@ -114,7 +114,7 @@ def test_both_ends_confirm_the_same_blocks_while_all_is_well() -> None:
     world.close()
 
 
-def shaken(world: KeyedEnds, seed: int, rounds: int = 60) -> KeyedEnds:
+def shaken(world: KeyedPair, seed: int, rounds: int = 60) -> KeyedPair:
     """A world whose ends die at any point, over and over, while all else is well."""
     draw = Random(seed)
     world.well(300)
@@ -130,7 +130,7 @@ def shaken(world: KeyedEnds, seed: int, rounds: int = 60) -> KeyedEnds:
 # --- the wrong ones -------------------------------------------------------------------------------
 
 
-class Hasty(KeyedEnds):
+class Hasty(KeyedPair):
     """A shell that sends before it saves."""
 
     performer = staticmethod(hasty)
@@ -141,11 +141,11 @@ def same_nonce_in_repeats(patch: pytest.MonkeyPatch) -> None:
 
 
 def copy_0_again_after_a_death(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, plant_core, *FIRST_COPY)
+    broken(patch, stepper, *FIRST_COPY)
 
 
 def wrong_heard(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, controller_core, "heard=measurement.copy_number,", "heard=0,")
+    broken(patch, chooser, "heard=measurement.copy_number,", "heard=0,")
 
 
 def nonces_swapped(patch: pytest.MonkeyPatch) -> None:
@@ -176,7 +176,7 @@ ROUNDS = 400
 """Schedules that a wrong end has, to be caught in one; most are in the first few."""
 
 
-def stagger(world: KeyedEnds, random: Random, side: Side) -> None:
+def stagger(world: KeyedPair, random: Random, side: Side) -> None:
     """Something happens to one side, or to both."""
     actions: list[Callable[[], None]] = [
         lambda: world.well(random.randrange(5, 60)),
@@ -193,7 +193,7 @@ def stagger(world: KeyedEnds, random: Random, side: Side) -> None:
 def wander(seed: int) -> None:
     """One random schedule, from its seed: faster than hypothesis, and the same whatever changes."""
     random = Random(seed)
-    world = KeyedEnds(keyed_rules())
+    world = KeyedPair(keyed_rules())
     try:
         for _ in range(random.randrange(10, 40)):
             stagger(world, random, random.choice(SIDES))
@@ -211,14 +211,7 @@ def caught() -> bool:
     return False
 
 
-@pytest.mark.wrong_on_purpose
-@pytest.mark.parametrize("wrong", WRONG)
-def test_a_wrong_end_is_caught(wrong: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    WRONG[wrong](monkeypatch)
-    assert caught()
-
-
-def dies_while_writing(world: KeyedEnds) -> None:
+def dies_while_writing(world: KeyedPair) -> None:
     """The controller, over and over; some of what it writes is a step."""
     for _ in range(20):
         world.well(20, "controller", "saving")
@@ -235,14 +228,8 @@ def test_sending_before_saving_is_caught() -> None:
 
 
 def test_saving_before_sending_answers_the_same_step_once() -> None:
-    world = KeyedEnds(keyed_rules(), period_s=3.0)
+    world = KeyedPair(keyed_rules(), period_s=3.0)
     world.well(200)
     dies_while_writing(world)
     assert world.deaths == 20
     world.close()
-
-
-@pytest.mark.slow
-def test_the_right_ends_pass_such_schedules() -> None:
-    for seed in range(size(20, 60)):
-        wander(seed)

@@ -4,23 +4,23 @@ Keys are short here, five digits each, so that the stream runs dry and is filled
 """
 
 from collections.abc import Callable, Iterator
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
 
-from controller_service import core as controller_core
+from controller_service import chooser
 from protocol.link.effects import Save
 from protocol.link.events import Event
 from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
-from protocol.secret.stream import NOWHERE, Part, Position, Stream
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Keys, KeyStream, Position
 from tests.secret.test_keyed_link import KeyedLink, shaken
 from tests.support.broken import broken
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
+from tests.support.pair import SIDES, Name
+from tests.support.safety import BEYOND, first_held
 from tests.support.size import size
-from tests.support.two_ends import SIDES, Name
 
 COINS = keyed_rules(keyed=True)
 SEALED = keyed_rules(keyed=True, scheme=Sealed(2))
@@ -35,7 +35,7 @@ def short_keys() -> Iterator[None]:
         yield
 
 
-class SealedEnds(KeyedEnds):
+class SealedEnds(KeyedPair):
     """Ends that send messages under the key stream: each arrives once, in order."""
 
     def __init__(self) -> None:
@@ -56,13 +56,13 @@ class SealedEnds(KeyedEnds):
 
 class KeyedCoinLink(KeyedLink):
     @staticmethod
-    def begun() -> KeyedEnds:
-        return KeyedEnds(COINS)
+    def begun() -> KeyedPair:
+        return KeyedPair(COINS)
 
 
 class SealedLink(KeyedLink):
     @staticmethod
-    def begun() -> KeyedEnds:
+    def begun() -> KeyedPair:
         return SealedEnds()
 
 
@@ -79,19 +79,18 @@ TestSealedLink.settings = LIMITS
 
 
 @pytest.mark.parametrize("begun", [KeyedCoinLink.begun, SealedEnds])
-def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedEnds]) -> None:
+def test_digits_serve_once_and_are_gone_through_deaths(begun: Callable[[], KeyedPair]) -> None:
     world = shaken(begun(), 3)
     served = world.digits.served
     assert len(served) > 50
     assert len(world.digits.watched) > 50
     record = world.journals["plant"].load().record
     assert record is not None
-    of_session = sorted(at for session, at in served if session == record.session)
+    of_session = sorted(at for session, at in served if session == record.session.id)
     newest = of_session[-3]  # a digit goes with the save of the next step, at the controller later
     for side in SIDES:
-        for (block, _), part in world.parts(side).items():
-            first = Position(block, part.first)
-            assert first >= newest, "a digit that has served is still in a journal"
+        first = first_held(world.held(side))
+        assert newest <= first < BEYOND, "a digit that has served is still in a journal"
     world.close()
 
 
@@ -106,36 +105,38 @@ def test_sealed_messages_arrive_through_deaths() -> None:
 
 
 def the_position_does_not_move_on(patch: pytest.MonkeyPatch) -> None:
-    name = Stream.name
+    name = KeyStream.name
 
-    def same(self: Stream, *of: int) -> Position:
+    def same(self: KeyStream, *of: int) -> Position:
         after = self._after
         named = name(self, *of)
         self._after = after
         return named
 
-    patch.setattr(Stream, "name", same)
+    patch.setattr(KeyStream, "name", same)
 
 
 def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
-    init = Stream.__init__
+    init = KeyStream.__init__
 
-    def begins(self: Stream, size: int, parts: Any = (), after: Position = NOWHERE) -> None:
-        init(self, size, parts)
+    def begins(
+        self: KeyStream, size: int, held: Held = NOTHING_HELD, after: Position = NOWHERE
+    ) -> None:
+        init(self, size, held)
 
-    patch.setattr(Stream, "__init__", begins)
+    patch.setattr(KeyStream, "__init__", begins)
     nothing_is_erased(patch)
 
 
 def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
-    def keeps(self: Stream, position: Position) -> tuple[Part, ...]:
+    def keeps(self: KeyStream, position: Position) -> tuple[Keys, ...]:
         return ()
 
-    patch.setattr(Stream, "drop_before", keeps)
+    patch.setattr(KeyStream, "drop_before", keeps)
 
 
 def a_controller_takes_no_notice_of_what_was_used(patch: pytest.MonkeyPatch) -> None:
-    broken(patch, controller_core, "if rules.scheme.from_stream and not digits:", "if False:")
+    broken(patch, chooser, "if digits or not rules.scheme.from_stream:", "if True:")
 
 
 WRONG: list[Callable[[pytest.MonkeyPatch], None]] = [

@@ -30,7 +30,7 @@ def excursion(fallback: str, seconds: float) -> tuple[float, DeadLink, Callable[
     worst = [-1.0]
 
     def look() -> bool:
-        worst[0] = max(worst[0], largest.excess(world.plant.record.x))
+        worst[0] = max(worst[0], largest.excess(world.plant.state.record.link.x))
         return worst[0] > 0.5
 
     world.run(seconds=seconds, until=look)

@@ -1,6 +1,5 @@
 """The network table: the same steps missed wherever it is passed, and as many as expected."""
 
-import os
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -8,14 +7,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.agreement import predict
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from protocol.statistics import Interval, share_over_runs
 from runtime.errors import UsageError
 from runtime.network import check_delays, round_trip_s
 from runtime.shipped import SCENARIOS
+from tests.support.recorded_pair import law_of
 from tests.support.size import size
-from tests.support.small_run import law_of
 from wyner.api import design, run
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.missed import missed_steps
@@ -90,32 +88,6 @@ def test_the_engine_misses_the_steps_that_the_two_ends_miss(name: str, fallback:
         assert t.coin == together.coin[t.k, 0]
         assert t.symbol == link.agreed[t.k, 0]
         assert t.cipher == link.cipher[t.k, 0]
-
-
-def test_a_plant_of_ones_own_misses_the_same_steps() -> None:
-    data = networked(TABLES["bursts"]).model_dump(mode="json", exclude_none=True)
-    data["plant"]["disturbance"] = {"enters": "none"}
-    scenario = parse_scenario(data, "own")
-
-    class Own:
-        """The scenario's plant as an object."""
-
-        def reset(self, seed: int | None) -> tuple[float, ...]:
-            self.x = scenario.initial_state
-            return self.x
-
-        def step(self, u: tuple[float, ...], period_s: float) -> tuple[float, ...]:
-            self.x = predict(scenario.A, scenario.B, self.x, u)
-            return self.x
-
-    own = run(design(scenario), steps=80, runs=2, seed=4, plant=Own())
-    expected = missed_steps(scenario, seed=4, runs=range(2), steps=80)
-    assert expected is not None
-    assert own.missed_share == pytest.approx(expected.mean(axis=0))
-    assert (own.coin.T[expected] == -1).all()
-    assert np.isnan(own.gauges[0][expected[:, 0]]).all()
-    assert (own.u[0][expected[:, 0]] == 0).all(), "the fallback, zero"
-    assert (own.cost > 0).all()
 
 
 def _has_two(both: Simulation) -> bool:
@@ -202,16 +174,6 @@ def test_a_wrong_file_of_delays_is_one_line(
     assert len(refused.value.lines) == 1
 
 
-def test_what_is_no_file_of_delays_is_not_waited_for(tmp_path: Path) -> None:
-    """A folder, and a pipe into which nobody writes."""
-    scenario = networked({"to_plant": {"delay": "measured", "file": "delays"}})
-    for make in (Path.mkdir, os.mkfifo):
-        make(tmp_path / "delays")
-        with pytest.raises(UsageError, match="delays: cannot be read: "):
-            check_delays(scenario, tmp_path)
-        (tmp_path / "delays").rename(tmp_path / f"{len(list(tmp_path.iterdir()))}")
-
-
 def test_a_run_looks_for_the_delays_beside_its_scenario(tmp_path: Path) -> None:
     (tmp_path / "delays.txt").write_text("0.02\n0.03\n0.25\n")
     text = (SCENARIOS / "sustained.toml").read_text()
@@ -230,13 +192,3 @@ def test_the_plant_waits_at_its_end_for_forty_periods_at_most() -> None:
     """A way of an hour, and a run of 40 steps never ended."""
     assert round_trip_s(networked({"to_plant": {"delay_s": 3600.0}}), Path()) == pytest.approx(4.0)
     assert round_trip_s(networked({"to_plant": {"delay_s": 0.2}}), Path()) == pytest.approx(0.2)
-
-
-def test_in_lock_step_a_bad_state_does_not_last_for_ever() -> None:
-    """A state that loses everything, in half of the steps: every step is made, and none missed."""
-    worst = {"loss_bad": 1.0, "to_bad": 0.5, "to_good": 0.5}
-    _, law = law_of("sustained")
-    both = Simulation(networked({"to_plant": worst}), law, seed=2)
-    history = both.run(steps=20, seconds=2000.0)
-    assert both.k == 20
-    assert history.missed == 0

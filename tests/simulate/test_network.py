@@ -92,40 +92,6 @@ def test_the_check_finds_what_it_looks_for(
     assert "gap" in next(violations(history, (b"x",)))
 
 
-def test_at_alpha_one_nothing_is_ever_agreed(
-    sustained: Scenario, sustained_law: CandidateLaw
-) -> None:
-    secrecy = sustained.secrecy.model_copy(update={"alpha": 1.0})
-    scenario = sustained.model_copy(update={"secrecy": secrecy})
-    history = simulate(scenario, sustained_law, seed=5, steps=2000, payload=b"abc")
-    assert all(t.symbol == -1 for t in history.plant.values())
-    assert history.inbox == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", range(100, size(108, 135)))
-def test_many_seeds(seed: int, sustained: Scenario, sustained_law: CandidateLaw) -> None:
-    faults = Faults(
-        loss=(seed % 5) / 10,
-        repeat=(seed % 3) / 5,
-        delay_s=(seed % 4) / 10,
-        crash=(seed % 7) / 150,
-        amnesia=(seed % 2) / 4,
-        until_s=40,
-    )
-    sim = Simulation(
-        sustained,
-        sustained_law,
-        seed=seed,
-        payloads=PAYLOADS,
-        faults=faults,
-        step_s=0.1 if seed % 3 else None,
-    )
-    history = sim.run(seconds=900, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
-    assert list(violations(history, PAYLOADS)) == []
-    assert len(history.delivered) >= len(PAYLOADS)
-
-
 class Watched(PlantJournal):
     """A plant's journal that counts the statements of each step's write."""
 

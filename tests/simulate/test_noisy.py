@@ -1,26 +1,18 @@
 """Readings with noise: W in the defender's half of the test, and the same run in every place."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from controller_service.laws.registry import make_law, synthesise
 from protocol.agreement import NO_SYMBOL, Gauge, predict
 from protocol.link.session import rules_of
-from protocol.scenario import NoiseSet, Scenario, ScenarioError, SensorNoise, parse_scenario
-from protocol.scenario.noise import widened
-from studies.readings import MESSAGE, largest
-from tap_service.eavesdroppers.nearest_centre import NearestCentre
-from tap_service.eavesdroppers.text import Text
+from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
-from tests.support.small_run import law_of
+from tests.support.recorded_pair import law_of
 from wyner.api import design, run
 from wyner.runs.score.counts import costs
-from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import listen, transcript
-from wyner.simulate.network import Simulation
+from wyner.simulate.engine import simulate_runs
 
 
 def noisy(**changes: dict[str, Any]) -> Scenario:
@@ -43,22 +35,6 @@ def test_w_is_the_sum_of_three_sets() -> None:
         moved = predict(scenario.A, ((0.0,), (0.0,)), [0.024 * v for v in before], (0.0,))
         terms = zip(d, after, moved, strict=True)
         assert gauge([0.12 * a + 0.024 * b - c for a, b, c in terms]) <= 1 + 1e-12
-
-
-def test_w_of_a_polytope_holds_every_sum_of_corners() -> None:
-    scenario, _ = law_of("noisy")
-    N = NoiseSet(H=((1.0, 1.0), (-1.0, 0.5), (0.0, -1.0)), h=(0.02, 0.01, 0.03))
-    gauge = Gauge.from_rows(*widened(scenario.defender.disturbance, N, scenario.A).rows())
-    for before in N.corners():
-        for after in N.corners():
-            for d in ((0.12, 0.12), (0.12, -0.12), (-0.12, 0.12), (-0.12, -0.12)):
-                moved = predict(scenario.A, ((0.0,), (0.0,)), before, (0.0,))
-                terms = zip(d, after, moved, strict=True)
-                assert gauge([a + b - c for a, b, c in terms]) <= 1
-    assert N.contains(N)
-    assert not N.contains(NoiseSet(half_widths=(0.5, 0.0)))
-    drawn = SensorNoise(H=N.H, h=N.h, kind="corners").drawn((0.99, 0.0))
-    assert drawn == N.corners()[-1]
 
 
 def test_what_is_possible_for_her_is_said_by_the_offer() -> None:
@@ -95,33 +71,6 @@ def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:
     agreed = (runs.symbol != NO_SYMBOL) & (runs.largest <= scenario.secrecy.alpha)
     assert agreed.mean() == 1.0
     assert (runs.symbol == runs.coin).all()
-
-
-def test_the_oracle_makes_the_defenders_test() -> None:
-    scenario, law = law_of("noisy")
-    runs = simulate_runs(scenario, law, seed=2, runs=range(1), steps=300, record=True)
-    oracle, nearest = listen(runs, transfer(runs), ("oracle", "nearest-centre"), 0)
-    assert oracle.right == oracle.agreements > 100
-    assert nearest.right > 0.9 * nearest.agreements
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("share", [0.2, 0.5])
-def test_who_learns_the_shape_of_w_is_not_below_who_measures_along_one_coordinate(
-    share: float,
-) -> None:
-    """D_e has D_c's shape, and W another: both have every key, and `text` the message."""
-    scenario, law = largest(share)
-    runs = simulate_runs(scenario, law, seed=3, runs=range(1), steps=500, record=True)
-    link = transfer(runs, payloads=[MESSAGE])
-    keys = {k: key for k, key in enumerate(link.agreed[:, 0].tolist()) if key != NO_SYMBOL}
-    nearest, text = NearestCentre(scenario.knowledge()), Text(scenario.knowledge(), live=False)
-    for tap in (nearest, text):
-        at_once = {t.k: tap.observe(t).best for t in transcript(runs, link, 0)}
-        later = at_once | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
-        for named in (at_once, later):
-            assert {k: named[k] for k in keys} == keys
-        assert tap.belief().whole == (MESSAGE,)
 
 
 def test_deaths_and_a_bad_network_break_nothing() -> None:
@@ -193,35 +142,6 @@ def test_how_many_candidates_the_noise_leaves(share: float, candidates: int) -> 
     assert len(choose_alphabet(size=candidates, **alphabet).offsets) == candidates  # type: ignore[arg-type]
     with pytest.raises(AlphabetError, match=f"expected at most {candidates}"):
         choose_alphabet(size=candidates + 1, **alphabet)  # type: ignore[arg-type]
-
-
-def test_the_design_of_the_shipped_scenario_is_found_anew() -> None:
-    scenario, law = law_of("noisy")
-    assert Path("runtime/scenarios/noisy.toml").name == f"{scenario.name}.toml"
-    again = make_law(scenario, synthesise(scenario))
-    assert again.candidates(scenario.initial_state) == law.candidates(scenario.initial_state)
-
-
-@pytest.mark.parametrize("name", ["motor", "gymnasium-pendulum", "unicycle"])
-def test_every_kind_of_plant_is_read_through_noise(name: str) -> None:
-    """A hundredth of D_c, both ends and their journals, 25 steps, seed 2: no key is wrong."""
-    scenario, law = law_of(name)
-    widths = scenario.defender.disturbance.half_widths
-    assert widths is not None
-    data = scenario.model_dump(mode="json", exclude_none=True)
-    data["defender"].pop("calibration", None)
-    data["plant"]["noise"] = {"half_widths": [0.01 * w for w in widths]}
-    data["defender"]["noise"] = {"half_widths": [0.01 * w for w in widths]}
-    through = parse_scenario(data, name)
-    history = Simulation(through, law, seed=2).run(steps=25)
-    counted = list(history.plant.values())
-    assert len(counted) >= 24
-    apart = []
-    for t in counted:
-        assert t.symbol in (NO_SYMBOL, t.coin)
-        assert t.truth is not None
-        apart.append(np.abs(np.subtract(t.truth.x_next, t.x_next)) / np.array(widths))
-    assert 0.005 < np.max(apart) <= 0.01 + 1e-9
 
 
 def test_one_who_knows_her_own_set_lacks_the_noise_too() -> None:

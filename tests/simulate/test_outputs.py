@@ -9,14 +9,10 @@ from protocol.agreement import NO_SYMBOL, predict
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
-from tests.support.safety import violations
+from tests.support.recorded_pair import law_of
 from tests.support.size import size
-from tests.support.small_run import law_of
 from wyner import api
-from wyner.simulate.engine import simulate_runs, transfer
-from wyner.simulate.engine.taps import listen
-from wyner.simulate.faults import Faults
-from wyner.simulate.network import Simulation
+from wyner.simulate.engine import simulate_runs
 
 LOSSES = {"to_plant": {"loss": 0.3}, "to_controller": {"loss": 0.3}}
 BURSTS = {
@@ -109,33 +105,8 @@ def test_deaths_and_a_bad_network_break_nothing() -> None:
     """Exactly once, the box at both ends the same and around the state, over 4 seeds."""
     for history in through_deaths_and_losses(*law_of("encoder")):
         assert history.record is not None
-        assert history.record.symbol_errors == 0
+        assert history.record.applied.symbol_errors == 0
         assert all(map(held, history.plant.values()))
-
-
-def test_a_plant_that_lost_its_journal_begins_its_box_anew() -> None:
-    scenario, law = law_of("encoder")
-    faults = Faults(crash=0.05, amnesia=0.5, until_s=20)
-    both = Simulation(scenario, law, seed=3, payloads=(b"a",), faults=faults, step_s=0.1)
-    history = both.run(seconds=300, until=lambda: bool(both.history.inbox))
-    assert history.amnesias > 0
-    assert list(violations(history, (b"a",))) == []
-
-
-def test_who_hears_readings_alone_guesses_most_keys() -> None:
-    """4 runs of 300 steps: nearest-centre has over 90 % of keys; the paper's own half of them."""
-    scenario, law = law_of("encoder")
-    runs = simulate_runs(scenario, law, seed=2, runs=range(4), steps=300, record=True)
-    link = transfer(runs)
-    right = {"nearest-centre": 0, "set-membership": 0}
-    agreed = 0
-    for run in range(4):
-        for name, heard in zip(right, listen(runs, link, tuple(right), run), strict=True):
-            right[name] += heard.right
-            agreed += heard.agreements
-    assert agreed > 2 * 500
-    assert right["nearest-centre"] > 0.9 * agreed / 2
-    assert 0.4 < right["set-membership"] / (agreed / 2) < 0.6
 
 
 @pytest.mark.parametrize(

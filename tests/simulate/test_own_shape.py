@@ -75,18 +75,6 @@ def test_the_nearest_in_her_shape_is_the_key_only_where_it_is_that_of_d_c(
         assert rights("oracle", case, place) == (1.0, [MESSAGE])
 
 
-@pytest.mark.slow
-def test_one_who_never_used_d_e_is_not_misled_by_it() -> None:
-    case = played((0.24, 0.96))
-    assert rights("learning", case, 0)[0] > 0.995
-
-
-def test_four_candidates_too() -> None:
-    case = played((0.24, 0.96), 2.0, 4)
-    assert rights("nearest-centre", case, 0)[0] < 0.8
-    assert rights("fitted-box", case, 0) == (1.0, [MESSAGE])
-
-
 def test_what_she_found_is_the_box_of_d() -> None:
     scenario, runs, link = played((0.24, 0.96))
     tap = FittedBox(scenario.knowledge())
@@ -177,24 +165,3 @@ def test_the_largest_alphabet_is_certain_at_every_corner_and_one_more_is_not(
     assert not certain(np.arange(most + 1)[:, None] * step)
     with pytest.raises(AlphabetError, match=rf"got {most + 1}, expected at most {most}"):
         choose_alphabet(B, D_c, U, alpha=1.0, size=most + 1, shape=hers)
-
-
-def test_d_c_as_its_own_shape_has_the_same_alphabet() -> None:
-    B, D_c = ((0.0246,), (0.4877,)), ConvexSet(half_widths=(0.12, 0.12))
-    for alpha in (1.0, 3.0, 3.01, 7.01, 8.0):
-        plain = largest_certain(Separation.of(B, D_c), alpha)
-        assert largest_certain(Separation.of(B, D_c, D_c), alpha) == plain
-
-
-def test_two_inputs_of_a_shape_of_its_own() -> None:
-    B = ((0.4, 0.02), (0.01, 0.3))
-    D_c, hers = ConvexSet(half_widths=(0.03, 0.03)), ConvexSet(half_widths=(0.3, 0.12))
-    U = ConvexSet(half_widths=(3.0, 3.0))
-    most = largest_certain(Separation.of(B, D_c, hers), 1.0)
-    assert most >= 6
-    offsets = choose_alphabet(B, D_c, U, alpha=1.0, size=most, shape=hers).offsets
-    corners = 0.03 * np.array([(a, b) for a in (-1, 1) for b in (-1, 1)])
-    v = np.abs(((offsets[:, None] - offsets[None]) @ np.array(B).T)[:, :, None] + corners)
-    off = ~np.eye(most, dtype=bool)
-    assert (v <= np.array([0.3, 0.12])).all()
-    assert (v[off] > 0.03).any(axis=2).all()

@@ -3,7 +3,6 @@
 import math
 from typing import Any
 
-import numpy as np
 import pytest
 
 from controller_service.laws.base import CandidateLaw
@@ -12,14 +11,9 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer, frame_length
 from runtime.scenario_file import scenario_of
-from studies.secrecy.runs import simulate as study_run
-from studies.secrecy.study import heard_by, knowledge_for, output_about
-from tap_service.capture.channel import View
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
-from tap_service.eavesdroppers.smoother import Smoother
 from tests.support.safety import violations
 from tests.support.size import size
-from wyner.runs.score.score import score
 from wyner.simulate.engine import follow, simulate_runs, transfer
 from wyner.simulate.engine.taps import listen, transcript
 from wyner.simulate.faults import Faults
@@ -77,14 +71,6 @@ def test_bits_a_step_on_the_papers_plant(alpha: float, size: int, bits: float) -
 def test_bits_a_step_on_the_shipped_plants(name: str) -> None:
     size = SHIPPED[name]
     assert claimed_bits(*system(name, size, 8.0)) == pytest.approx(math.log2(size), abs=5e-4)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("kind", SEVEN)
-@pytest.mark.parametrize(("alpha", "size"), [(3.01, 2), (8.0, 4)])
-def test_the_law_of_the_disturbance_is_all_one(kind: str, alpha: float, size: int) -> None:
-    bits = claimed_bits(*system("packed", size, alpha, SEVEN[kind]))
-    assert bits == pytest.approx(math.log2(size), abs=5e-4)
 
 
 def test_at_odd_alphas_one_symbol_less() -> None:
@@ -161,92 +147,3 @@ def test_nearest_centre_names_every_key_and_has_the_message(name: str, kind: str
             if symbol != NO_SYMBOL and deframer.push(symbol) is not None:
                 plant_has_it = t.k
         assert tap.belief().solved_k == plant_has_it > 0
-
-
-def test_list_decoder_and_learner_have_it_too() -> None:
-    message = b"We sail at dawn."
-    scenario, law = system("packed", 4, 8.0)
-    runs = simulate_runs(scenario, law, seed=5, runs=range(1), steps=400, record=True)
-    link = transfer(runs, payloads=[message])
-    for heard in listen(runs, link, ["list-decoder", "learning", "smoother"], 0):
-        assert heard.delivered == heard.read == 1
-        assert heard.right >= 0.95 * heard.agreements
-
-
-FAULTS = {
-    "clean": Faults(),
-    "loses and repeats": Faults(loss=0.15, repeat=0.1, delay_s=0.15, until_s=40),
-    "dies": Faults(loss=0.1, repeat=0.1, delay_s=0.15, crash=0.02, until_s=40),
-    "forgets": Faults(0.15, 0.1, 0.15, 0.02, 0.3, until_s=40),
-}
-PAYLOADS = (b"first", b"second message", b"3")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("candidates", size([3], [2, 3, 4]))
-@pytest.mark.parametrize("network", FAULTS)
-@pytest.mark.parametrize("step_s", [None, 0.1], ids=["lockstep", "deadlines"])
-def test_exactly_once_on_a_bad_network(network: str, candidates: int, step_s: float | None) -> None:
-    scenario, law = system("packed", candidates, 8.0)
-    faults = FAULTS[network]
-    sim = Simulation(
-        scenario, law, seed=candidates, payloads=PAYLOADS, faults=faults, step_s=step_s
-    )
-    history = sim.run(seconds=300, until=lambda: len(sim.history.delivered) >= len(PAYLOADS))
-    assert list(violations(history, PAYLOADS)) == []
-    assert len(history.delivered) >= len(PAYLOADS)
-    if not faults.amnesia:
-        assert history.inbox == list(PAYLOADS)
-    for (session, j), t in history.plant.items():
-        before = history.plant.get((session, j - 1))
-        if before is not None:
-            assert t.key == before.symbol  # the key of the verdict before, and no other
-        assert t.role == ("test" if t.key == NO_SYMBOL else "message")
-        assert t.symbol == t.coin
-
-
-def test_without_faults_all_but_the_first_transition_carry() -> None:
-    scenario, law = system("packed", 4, 8.0)
-    sim = Simulation(scenario, law, seed=7, payloads=(b"abc",))
-    history = sim.run(steps=1000)
-    assert sum(t.role == "message" for t in history.plant.values()) == 999
-    assert history.inbox == [b"abc"]
-
-
-def test_any_law_with_either_scheme() -> None:
-    """`sustained` pipelined carries p a step, `packed` switched 1/2."""
-    shares = {}
-    for name in ("sustained", "packed"):
-        for scheme in ("switched", "pipelined"):
-            scenario = scenario_of(name)
-            secrecy = scenario.secrecy.model_copy(update={"scheme": scheme})
-            scenario = scenario.model_copy(update={"secrecy": secrecy})
-            law = make_law(scenario, cached_design(scenario))
-            runs = simulate_runs(scenario, law, seed=2, runs=range(100), steps=1000)
-            link = follow(runs, [8.0])
-            shares[name, scheme] = float(np.mean(link.message_symbols)) / 1000
-    assert shares["packed", "switched"] == 0.5
-    assert shares["packed", "pipelined"] == 0.999
-    assert shares["sustained", "switched"] == pytest.approx(0.230, abs=0.003)
-    assert shares["sustained", "pipelined"] == pytest.approx(0.299, abs=0.003)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("knobs", "bits"), [({"loss": 0.1}, 0.9), ({"noise": 0.05}, 0.85)])
-def test_the_smoother_reads_on_where_it_hears_badly(knobs: dict[str, float], bits: float) -> None:
-    """Knowing that every transition agrees, it is never a symbol out of step."""
-    run = study_run(300, 1, name="packed")
-    view = View(seed=1, **knobs)
-    tap = Smoother(knowledge_for(run, Smoother, view))
-    scored = score(run.truth, output_about(tap, heard_by(run, view)))
-    assert scored.bits.right >= bits * scored.bits.of
-
-
-@pytest.mark.long
-def test_offers_alone_show_v_and_so_most_keys() -> None:
-    """No state is heard, and one key in four would be chance."""
-    run = study_run(size(60, 120), 0, name="packed")
-    view = View(view="offers")
-    tap = Smoother(knowledge_for(run, Smoother, view))
-    scored = score(run.truth, output_about(tap, heard_by(run, view)))
-    assert scored.keys_reviewed.right >= 0.5 * scored.keys_reviewed.of

@@ -8,7 +8,7 @@ import pytest
 from plant_service.adapters import PlantError
 from plant_service.adapters.registry import open_plant
 from protocol.scenario import Scenario
-from tests.adapters.plants import Device, PythonLine, build_fmu, line, operated
+from tests.adapters.plants import PythonLine, build_fmu, line, operated
 from wyner.api import System, build, design, load, run, vary
 from wyner.simulate.engine import Runs, SimulationError, simulate_runs
 
@@ -115,28 +115,11 @@ def test_the_kinds_of_a_file_open_and_run(undisturbed: System, tmp_path: Path) -
         same(expected, run(system, steps=40, seed=1, folder=tmp_path).record)
 
 
-def test_an_object_of_ones_own_takes_the_plants_place(undisturbed: System) -> None:
-    scenario = quiet(undisturbed.scenario)
-    system = System(scenario, undisturbed.design, undisturbed.law)
-    one = run(system, steps=30, runs=2, seed=4, plant=PythonLine())
-    two = run(system, steps=30, runs=2, seed=4, plant=Device())
-    same(one.record, two.record)
-
-
 def test_what_cannot_be_written_to_cannot_be_disturbed(
     system: System, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(PlantError, match=r"^plant.disturbance.enters: got 'state', expected 'inp"):
         run(system, plant=PythonLine())
-
-
-def test_a_disturbed_input_goes_beyond_the_candidates(system: System) -> None:
-    spec = {"enters": "input", "half_widths": [0.1], "kind": "corners"}
-    scenario = vary(system.scenario, {"plant.disturbance": spec})
-    runs = run(System(scenario, system.design, system.law), steps=50, seed=2, plant=PythonLine())
-    x, u = runs.x[0], runs.u[0, :, 0]
-    pushed = x[1:, 1] - x[:-1, 1] - u
-    assert np.abs(pushed) == pytest.approx(np.full(50, 0.1))
 
 
 def test_a_plant_that_fails_stops_the_run_and_says_where(system: System) -> None:

@@ -1,9 +1,6 @@
 """The study of the attacks: its rows say what the theorems say, and what is measured again."""
 
-import csv
 import shutil
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +9,9 @@ import pytest
 from protocol.statistics import clopper_pearson
 from studies.__main__ import main
 from studies.attacks import study, tables
-from studies.attacks.study import EYES, Task, distilled, seen_through, tasks
-from studies.attacks.tables import share, unseen
-from studies.registry import Row, between_marks, recorded, studies
+from studies.attacks.study import EYES, seen_through, tasks
+from studies.attacks.tables import unseen
+from studies.registry import Row, recorded, studies
 from studies.signalling import changed
 from tests.house.test_docs import ROOT
 
@@ -25,11 +22,6 @@ PAGE = ROOT / "docs" / "findings.md"
 @pytest.fixture(scope="module")
 def rows() -> list[Row]:
     return recorded("attacks")
-
-
-def test_every_task_has_its_row(rows: list[Row]) -> None:
-    assert [row["task"] for row in rows] == [task.id for task in tasks()]
-    assert len({row["version"] for row in rows}) == 1
 
 
 def test_shares_are_within_binomial_error_of_the_theory(rows: list[Row]) -> None:
@@ -100,11 +92,6 @@ def test_a_row_measured_again_is_the_same(rows: list[Row]) -> None:
             assert fresh[name] == by_task[task.id][name], (task, name)
 
 
-def test_a_page_without_marks_is_told() -> None:
-    with pytest.raises(ValueError, match="'matrix'"):
-        between_marks("# Attacks", "matrix", "")
-
-
 def test_an_eye_is_as_sharp_as_one_that_is_drawn() -> None:
     scenario = changed("packed")
     draw = np.random.default_rng(7)
@@ -117,33 +104,6 @@ def test_an_eye_is_as_sharp_as_one_that_is_drawn() -> None:
         nearest = ((seen[:, None] - push) ** 2).sum(-1).argmin(1)
         assert seen_through(noise, scenario) == pytest.approx((nearest == coins).mean(), abs=0.006)
         assert seen_through(noise, scenario) == pytest.approx(stated, abs=5e-4)
-
-
-def test_distilled_keys_are_had_when_the_claim_is_false() -> None:
-    draw = np.random.default_rng(7)
-    assert distilled("false claim", 200, draw).all()
-    assert not distilled("secret", 5000, draw).any()
-
-
-def test_shares_in_words() -> None:
-    assert share(1000, 1000) == "1 (above 0.9962)"
-    assert share(0, 1000) == "0 (below 0.0038)"
-    assert share(250, 1000) == "0.250 [0.224, 0.278]"
-
-
-def test_what_is_stopped_goes_on(tmp_path: Path) -> None:
-    few = [Task("key", "ghost", runs=20, steps=3, onset=2), Task("key", "stuck", runs=20, steps=3)]
-    one = replace(studies()["attacks"], tasks=lambda: iter(few))
-    path = tmp_path / "some" / "attacks.csv"
-    one.measure(path)
-    whole = path.read_bytes()
-    lines = whole.splitlines(keepends=True)
-    path.write_bytes(b"".join(lines[:1]) + lines[1][:30])  # killed while it wrote
-    with ProcessPoolExecutor(2) as pool:
-        one.measure(path, pool)
-    assert path.read_bytes() == whole
-    with path.open(newline="") as file:
-        assert [row["attack"] for row in csv.DictReader(file)] == ["ghost", "stuck"]
 
 
 @pytest.mark.slow
@@ -174,16 +134,3 @@ def test_what_cannot_be_is_one_line(
 ) -> None:
     assert main(arguments) == 2
     assert line in capsys.readouterr().err
-
-
-def test_the_page_says_what_the_data_say(rows: list[Row]) -> None:
-    """Numbers in its sentences: the ghost's shares, how far the plant is, what is shown."""
-    text = PAGE.read_text(encoding="utf-8")
-    (row,) = (r for r in rows if (r["group"], r["attack"], r["key"]) == ("key", "ghost", "secret"))
-    runs, left = int(row["runs"]), unseen(row)
-    for n, form in ((1, ".3f"), (2, ".3f"), (5, ".4f")):
-        assert f"{left[n] / runs:{form}}" in text
-    (limit,) = (r for r in rows if r["group"] == "limit")
-    assert f"is {float(limit['away']):.0f} away" in text
-    assert float(limit["shown_largest"]) <= 2.4
-    assert (ROOT / "docs" / "figures" / "undetected.svg").exists()

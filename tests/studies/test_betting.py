@@ -6,7 +6,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from controller_service.sets.alphabet import choose_alphabet, line_size
+from controller_service.sets.alphabet import line_size
 from controller_service.sets.separation import Separation
 from plant_service.disturbance import disturbance
 from protocol.agreement import INSIDE
@@ -43,35 +43,6 @@ def test_chances_are_those_of_the_plant(kind: Kind) -> None:
         agreed = (g[:, r] <= INSIDE) & (others > INSIDE).all(axis=1) & (others <= alpha).all(axis=1)
         error = 4 * math.sqrt(max(expected[r] * (1 - expected[r]), 1e-4) / samples)
         assert agreed.mean() == pytest.approx(expected[r], abs=error)
-
-
-def test_chances_of_two_inputs() -> None:
-    G = np.array([[0.4, 0.02], [0.01, 0.3], [0.0, 0.2], [0.14, 0.0]])
-    box = ConvexSet(half_widths=(0.03,) * 4)
-    inputs = ConvexSet(half_widths=(3.0, 3.0))
-    offsets = choose_alphabet(G, box, inputs, alpha=4.0, size=6, spacing=1.6).offsets
-    spec = Disturbance(half_widths=(0.03,) * 4)
-    d = np.random.default_rng(6).uniform(-0.03, 0.03, (40_000, 4))
-    expected = chances(offsets @ G.T, np.full(4, 0.03), 4.0, DisturbanceLaw.of(spec))
-    for r in range(6):
-        g = np.abs(d[:, None] + (offsets[r] - offsets) @ G.T).max(axis=2) / 0.03
-        others = np.delete(g, r, axis=1)
-        agreed = (others > 1).all(axis=1) & (others <= 4.0).all(axis=1)
-        assert agreed.mean() == pytest.approx(expected[r], abs=0.012)
-
-
-def test_certain_alphabets_are_certain_for_every_law() -> None:
-    inputs = ConvexSet(half_widths=(6.0,))
-    offsets = choose_alphabet(B, D_C, inputs, alpha=8.0, size=4).offsets
-    for spec in (
-        UNIFORM,
-        Disturbance(half_widths=(0.12, 0.12)),
-        Disturbance(kind="corners", half_widths=(0.12, 0.12)),
-        Disturbance(kind="constant", half_widths=(0.12, 0.12)),
-        Disturbance(kind="sinusoid", half_widths=(0.12, 0.12)),
-    ):
-        P = chances(offsets @ B.T, W, 8.0, DisturbanceLaw.of(spec))
-        assert pytest.approx(1.0, abs=1e-12) == P
 
 
 @pytest.mark.parametrize(

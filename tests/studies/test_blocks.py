@@ -14,7 +14,6 @@ from studies.capacity.blocks import (
     finite_keys,
     most_keys,
 )
-from studies.capacity.two_step import GRIDS, colourings
 
 
 def test_the_chained_code_s_sizes() -> None:
@@ -71,65 +70,3 @@ def test_a_gap_of_two_or_a_key_more_is_refused_by_the_same_check() -> None:
         if len(more.possible((Fraction(0), Fraction(v, 10)), code.alpha)[-1]) < 5
     ]
     assert lacking
-
-
-@pytest.mark.slow
-def test_up_to_alpha_two_there_is_no_code_of_fixed_points() -> None:
-    """Every cyclic colouring of two steps, on both grids: none is together below alpha = 2.
-
-    With d = 0 another key's point must be within alpha of ours; within 2, halfway nobody can tell.
-    """
-    for grid in GRIDS:
-        least = min(alpha for alpha, code in colourings(9, grid) if code.keys > 1)
-        assert least >= 2
-
-
-@pytest.mark.parametrize("alpha", [2.5, 3.5, 4.6])
-def test_finite_offers_of_two_steps_have_no_more_keys_than_packed(alpha: float) -> None:
-    """Two offers of up to three inputs on a grid, and colourings of their pairs."""
-    bound = finite_keys(alpha, 2)
-    steps = np.array([-1.0, -0.5, 0.0, 0.5, 1.0])
-    d = np.array(list(itertools.product(steps, repeat=2)))
-    offers = [
-        (0.0, *rest)
-        for count in (1, 2)
-        for rest in itertools.combinations((0.7, 1.4, 2.1, 2.8, 3.5), count)
-    ]
-    best = 1
-    rng = np.random.default_rng(1)
-    for first, second in itertools.product(offers, repeat=2):
-        points = np.array(list(itertools.product(first, second)))
-        n = len(points)
-        colourings = (
-            itertools.product(range(2), repeat=n - 1)
-            if n <= 6
-            else rng.integers(0, 5, (60, n - 1)).tolist()
-        )
-        y = (points[:, None] + d[None]).reshape(-1, 2)
-        gauge = np.abs(y[:, None] - points[None]).max(axis=2)
-        owner = np.repeat(np.arange(n), len(d))
-        near, hers = gauge <= 1 + 1e-12, gauge <= alpha
-        for rest in [*colourings, list(range(1, n))]:
-            colour = np.array((0, *rest))
-            q = len(set(colour.tolist()))
-            if q <= best:
-                continue
-            wrong = near & (colour[None] != colour[owner][:, None])
-            if wrong.any():
-                continue
-            if all((hers[:, colour == key].any(axis=1)).all() for key in set(colour.tolist())):
-                best = q
-    assert best == bound
-
-
-def test_the_two_step_codes_that_were_found_are_the_best_where_the_volume_says_so() -> None:
-    assert [most_keys(a, 2) for a in (2.0, 2.236, 2.2361, 2.375, 2.449)] == [4, 4, 5, 5, 5]
-    assert [most_keys(a, 2) for a in (3.0, 3.162, 3.163, 4.0, 4.123, 4.124)] == [
-        9,
-        9,
-        10,
-        16,
-        16,
-        17,
-    ]
-    assert most_keys(8.0, 1, 2) == 64

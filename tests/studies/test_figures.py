@@ -1,11 +1,7 @@
 """Figures: those of the pages, from their data alone, with runs, seeds and intervals stated."""
 
-import os
 import re
 import shutil
-import subprocess
-import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -13,25 +9,20 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.statistics import normal_mean, wilson
-from runtime.scenario_file import scenario_of
 from studies import DATA, FIGURES_FOLDER
 from studies.__main__ import main
-from studies.figures import FIGURES, FigureError, draw
-from studies.figures.loop import FEWEST, alpha_of, start_of, summaries
+from studies.figures import FIGURES, draw
+from studies.figures.loop import alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
-from studies.loops import centre_distances, closed_form, gauges_of, system, tap_rows
+from studies.loops import centre_distances, closed_form, gauges_of, system
 from studies.registry import origin, pages, recorded, stale, studies
-from tests.support.patience import PATIENCE_S
-from tests.support.size import size
-from wyner.advice.rate import long_runs, settled_rate
 from wyner.drawing.style import drawing, save
 from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.code import ROOT
-from wyner.sweeps.grid import Row, load_sweep, points_of
-from wyner.sweeps.results import SUMS, read_rows, read_table
+from wyner.sweeps.grid import Row
+from wyner.sweeps.results import read_table
 
 PAGE = ROOT / "docs" / "findings.md"
 PAGES = {
@@ -95,19 +86,6 @@ def test_a_figure_is_that_of_the_page_and_states_runs_seed_and_intervals(
     assert ("95 %" in note) == (name != "sets")
 
 
-@pytest.mark.long
-def test_another_process_with_another_style_draws_the_same_bytes(tmp_path: Path) -> None:
-    (tmp_path / "matplotlibrc").write_text("font.size: 20\nlines.linewidth: 9\n")
-    command = [sys.executable, "-m", "studies", "figures", "distance", "--output", "there"]
-    env = os.environ | {"PYTHONPATH": str(ROOT)}
-    subprocess.run(
-        command, cwd=tmp_path, env=env, check=True, capture_output=True, timeout=PATIENCE_S
-    )
-    svg, png = draw("distance", output=tmp_path / "here")
-    assert svg.read_bytes() == (tmp_path / "there" / svg.name).read_bytes()
-    assert png.read_bytes() == (tmp_path / "there" / png.name).read_bytes()
-
-
 def test_every_figure_is_in_the_document_with_both_files_and_its_data() -> None:
     for name, kind in FIGURES.items():
         text = PAGES.get(name, PAGE).read_text(encoding="utf-8")
@@ -162,40 +140,6 @@ def test_data_that_are_not_whole_are_told_in_a_line(
             assert "unexpected" not in line
 
 
-@pytest.mark.parametrize(
-    ("cut", "line"),
-    [
-        (lambda data: b"", "is empty"),
-        (lambda data: data[: data.index(b"\n") + 1], "has no rows"),
-        (lambda data: data[:-4], "its last line is torn"),
-        (
-            lambda data: data[: data.rindex(b" ")] + b"\n",
-            "line 43: runs_by_agreed: expected 20 runs",
-        ),
-        (lambda data: data[: data.rindex(b",")] + b"\n", "line 43: expected as many cells as"),
-        (lambda data: data.replace(b",0.1,", b",one,"), "line 2: period_s: expected a number"),
-        (lambda data: data + data.splitlines(keepends=True)[-1], "run 0 stands there twice"),
-    ],
-)
-def test_what_is_wrong_with_a_sweeps_data_is_told(
-    cut: Callable[[bytes], bytes], line: str, tmp_path: Path
-) -> None:
-    path = tmp_path / "fig7-paper-20.csv"
-    path.write_bytes(cut((DATA / path.name).read_bytes()))
-    with pytest.raises(FigureError) as error:
-        summaries(tmp_path, "fig7-paper-20")
-    assert str(error.value).startswith(f"{path}: ")
-    assert line in str(error.value)
-
-
-def test_measuring_again_gives_the_same_bytes(tmp_path: Path) -> None:
-    for name in ("a", "b"):
-        for file in ("sets", "fig7-paper-20"):
-            studies()[file].measure(tmp_path / name / f"{file}.csv")
-    for file in ("sets.csv", "fig7-paper-20.csv"):
-        assert (tmp_path / "a" / file).read_bytes() == (tmp_path / "b" / file).read_bytes()
-
-
 def test_rows_of_other_code_are_told(tmp_path: Path) -> None:
     one = studies()["widths"]
     path = tmp_path / "widths.csv"
@@ -241,21 +185,6 @@ def without_version(path: Path) -> list[Row]:
 def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
     studies()[name].measure(tmp_path / "now.csv")
     assert without_version(tmp_path / "now.csv") == without_version(DATA / f"{name}.csv")
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("name", ["sustained-long", "disturbances", "price"])
-def test_the_shipped_counts_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
-    studies()[name].measure(tmp_path / "now.csv")
-    now, shipped = read_rows(tmp_path / "now.csv"), read_rows(DATA / f"{name}.csv")
-    for ours, theirs in zip(now, shipped, strict=True):
-        sums = {key: pytest.approx(ours[key], rel=1e-9) for key in SUMS}  # a solver's rounding
-        assert theirs == ours | sums | {"version": theirs["version"]}
-
-
-def plain_text() -> str:
-    """The document with every line break and run of spaces as one space."""
-    return " ".join(PAGE.read_text(encoding="utf-8").split())
 
 
 def row_with(text: str, *cells: str) -> str:
@@ -325,21 +254,6 @@ def settled_rates() -> dict[tuple[str, str, float], tuple[float, float]]:
     }
 
 
-def test_what_settles_at_nothing() -> None:
-    rates = settled_rates()
-    assert rates["scenario", "double-integrator", 8.0][0] == 0
-    assert rates["disturbance", "constant bias", 8.0][0] == 0
-
-
-def test_the_rate_that_design_states_is_that_after_ten_thousand_steps() -> None:
-    """Its 1000 steps of burn-in are enough: the double integrator, whose start is all there is."""
-    scenario = scenario_of("double-integrator")
-    rate = settled_rate(long_runs(scenario, make_law(scenario, cached_design(scenario))))
-    assert rate.silent
-    assert rate.last_key == 7
-    assert rate.starts_otherwise
-
-
 # --- what the figures say ------------------------------------------------------------------------
 
 
@@ -356,63 +270,6 @@ def test_the_closed_form_is_what_the_simulation_does() -> None:
             here = (distance > low) & (distance <= high)
             share = wilson(int(in_diff[here].sum()), int(here.sum()), confidence=0.9999)
             assert share.low <= expected[here].mean() <= share.high
-
-
-def test_the_document_says_how_many_bins_are_off_the_closed_form() -> None:
-    drawn = [r for r in plain_rows(DATA / "distance.csv") if r["transitions"] >= FEWEST]
-    shares = [wilson(r["in_diff"], r["transitions"]) for r in drawn]
-    off = sum(not s.low <= r["expected"] <= s.high for s, r in zip(shares, drawn, strict=True))
-    assert f"all but {off} of the {len(drawn)} bins" in plain_text()
-
-
-@pytest.mark.long
-def test_the_document_says_how_often_candidates_are_equal_and_the_gauge_is_above_1() -> None:
-    sweep = load_sweep(ROOT / "wyner" / "sweeps" / "disturbances.toml")
-    above, equal = {}, {}
-    for point in points_of(sweep, ROOT / "wyner" / "sweeps"):
-        if point.scenario.secrecy.alpha == 8:
-            law = make_law(point.scenario, cached_design(point.scenario))
-            runs = simulate_runs(
-                point.scenario,
-                law,
-                seed=sweep.seed,
-                runs=range(sweep.runs),
-                steps=sweep.steps,
-                record=True,
-            )
-            assert runs.gauges is not None
-            assert runs.candidates is not None
-            true = np.where(runs.coin == 0, runs.gauges[:, 0], runs.gauges[:, 1])
-            above[point.variant] = float((true > 1).mean())
-            equal[point.variant] = float((runs.candidates[:, 0] == runs.candidates[:, 1]).mean())
-    text = plain_text()
-    assert f"in {100 * above['corners of D_c']:.0f} % of the steps" in text
-    assert f"in {100 * equal['constant bias']:.0f} % of the first 300 steps" in text
-    assert f"Corners of D do the same for {100 * equal['corners of D']:.0f} %" in text
-
-
-def test_the_closed_form_at_its_limits() -> None:
-    D, D_c = (0.1, 0.1), (0.12, 0.12)
-
-    def at(distance: float, alpha: float) -> float:
-        return float(closed_form(np.array([[0.0, distance]]), D, D_c, alpha)[0])
-
-    assert at(0.0, 8.0) == 0.0, "the same centre twice: nothing to tell apart"
-    assert at(0.23, 8.0) == pytest.approx(1.0), "far apart for the defender, near for the other"
-    assert at(0.23, 1.0) == 0.0, "alpha = 1: no asymmetry"
-    assert at(1.2, 8.0) == 0.0, "too far apart for the eavesdropper too"
-    assert at(0.12, 8.0) == pytest.approx(0.5), "half of D is beyond the other's edge"
-
-
-@pytest.mark.long
-def test_taps_get_what_the_scheme_claims_to_hide() -> None:
-    runs = size(1, 3)
-    rows = [row[-4:] for row in tap_rows(None, runs, 1200)]
-    assert len(rows) == 8
-    for agreements, right, delivered, read in rows:
-        assert right == agreements > 0
-        assert read <= delivered
-    assert rows[0][2:] == (runs, runs), "uniform: every message is read"
 
 
 def test_a_figure_is_never_drawn_through_a_link(tmp_path: Path) -> None:

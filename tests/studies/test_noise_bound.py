@@ -10,7 +10,7 @@ from scipy.stats import norm
 from runtime.scenario_file import scenario_of
 from studies.bound.coins import Coin, largest_gain
 from studies.bound.loop import BoundError, LinearLoop
-from studies.bound.taps import block_left, response, smoother_left
+from studies.bound.taps import block_left, response
 from studies.signalling import changed
 from tests.support.toeplitz import toeplitz
 
@@ -45,28 +45,6 @@ def test_one_coin_of_two_is_the_binary_gaussian_channel(a: float) -> None:
     assert coin.renyi(2.0) == pytest.approx(collision, abs=1e-9)
 
 
-def test_entropies_are_in_order_and_tend_to_both_ends() -> None:
-    offsets = np.linspace(-1, 1, 4)[:, None]
-    for deviation in (0.05, 0.3, 1.0, 5.0):
-        coin = Coin(offsets, deviation)
-        orders = [coin.renyi(s) for s in (1.001, 1.2, 1.5, 2.0)]
-        assert coin.bits >= orders[0] - 1e-9
-        assert orders == sorted(orders, reverse=True)
-        assert orders[-1] >= -math.log2(coin.guess) - 1e-9  # below it is the min-entropy
-    assert Coin(offsets, 1000.0).bits == pytest.approx(2.0, abs=1e-4)
-    assert Coin(offsets, 1e-12).bits == 0
-    assert Coin(offsets, 0.0).guess == 1
-
-
-def test_two_inputs_of_a_grid_are_two_coins() -> None:
-    line = np.array([-0.5, 0.5])
-    grid = np.array(list(itertools.product(line, repeat=2)))
-    one, both = Coin(line[:, None], 0.6), Coin(grid, 0.6)
-    assert both.bits == pytest.approx(2 * one.bits, abs=1e-6)
-    assert both.renyi(1.5) == pytest.approx(2 * one.renyi(1.5), abs=1e-6)
-    assert both.guess == pytest.approx(one.guess**2, abs=1e-3)
-
-
 # --- the loop ------------------------------------------------------------------------------------
 
 
@@ -95,16 +73,6 @@ def test_the_response_of_any_block_is_below_the_gain(four: LinearLoop) -> None:
     assert norms == sorted(norms)
     assert norms[-1] <= gain
     assert norms[-1] > 0.99 * gain
-
-
-@pytest.mark.parametrize(
-    ("weight", "gain"),
-    [(0.001, 4.284), (0.005, 4.351), (0.02, 4.585), (0.1, 5.572), (0.5, 8.522), (2.0, 14.345)],
-)
-def test_a_tight_loop_forgets_at_once(weight: float, gain: float) -> None:
-    regulator = {"next_state": [1.0, 1.0], "input": [weight]}
-    loop = LinearLoop.of(changed("packed", control={"regulator": regulator}))
-    assert 1 / loop.coin(HALF_WIDTH).deviation == pytest.approx(gain, abs=6e-4)
 
 
 @pytest.mark.parametrize(
@@ -142,24 +110,6 @@ def test_all_sequences_of_eight_coins_weighed_by_one_who_knows_d(
     assert left.bits - 3 * left.bits_error >= coin.bits
     # and the bound is no idle one
     assert left.bits < 1.05 * coin.bits
-
-
-@pytest.mark.parametrize("noise", [0.06, 0.12, 0.36])
-def test_one_who_knows_the_law_of_d_leaves_more(four: LinearLoop, noise: float) -> None:
-    told = block_left(four, D, noise, 4, 2000, 3, told=True)
-    law = block_left(four, D, noise, 4, 2000, 3, told=False)
-    assert four.coin(noise).bits <= told.bits + 4 * told.bits_error
-    assert told.bits < law.bits
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("noise", [0.03, 0.12])
-def test_smoother_with_measurements_alone_is_above_the_bound(
-    four: LinearLoop, noise: float
-) -> None:
-    left = smoother_left(scenario_of("packed"), noise, 200, 3, 1)
-    assert left.bits >= four.coin(noise).bits
-    assert left.whole <= four.coin(noise).guess
 
 
 # --- keys ----------------------------------------------------------------------------------------
@@ -212,11 +162,6 @@ def test_who_sees_less_leaves_more(four: LinearLoop) -> None:
     assert four.coin(HALF_WIDTH, states=(1,)).bits > everything.bits
 
 
-def test_a_constraint_may_be_active_on_the_double_integrator() -> None:
-    """K x + p may need 1.55 times U there, and the bound says nothing."""
-    assert LinearLoop.of(scenario_of("packed-double-integrator")).used > 1
-
-
 def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: LinearLoop) -> None:
     """A greedy adversary over 400 steps comes to it, and not beyond."""
     F, row, reach = four.A + four.B @ four.K, four.K[0] / 6.0, 0.0
@@ -225,14 +170,6 @@ def test_the_most_of_u_is_what_the_worst_coins_and_disturbances_need(four: Linea
         reach += 0.12 * np.abs(row).sum() + push * abs(float(row @ four.B[:, 0]))
         row = row @ F
     assert four.used == pytest.approx(reach + push / 6.0, rel=1e-6)
-
-
-def test_the_papers_plant_behind_noise_as_large_as_its_disturbance() -> None:
-    coin = LinearLoop.of(scenario_of("packed")).coin(0.12, "none", ())
-    assert 1 / coin.deviation == pytest.approx(4.351, abs=5e-4)
-    assert coin.guess == pytest.approx(0.7867, abs=5e-5)
-    assert coin.bits == pytest.approx(0.709, abs=5e-4)
-    assert coin.key_bits(1000, 1e-12) == 475
 
 
 def test_a_law_that_is_not_packed_is_refused() -> None:

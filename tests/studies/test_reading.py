@@ -8,7 +8,6 @@ import pytest
 from protocol.statistics import MISSTATED, wilson
 from studies.registry import Row, recorded
 from studies.secrecy.reading import ANY_BYTES
-from studies.secrecy.study import ALL_READ, VIEWS, tasks
 from studies.secrecy.tables import STATED_HEAD, median, misstated, reliability, tails
 from tap_service.inference.message_reader import SURE
 
@@ -38,15 +37,6 @@ def test_a_tap_that_is_sure_is_wrong_no_oftener_than_the_limits_of_her_account_s
     wrong = sum(not int(r["likeliest_exact"]) for r in sure)
     assert wrong, "one claim at .996 is known to be wrong: it counts"
     assert wilson(wrong, len(sure)).high <= MISSTATED
-
-
-def test_text_is_run_once_where_another_tap_has_every_message_already() -> None:
-    for condition in ALL_READ:
-        its = [r for r in views() if (r["condition"], r["tap"]) == (condition, "smoother")]
-        assert len(its) == 20
-        assert all(int(r["messages_exact"]) == int(r["messages"]) == 1 for r in its)
-    again = [t for t in tasks() if t.study == "view" and t.tap == "text" and t.seed]
-    assert {t.condition for t in again} == set(VIEWS) - set(ALL_READ)
 
 
 def test_what_text_states_comes_true_as_often_as_it_is_stated(rows: Sequence[Row]) -> None:
@@ -86,34 +76,6 @@ def test_a_tap_that_states_too_much_or_too_little_is_called_so() -> None:
     assert "no tail is below" in misstated(rows_of(0.8, 80), [])
     assert "0.5 to 0.9, where more is stated than 60 of 100" in misstated(rows_of(0.8, 60), [])
     assert "0.5 to 0.9, where less is stated than 95 of 100" in misstated(rows_of(0.8, 95), [])
-
-
-@pytest.mark.parametrize(
-    ("condition", "runs", "least"),
-    [
-        ("packed, loss 30 %", 30, 28),
-        ("packed, offers only", 30, 26),
-        ("packed, noise 0.05", 30, 28),
-        ("packed, loss 50 %", 30, 5),
-        ("sustained, loss 10 %", 20, 14),
-        ("sustained, loss 30 %", 20, 8),
-    ],
-)
-def test_text_reads_what_a_stranger_read(
-    rows: Sequence[Row], condition: str, runs: int, least: int
-) -> None:
-    """By her likeliest message: of the same views an independent decoder had so many."""
-    mine = [r for r in rows if (r["condition"], r["tap"]) == (condition, "text")]
-    assert len({r["seed"] for r in mine}) == len(mine) == runs
-    assert sum(int(r["likeliest_exact"]) for r in mine) >= least
-
-
-def test_measurements_alone_give_the_keys_and_no_message(rows: Sequence[Row]) -> None:
-    mine = [r for r in rows if (r["condition"], r["tap"]) == ("packed, measurements only", "text")]
-    right = sum(float(r["keys_right"]) for r in mine)
-    assert len(mine) == 30
-    assert right >= 0.95 * sum(int(r["keys"]) for r in mine)
-    assert not any(int(r["messages_exact"]) for r in mine)
 
 
 def test_random_bytes_leave_no_more_to_one_who_expected_english(rows: Sequence[Row]) -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.messages import Measurement, Offer
-from studies import DATA, corners, missed_steps, network, other_sets, outputs, readings, waiting
+from studies import DATA, corners, missed_steps, network, outputs, waiting
 from studies.__main__ import main
 from tap_service.capture.transcript import Transcript
 from tools.reproduce import same
@@ -18,15 +18,6 @@ from wyner.simulate.engine import simulate_runs, transfer
 def recorded(name: str) -> list[dict[str, str]]:
     with (DATA / f"{name}.csv").open(encoding="utf-8", newline="") as file:
         return list(csv.DictReader(file))
-
-
-def test_a_million_corner_steps_of_each_noisy_scenario_are_on_record_without_a_wrong_key() -> None:
-    rows = recorded("corners")
-    assert {row["scenario"] for row in rows} == set(corners.noisy_scenarios())
-    for row in rows:
-        assert int(row["runs"]) * int(row["steps"]) == 1_000_000
-        assert int(row["wrong"]) == 0
-        assert float(row["agreed"]) > 0.99
 
 
 def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -43,18 +34,6 @@ def test_the_corners_are_those_of_what_both_ends_assume(monkeypatch: pytest.Monk
         assert scenario.plant.noise is not None
         assert scenario.defender.noise is not None
         assert scenario.plant.noise.half_widths == scenario.defender.noise.half_widths
-
-
-def test_whom_d_e_tells_no_test_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small one, 2 runs of 60 steps: a shape misleads the nearest, noise does not."""
-    for name, value in (("RUNS", 2), ("STEPS", 60), ("TAPS", ("nearest-centre", "fitted-box"))):
-        monkeypatch.setattr(other_sets, name, value)
-    made = (r for c in other_sets.CONDITIONS for r in other_sets.other_set_rows(c))
-    rows = [dict(zip(other_sets.COLUMNS.split(), r, strict=True)) for r in made]
-    by = {(row["condition"], row["tap"]): row["keys"] for row in rows}
-    shape, noise = other_sets.CONDITIONS
-    assert by[shape, "nearest-centre"] < 1.0
-    assert by[noise, "nearest-centre"] == by[noise, "fitted-box"] == 1.0
 
 
 def test_a_plant_that_misses_steps_measured_now() -> None:
@@ -84,19 +63,6 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
     taken = {t.k for t in transitions} - offered
     assert len(taken) == runs.missed.sum()
     assert not any(t.applied for t in transitions if t.k in taken)
-
-
-def test_a_row_of_noisy_readings_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A small one: 5 runs of 40 steps at one noise, the lightest listener."""
-    small = {"RUNS": 5, "STEPS": 40, "HEARD": 5, "TAPS": ("nearest-centre",)}
-    for name, value in small.items():
-        monkeypatch.setattr(readings, name, value)
-    ((row),) = [
-        dict(zip(readings.COLUMNS.split(), row, strict=True)) for row in readings.reading_rows(0.2)
-    ]
-    assert (row["candidates"], row["agreed"], row["wrong"]) == (3, 1.0, 0)
-    assert row["keys"] > 0.95
-    assert row["keys_low"] <= row["keys"] <= row["keys_high"]
 
 
 def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:

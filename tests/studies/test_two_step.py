@@ -2,17 +2,15 @@
 
 import csv
 import itertools
-import math
-from fractions import Fraction
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from studies.capacity.blocks import chained_keys, most_keys
+from studies.capacity.blocks import most_keys
 from studies.capacity.clique import adjacency, largest_clique
-from studies.capacity.two_step import TwoStepCode, best_codes, single_step_keys
+from studies.capacity.two_step import TwoStepCode, best_codes
 from wyner.sweeps.code import ROOT
 
 
@@ -49,52 +47,11 @@ def found() -> dict[float, TwoStepCode]:
     return dict(zip(alphas, best_codes(alphas), strict=True))
 
 
-@pytest.mark.long
-def test_five_keys_in_two_steps_beat_two_in_one(found: dict[float, TwoStepCode]) -> None:
-    assert [code.keys for code in found.values()] == [4, 5, 5]
-    assert [single_step_keys(a) ** 2 for a in found] == [4, 4, 4]
-    assert math.log2(5) / 2 == pytest.approx(1.161, abs=1e-3)
-
-
 @pytest.mark.slow
 def test_every_code_does_what_it_says(found: dict[float, TwoStepCode]) -> None:
     for alpha, code in found.items():
         check(code, alpha)
         assert code.keys <= most_keys(alpha, 2)
-
-
-@pytest.mark.slow
-def test_five_keys_stand_on_a_grid_of_thirds(found: dict[float, TwoStepCode]) -> None:
-    """Just above 7/3, which quarters miss."""
-    code = found[7 / 3]
-    (a, b), (c, d) = code.periods
-    assert sorted(abs(3 * v) for v in (a, b, c, d)) == pytest.approx([2, 2, 14, 14])
-    assert abs(a * d - b * c) == pytest.approx(200 / 9)
-    with pytest.raises(AssertionError):
-        check(code, 7 / 3 - 0.01)
-
-
-def test_five_keys_are_agreed_always_from_seven_thirds_on_exactly() -> None:
-    """In integers, a 30th of a half-length each: other keys' points are 2 away, so the defender
-    tells them apart; and from anywhere in a point's box each key has a point within 7/3, no nearer.
-
-    The farthest place is a corner of the cells in which one point is the nearest; all lie on the
-    grid: they are where x or y is halfway between two points, or x + y and x - y are.
-    """
-    unit = 30
-    periods = np.array([(140, 20), (-20, 140)])  # (14, 2) / 3 and (-2, 14) / 3
-    shifts = [k * (periods[0] + 2 * periods[1]) // 5 for k in range(5)]
-    lattice = np.array(list(itertools.product(range(-3, 4), repeat=2))) @ periods
-    box = np.array(list(itertools.product(range(-unit, unit + 1), repeat=2)))
-    nearest, farthest = [], []
-    for own, other in itertools.permutations(shifts, 2):
-        points = lattice + other - own
-        nearest.append(int(np.abs(points).max(axis=1).min()))
-        farthest.append(int(np.abs(box[:, None] - points).max(axis=2).min(axis=1).max()))
-    assert min(nearest) == 2 * unit
-    assert Fraction(max(farthest), unit) == Fraction(7, 3)
-    assert most_keys(7 / 3, 2) == 5  # the volume allows no sixth
-    assert chained_keys(Fraction(12, 5), 2)[-1] == 4  # so what chaining reaches bounds no code
 
 
 @pytest.mark.parametrize(
@@ -113,19 +70,6 @@ def test_codes_of_two_steps_are_the_best_up_to_where_the_volume_allows_another(
     assert set(mine) == {keys}
     assert most_keys(begin, 2) == most_keys(end**0.5 - 1e-6, 2) == keys
     assert most_keys(end**0.5 + 1e-6, 2) == keys + 1
-
-
-def test_no_code_has_more_keys_than_the_volume_allows() -> None:
-    """One step and two, at every alpha of the figure's data and far beyond."""
-    text = (ROOT / "docs" / "data" / "two-step.csv").read_text(encoding="utf-8")
-    rows = list(csv.DictReader(text.splitlines()))
-    assert len(rows) > 10
-    for row in rows:
-        alpha = float(row["alpha"])
-        assert int(row["two_step"]) <= most_keys(alpha, 2)
-        assert float(row["bits_per_step"]) <= float(row["volume_bound"]) == math.log2(alpha)
-    for alpha in np.linspace(1.01, 200, 500):
-        assert single_step_keys(float(alpha)) <= most_keys(float(alpha), 1)
 
 
 @pytest.mark.slow

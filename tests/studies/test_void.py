@@ -49,40 +49,6 @@ def test_every_transition_agrees_and_every_key_is_possible_for_her(alpha: float,
     assert len(set(agreed)) > keys // 2  # and it is no constant
 
 
-def test_it_is_smaller_than_the_alphabet_that_the_loop_already_carries() -> None:
-    """No limit but room: 64 keys at alpha 1.1 span less than three candidates of `packed`."""
-    scenario = scenario_of("packed")
-    b = np.array(scenario.B)[:, 0]
-    keying = VoidKeying.of(b, scenario.defender.disturbance, 1.1, 64)
-    assert float(np.ptp(keying.offsets)) < 2 * 0.4922
-
-
-@pytest.mark.parametrize("change", ["spacing", "span"])
-def test_the_check_refuses_a_keying_without_room(change: str) -> None:
-    """A third as dense, or four fifths as long: she can rule out a key in some transition."""
-    b = np.array([0.0246, 0.4877])
-    good = VoidKeying.of(b, ConvexSet(half_widths=(0.12, 0.12)), 1.1, 16)
-    cut = len(good.offsets) // 10
-    offsets = good.offsets[::3] if change == "spacing" else good.offsets[cut:-cut]
-    poor = VoidKeying(good.keys, good.alpha, good.b, good.H, offsets)
-    rng = np.random.default_rng(5)
-    lacking = 0
-    for _ in range(200):
-        d = rng.uniform(-0.12, 0.12, 2)
-        lacking += judge(poor, float(rng.choice(poor.offsets)), d, d)[1] != set(range(16))
-    assert lacking > 0
-
-
-def test_an_unsymmetric_set_too() -> None:
-    triangle = ConvexSet(H=((-1, 0), (0, -1), (1, 1)), h=(1.0, 1.0, 1.0))
-    keying = VoidKeying.of((0.7, 0.2), triangle, 1.05, 12)
-    rng = np.random.default_rng(8)
-    for weights in rng.dirichlet((0.3, 0.3, 0.3), 300):
-        d = weights @ np.array([(-1, -1), (-1, 2), (2, -1)])
-        theirs, hers = judge(keying, float(rng.choice(keying.offsets)), d, d)
-        assert (len(theirs), len(hers)) == (1, 12)
-
-
 @pytest.mark.parametrize(("alpha", "keys", "b"), [(1.0, 4, 0.5), (1.1, 1, 0.5), (1.1, 4, 0.0)])
 def test_what_cannot_be_is_refused(alpha: float, keys: int, b: float) -> None:
     with pytest.raises(ValueError, match=r"got|plant\.B"):

@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from protocol.link.effects import Effect, Effects, Extract, Notice, Publish, Save, Show, Tell
 from protocol.link.events import Event
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.perform import Ports, perform
@@ -31,7 +31,7 @@ class Asked(NamedTuple):
         return self.save
 
     @property
-    def record(self) -> SenderRecord | ReceiverRecord | None:
+    def record(self) -> ControllerRecord | PlantRecord | None:
         """The record that is saved, if one is."""
         return None if self.save is None else self.save.record
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 FIRST_COPY = ("self._left = True  # copy 0", "self._left = False  # copy 0")
-"""In the plant's core: a process that was started again takes its next copy for the first."""
+"""In the plant's stepper: a process that was started again takes its next copy for the first."""
 
 
 def broken(patch: pytest.MonkeyPatch, module: ModuleType, right: str, wrong: str) -> None:

@@ -3,11 +3,11 @@
 from typing import Any, Generic, TypeVar
 
 from protocol.link.effects import Effects
-from protocol.link.peer import Peer
+from protocol.link.endpoint import Endpoint
 from protocol.messages import Message
 from tests.support.asked import NOTHING, Asked, turns
 
-E = TypeVar("E", bound=Peer)
+E = TypeVar("E", bound=Endpoint)
 
 
 class EndInHand(Generic[E]):
@@ -49,6 +49,20 @@ class EndInHand(Generic[E]):
         ]
         self.all.clear()
         return said
+
+
+class Zeros:
+    """Symbols that are no secret."""
+
+    def symbol(self, transition: int, size: int) -> int:
+        return 0
+
+
+def status_of(core: Endpoint, now: float | None = None, **more: Any) -> Any:
+    """The status of an end, at ``now``."""
+    state = core.state
+    state.now = state.now if now is None else now
+    return core.news.status(state, core.malformed, **more)
 
 
 def fields(status: Message) -> dict[str, Any]:

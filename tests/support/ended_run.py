@@ -3,37 +3,23 @@
 import json
 from pathlib import Path
 
-from protocol.link.effects import Save
-from protocol.messages import SendCommand
 from runtime.files import write_atomically
-from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
     CAPTURE,
-    CONTROLLER_JOURNAL,
     MANIFEST,
-    PLANT_JOURNAL,
     TAP_STATUS,
 )
-from tests.support.small_run import SmallRun, read_lines
+from tests.support.recorded_pair import RecordedPair, read_lines
 
 
-def ended_run(folder: Path, payloads: tuple[bytes, ...]) -> SmallRun:
+def ended_run(folder: Path, payloads: tuple[bytes, ...]) -> RecordedPair:
     """One message arrives, with losses, repeats, deaths and a lost journal on its way."""
-    run = SmallRun(folder, payloads)
+    run = RecordedPair(folder, *payloads)
     run.steps(30, {3: "repeated", 9: "offer lost", 20: "plant dies", 25: "controller dies"})
     run.step("plant forgets")
     run.until_received(1)
     run.steps(12, {8: "offer lost"})
-    run.close()
-    fingerprint = run.scenario.fingerprint()
-    with ControllerJournal(folder / CONTROLLER_JOURNAL, fingerprint) as journal:
-        for number, payload in enumerate(payloads):
-            journal.save(
-                Save(run.sender.record, queued=SendCommand(id=f"m{number}", payload=payload))
-            )
-    with PlantJournal(folder / PLANT_JOURNAL, fingerprint) as journal:
-        for payload in run.received:
-            journal.save(Save(run.receiver.record, received=payload))
+    run.stop()
     manifest = {"wyner": "0", **run.scenario.identity()}
     write_atomically(folder / MANIFEST, json.dumps(manifest).encode())
     messages = len(read_lines(folder / CAPTURE)) - 2

@@ -21,8 +21,8 @@ from tap_service.capture.recording import RotatingLog
 
 if TYPE_CHECKING:
     from protocol.link.effects import Notice, Save
+    from protocol.link.endpoint import Endpoint
     from protocol.link.events import Event
-    from protocol.link.peer import Peer
     from protocol.messages import Message, Status
     from protocol.secret.blocks import ClosedBlock
     from runtime.ports import Files
@@ -83,13 +83,13 @@ def make_run(folder: Path, steps: int, name: str = "sustained") -> None:
     )
     fast = PlantConfig(scenario, folder, "loop", Pace("fast"))
     plant, plant_files = open_plant(fast, time.monotonic())
-    ends: dict[str, tuple[Peer, Ports]] = {
+    ends: dict[str, tuple[Endpoint, Ports]] = {
         "controller": (controller, Ports(controller_files, tap)),
         "plant": (plant, Ports(plant_files, tap)),
     }
     for endpoint, ports in ends.values():
         perform(endpoint.start(time.monotonic()), ports)
-    while plant.record.k < steps:
+    while plant.state.record.link.k < steps:
         for side, other in (("controller", "plant"), ("plant", "controller")):
             (endpoint, ports), now = ends[side], time.monotonic()
             mail, ends[other][1].mail = ends[other][1].mail, []

@@ -1,10 +1,13 @@
 """What must hold of a simulated link under every schedule."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
+from typing import Final
 
 from protocol.link.session import CountedTransition
-from protocol.secret.stream import Part, Position
+from protocol.secret.stream import Held, KeyStream, Position
 from wyner.simulate.network import History
+
+BEYOND: Final = Position(1 << 62, 0)
 
 
 def violations(history: History, payloads: tuple[bytes, ...]) -> Iterator[str]:
@@ -58,17 +61,26 @@ def _out_of_order(inbox: list[bytes], payloads: tuple[bytes, ...], *, again: boo
             return
 
 
-def differing_key(mine: Iterable[Part], theirs: Iterable[Part]) -> str:
-    """A key whose digits are not the same at both ends of a session; empty: they are.
+def first_held(held: Held) -> Position:
+    """Position of the first digit that a journal holds; beyond all where it holds none."""
+    if held.part.digits:
+        return held.part.begins
+    return Position(*held.keys[0][:2]) if held.keys else BEYOND
 
-    One end may hold less of it than the other.
+
+def differing_key(size: int, mine: Held, theirs: Held) -> str:
+    """Where keys are not the same at both ends of a session; empty: they are.
+
+    One end may hold less than the other.
     """
-    there = {(part.block, part.number): part for part in theirs}
-    for part in mine:
-        same = there.get((part.block, part.number))
-        if same is None:
-            continue
-        at = Position(part.block, max(part.first, same.first))
-        if part.since(at).digits != same.since(at).digits:
-            return f"key {part.number} of block {part.block} differs between the two ends"
+    for one, other in ((mine, theirs), (theirs, mine)):
+        part = one.part
+        digits = KeyStream(size, other).at(part.begins, len(part.digits))
+        if digits is not None and bytes(digits) != part.digits:
+            return f"digits of block {part.block} differ between the two ends"
+    there = {keys.block: keys.keys for keys in theirs.keys}
+    for block, _, keys in mine.keys:
+        both = min(len(keys), len(there.get(block, b"")))
+        if both and keys[-both:] != there[block][-both:]:
+            return f"keys of block {block} differ between the two ends"
     return ""

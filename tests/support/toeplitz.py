@@ -6,8 +6,6 @@ seed as long as everything it is applied to, public and drawn afresh **after** t
 and a few dozen bits. It is also an oracle for the Cauchy matrix that shares nothing with it.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -46,37 +44,3 @@ def matrix(seed: Bits, n: int, length: int) -> Bits:
     """T itself, shape (length, n)."""
     i, j = np.arange(length)[:, None], np.arange(n)[None, :]
     return np.asarray(seed[i - j + n - 1], np.uint8)
-
-
-def length_by_rank(unknown: int, tag: int, eps: float) -> int:
-    """Bits that may come out where ``unknown`` bits of the input are wholly unknown.
-
-    T restricted to them has full rank but for 2^(length + tag - unknown).
-
-    Parameters
-    ----------
-    unknown : int
-        h: bits that she misses at least, each uniform given all she has.
-    tag : int
-        Bits of output that are made public.
-    eps : float
-        Distance allowed.
-    """
-    return max(0, unknown - tag - math.ceil(-math.log2(eps)))
-
-
-def length_by_hashing(unknown: float, tag: int, eps: float) -> int:
-    """Bits that may come out of ``unknown`` bits of min-entropy, by the leftover hash lemma."""
-    return max(0, math.floor(unknown - tag - 2 * math.log2(1 / (2 * eps))))
-
-
-def rank(rows: Bits) -> int:
-    """Rank over GF(2), shape (r, c); rows are worked on as integers."""
-    basis: list[int] = []
-    for row in rows:
-        value = int.from_bytes(np.packbits(row).tobytes())
-        for other in basis:
-            value = min(value, value ^ other)
-        if value:
-            basis.append(value)
-    return len(basis)

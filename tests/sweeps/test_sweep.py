@@ -2,13 +2,11 @@
 
 import json
 import os
-import pty
-import select
 import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import Executor, ThreadPoolExecutor
+from concurrent.futures import Executor
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +18,13 @@ from wyner import api
 from wyner.cli.main import main
 from wyner.sweeps.code import loop_version
 from wyner.sweeps.grid import (
-    Sweep,
     SweepError,
     groups_of,
     load_sweep,
     points_of,
 )
-from wyner.sweeps.results import Results, histogram_of, read_rows, summarise
-from wyner.sweeps.running import run_sweep, run_task, stages
+from wyner.sweeps.results import Results, read_rows, summarise
+from wyner.sweeps.running import run_sweep, run_task
 from wyner.sweeps.workers import SerialExecutor
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -80,22 +77,6 @@ def test_the_grid_is_the_product_and_alpha_shares_trajectories(tmp_path: Path) -
     ]
     assert len({p.task for p in points}) == 6
     assert [len(g.points) for g in groups_of(points)] == [3, 3]
-
-
-def test_variants_set_fields_together_and_paths_reach_into_lists(tmp_path: Path) -> None:
-    extra = """
-[[variant]]
-label = "quiet"
-set = { "control.costs.1" = { next_state = 1.0 } }
-[[variant]]
-label = "loud"
-set = { "control.law" = "paper", "plant.disturbance.kind" = "corners" }
-"""
-    points = points_of(load_sweep(small(tmp_path, extra)), tmp_path)
-    quiet, loud = points[0].scenario, points[-1].scenario
-    assert quiet.control.costs[0] == quiet.control.costs[1]
-    assert (loud.control.law, loud.plant.disturbance.kind) == ("paper", "corners")
-    assert len(groups_of(points)) == 4
 
 
 def test_the_task_names_all_that_the_numbers_depend_on_and_nothing_else(tmp_path: Path) -> None:
@@ -258,33 +239,11 @@ def test_a_run_that_stands_there_twice_is_told(
     assert output.read_bytes() == before
 
 
-def test_counts_of_a_row_fit_together(tmp_path: Path) -> None:
-    rows = rows_of(small(tmp_path), tmp_path / "a.csv")
-    assert len(rows) == 18
-    for row in rows:
-        assert row["version"] == loop_version()
-        assert row["tested"] + row["message_symbols"] == row["runs"] * row["steps"]
-        assert row["message_symbols"] <= row["agreements"] <= row["message_symbols"] + row["runs"]
-        histogram = histogram_of(row["runs_by_symbols"])
-        assert sum(histogram.values()) == row["runs"]
-        assert sum(k * v for k, v in histogram.items()) == row["message_symbols"]
-        assert row["mistaken"] == 0
-        assert (row["agreements"] > 0) == (row["secrecy.alpha"] != "1.0")
-
-
 def test_the_rate_is_bits_over_plant_time(tmp_path: Path) -> None:
     summary = summarise(rows_of(small(tmp_path), tmp_path / "a.csv"))[2]
     symbols = summary.counts["message_symbols"]
     assert summary.rate.value == pytest.approx(symbols / (30 * 40 * 0.1))
     assert summary.rate.low < summary.rate.value < summary.rate.high
-
-
-def test_the_same_bytes_twice_and_from_threads(tmp_path: Path) -> None:
-    path = small(tmp_path)
-    rows_of(path, tmp_path / "a.csv")
-    with ThreadPoolExecutor(3) as executor:
-        rows_of(path, tmp_path / "b.csv", executor)
-    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
 
 
 @pytest.mark.slow
@@ -303,7 +262,7 @@ def test_the_same_rows_from_two_dask_workers(tmp_path: Path) -> None:
     rows_of(path, tmp_path / "a.csv")
     output = tmp_path / "b.csv"
     done = subprocess.run(
-        command(str(path), "--executor", "dask", "--jobs", "2", "--output", str(output), "--json"),
+        command(str(path), "--dask", "--jobs", "2", "--output", str(output), "--json"),
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -344,13 +303,6 @@ def test_a_worker_with_other_code_is_told(
     assert output.read_bytes().count(b"\n") == 1, "the header alone"
 
 
-def test_looks_double_up_to_the_limit() -> None:
-    base = {"name": "a", "scenario": "sustained", "runs": 20, "steps": 5, "seed": 1, "batch": 10}
-    assert list(stages(Sweep.model_validate(base))) == [20]
-    stop = {"stop": {"relative_width": 0.1, "max_runs": 105}}
-    assert list(stages(Sweep.model_validate(base | stop))) == [20, 40, 80, 105]
-
-
 def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Path) -> None:
     extra = "\n[stop]\nrelative_width = 0.25\nmax_runs = 75\n"
     text = TEXT.replace('"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy.alpha" = [8.0]')
@@ -365,26 +317,6 @@ def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Pat
     assert {
         s.runs for s in summarise(rows_of(small(tmp_path, extra, never), tmp_path / "b.csv"))
     } == {75}
-
-
-def test_the_first_look_is_after_the_runs_whatever_the_batch(tmp_path: Path) -> None:
-    extra = "\n[stop]\nrelative_width = 0.5\nmax_runs = 2000\n"
-    text = TEXT.replace("batch = 10\n", "").replace("[1.0, 3.0, 8.0]", "[8.0]")
-    summaries = summarise(rows_of(small(tmp_path, extra, text), tmp_path / "a.csv"))
-    assert [s.runs for s in summaries] == [30, 30]
-    assert max(s.rate.relative_width for s in summaries) <= 0.5
-
-
-def test_an_interval_without_a_width_stops_nothing(tmp_path: Path) -> None:
-    # From (1, -0.5) under the law paper nearly every run carries one symbol.
-    extra = "\n[stop]\nrelative_width = 0.5\nmax_runs = 60\n"
-    text = TEXT.replace('"sustained"', '"paper"').replace("[1.0, 3.0, 8.0]", "[8.0]")
-    text = text.replace(", [4.0, -2.0]]", "]").replace("runs = 30", "runs = 3")
-    rows = rows_of(small(tmp_path, extra, text), tmp_path / "a.csv")
-    assert histogram_of(rows[0]["runs_by_symbols"]) == {1: 3}
-    (summary,) = summarise(rows)
-    assert summary.runs == 60 or len(summary.histogram) > 1
-    assert summary.runs > 3
 
 
 # --- stopping and going on -----------------------------------------------------------------------
@@ -402,19 +334,6 @@ def test_resuming_adds_what_is_missing_and_nothing_twice(tmp_path: Path) -> None
         assert output.read_bytes() == whole
         rows_of(path, output, resume=True)
         assert output.read_bytes() == whole
-
-
-def test_more_runs_are_added_to_those_that_are_there(tmp_path: Path) -> None:
-    output = tmp_path / "a.csv"
-    rows_of(small(tmp_path), output)
-    more = rows_of(
-        small(tmp_path, text=TEXT.replace("runs = 30", "runs = 50")), output, resume=True
-    )
-    assert {s.runs for s in summarise(more)} == {50}
-    fresh = rows_of(
-        small(tmp_path, text=TEXT.replace("runs = 30", "runs = 50")), tmp_path / "b.csv"
-    )
-    assert sorted(map(str, more)) == sorted(map(str, fresh))
 
 
 @pytest.mark.parametrize(("before", "after", "batch"), [(25, 50, "batch = 10\n"), (100, 500, "")])
@@ -436,15 +355,6 @@ def test_a_short_batch_is_completed(tmp_path: Path, before: int, after: int, bat
     kept = (tmp_path / "a.csv").read_bytes()
     rows(after, "a.csv", resume=True)
     assert (tmp_path / "a.csv").read_bytes() == kept
-
-
-def test_what_was_lost_from_the_middle_is_run_again(tmp_path: Path) -> None:
-    path, output = small(tmp_path), tmp_path / "a.csv"
-    whole = rows_of(path, output)
-    lines = output.read_bytes().splitlines(keepends=True)
-    output.write_bytes(b"".join(lines[:4] + lines[6:]))
-    again = rows_of(path, output, resume=True)
-    assert sorted(map(str, again)) == sorted(map(str, whole))
 
 
 @pytest.mark.parametrize(
@@ -541,7 +451,7 @@ def started(tmp_path: Path, output: Path, *options: str) -> subprocess.Popen[byt
     [
         ("--jobs", "1"),
         ("--jobs", "2"),
-        ("--jobs", "2", "--executor", "dask"),
+        ("--jobs", "2", "--dask"),
     ],
 )
 def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple[str, ...]) -> None:
@@ -597,44 +507,6 @@ def test_the_workers_of_a_killed_sweep_end(tmp_path: Path) -> None:
 # --- what a user sees ----------------------------------------------------------------------------
 
 
-@pytest.mark.slow
-def test_progress_is_drawn_on_a_terminal_only(tmp_path: Path) -> None:
-    path = small(tmp_path)
-    done = subprocess.run(
-        command(str(path), "--jobs", "1", "--output", str(tmp_path / "a.csv")),
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=True,
-    )
-    assert done.stderr == ""
-    lines = done.stdout.splitlines()
-    assert lines[0].split()[:3] == ["scenario", "plant.initial_state", "secrecy.alpha"]
-    assert len(lines) == 9
-    master, slave = pty.openpty()
-    try:
-        process = subprocess.Popen(
-            command(str(path), "--jobs", "1", "--output", str(tmp_path / "b.csv")),
-            stdout=subprocess.DEVNULL,
-            stderr=slave,
-            env=os.environ | {"TERM": "xterm", "COLUMNS": "100"},
-        )
-        seen = b""
-        deadline = time.monotonic() + PATIENCE_S
-        while time.monotonic() < deadline:
-            ready, _, _ = select.select([master], [], [], 0.2)
-            if ready:
-                seen += os.read(master, 65536)
-            elif process.poll() is not None:
-                break
-        assert process.wait(timeout=PATIENCE_S) == 0
-    finally:
-        os.close(master)
-        os.close(slave)
-    assert b"small" in seen
-    assert b"runs" in seen
-
-
 def test_quick_runs_few_of_each_into_a_file_of_its_own(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -647,44 +519,13 @@ def test_quick_runs_few_of_each_into_a_file_of_its_own(
     assert {r["steps"] for r in read_rows(tmp_path / result["output"])} == {12}
 
 
-def test_a_whole_table_on_the_grid_is_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    text = TEXT.replace(
-        '"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy" = [{ alpha = 3.0 }, { alpha = 8.0 }]'
-    )
-    output = str(tmp_path / "a.csv")
-    path = str(small(tmp_path, text=text))
-    assert main(["sweep", path, "--jobs", "1", "--output", output, "--json"]) == 0
-    points = json.loads(capsys.readouterr().out)["points"]
-    assert [p["fields"] for p in points[:2]] == [
-        {"plant.initial_state": [1.0, -0.5], "secrecy": {"alpha": alpha}} for alpha in (3.0, 8.0)
-    ]
-
-
-def test_only_the_sweeps_own_points_are_shown(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    output = tmp_path / "a.csv"
-    rows_of(small(tmp_path), output)
-    path = small(tmp_path, text=TEXT.replace("seed = 3", "seed = 4"))
-    arguments = ["sweep", str(path), "--resume", "--jobs", "1", "--output", str(output), "--json"]
-    assert main(arguments) == 0
-    result = json.loads(capsys.readouterr().out)
-    ours = {p.task for p in points_of(load_sweep(path), tmp_path)}
-    assert {p["task"] for p in result["points"]} == ours
-    assert (len(result["points"]), result["new_rows"]) == (6, 18)
-
-
 def test_wrong_options_are_told_in_a_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = str(small(tmp_path))
     assert main(["sweep", path, "--jobs", "0"]) == 2
-    assert main(["sweep", path, "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert capsys.readouterr().err.splitlines() == [
         "wyner: --jobs: got 0, expected at least 1",
-        "wyner: --scheduler: expected together with --executor dask",
     ]
 
 

@@ -85,56 +85,6 @@ def test_up_delivers_and_sums_up(tmp_path: Path) -> None:
     assert again.stderr.count("\n") == 1
 
 
-def test_up_with_steps_only_ends_by_itself(tmp_path: Path) -> None:
-    done = wyner(
-        "up",
-        "--pace",
-        "fast",
-        "--steps",
-        "300",
-        "--headless",
-        "--run-dir",
-        str(tmp_path / "run"),
-        "--scenario",
-        "paper",
-    )
-    assert done.returncode == 0, done.stderr
-    assert "loop       300 steps" in done.stdout
-    last = done.stdout.splitlines()[-3:]
-    assert [line.split()[0] for line in last] == ["The", "Eve", "Secret"]
-    assert "\x1b" not in done.stdout
-    undelivered = wyner(
-        "up",
-        "--pace",
-        "fast",
-        "--steps",
-        "50",
-        "--until-delivered",
-        "--json",
-        "--run-dir",
-        str(tmp_path / "other"),
-    )
-    assert undelivered.returncode == 1
-    assert json.loads(undelivered.stdout.splitlines()[-1])["delivered"] is False
-
-
-def test_a_run_folder_may_begin_with_a_dash(tmp_path: Path) -> None:
-    """Its services took the folder's name for an option: each value is one word with its option."""
-    arguments = ["up", "--run-dir=-lead", "--scenario", "packed", "--pace", "fast", "--steps", "50"]
-    done = subprocess.run(
-        [*WYNER, *arguments, "--headless"],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
-        capture_output=True,
-        text=True,
-        timeout=PATIENCE_S,
-        check=False,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "loop       50 steps" in done.stdout
-    assert (tmp_path / "-lead" / "tap" / "beliefs.json").is_file()
-
-
 def kill_and_see_it_back(parent: int, victim: str, run_dir: Path) -> None:
     wait_for(lambda: victim in children_of(parent))
     pid = children_of(parent)[victim]
@@ -325,7 +275,7 @@ def test_bad_usage_is_one_line_and_code_2(
         ("plant", "--listen", "moon=tcp/127.0.0.1:1"),
         ("plant", "--listen", "field=tcp/127.0.0.1:notaport"),
         ("controller", "--scenario", str(scenario)),
-        ("controller", "--message-file", str(tmp_path / "absent")),
+        ("controller", "--message", f"@{tmp_path}/absent"),
         ("up", "--steps", "0"),
         ("send",),
     ):

@@ -19,7 +19,6 @@ from controller_service.service import ControllerConfig, ControllerService
 from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from protocol.link.effects import Save
-from protocol.link.step import IDLE
 from protocol.messages import (
     ControllerHello,
     ControllerStatus,
@@ -34,12 +33,11 @@ from protocol.messages import (
 )
 from protocol.scenario import Scenario
 from protocol.topics import key_of
-from runtime.errors import DONE, USAGE, Failure, UsageError
+from runtime.errors import DONE, USAGE, Failure
 from runtime.health import read_status
-from runtime.journal import ControllerJournal, PlantJournal
+from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import (
-    CONTROLLER_JOURNAL,
     CONTROLLER_STATUS,
     CONTROLLER_TRACE,
     PLANT_JOURNAL,
@@ -48,8 +46,10 @@ from runtime.run_folder import (
     SCENARIO,
 )
 from runtime.shipped import SCENARIOS
+from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
+from tests.support.records import changed
 from tests.support.told import log_of, told
 from tests.support.traces import Recovered, read_trace
 from wyner.cli.main import main
@@ -134,7 +134,7 @@ class System:
     @property
     def k(self) -> int:
         assert self.plant_service is not None
-        return self.plant_service.endpoint.record.k
+        return self.plant_service.endpoint.state.record.link.k
 
     wait = staticmethod(wait_for)
 
@@ -220,34 +220,6 @@ def replies_on(management: MemoryBus) -> list[SendReply]:
     return replies
 
 
-def test_a_message_is_queued_when_no_step_is_left_to_count_again(system: System) -> None:
-    """A step decided before it came, counted again after it, would be taken for its start."""
-    management = MemoryBus(system.management)
-    replies: list[bytes] = []
-    management.subscribe(key_of(SendReply, "loop"), lambda _k, payload, _t: replies.append(payload))
-    path = system.run_dir / CONTROLLER_JOURNAL
-    with system.controller(), system.plant(steps=60):
-        system.wait(lambda: "plant" in system.codes)
-        died = {file: file.read_bytes() for file in path.parent.glob(f"{path.name}*")}
-    for file, content in died.items():  # as a death would have left it
-        file.write_bytes(content)
-    with ControllerJournal(path, system.scenario.fingerprint()) as journal:
-        before, offer, *_ = journal.load()
-        assert before is not None
-        assert offer is not None
-    with system.controller():
-        management.publisher(key_of(SendCommand, "loop")).put(
-            SendCommand(id="a", payload=b"late").wire()
-        )
-        system.wait(lambda: bool(replies))
-    with ControllerJournal(path, system.scenario.fingerprint()) as journal:
-        after, step, *_ = journal.load()
-        assert after is not None
-        assert after.k == before.k + 1
-        assert step == IDLE
-        assert journal.queued == 1
-
-
 def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     system: System,
 ) -> None:
@@ -255,7 +227,7 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
     plant = system.scenario.plant.model_copy(update={"A": ((1e5, 0.0), (0.0, 1.0))})
     scenario = system.scenario.model_copy(update={"plant": plant})
     with PlantJournal(system.run_dir / PLANT_JOURNAL, scenario.fingerprint()) as journal:
-        record = first_record(scenario, "0" * 16)._replace(k=1000, x=(1e290, 0.0))
+        record = changed(first_record(scenario, "0" * 16), k=1000, x=(1e290, 0.0))
         journal.save(Save(record))
     config = PlantConfig(scenario, system.run_dir, "loop", Pace("x1000"), seed=1)
     for _ in range(2):
@@ -266,12 +238,6 @@ def test_a_state_that_grows_beyond_all_numbers_ends_the_plant_in_one_line(
             service.run()
     status = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
     assert status.k == 1003
-
-
-@pytest.mark.slow
-def test_a_journal_serves_one_process_at_a_time(system: System) -> None:
-    with system.plant(), pytest.raises(UsageError, match="another process"), system.plant():
-        pass
 
 
 def test_field_messages_look_the_same_in_both_states(system: System) -> None:
@@ -295,25 +261,6 @@ def test_field_messages_look_the_same_in_both_states(system: System) -> None:
 # --- forged and foreign ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("u", [1.7e308, 6.1])
-def test_an_offer_outside_u_is_malformed_and_changes_nothing(system: System, u: float) -> None:
-    forger = MemoryBus(system.field)
-    put = forger.publisher(key_of(Offer, "loop")).put
-    forged: list[int] = []
-
-    def forge(_key: str, payload: bytes, _t_ns: int) -> None:
-        m = Measurement.model_validate_json(payload)
-        if m.k >= 10 and len(forged) < 20:
-            forged.append(m.k)
-            put(Offer(session=m.session, k=m.k, candidates=((u,), (0.0,)), cipher=0).wire())
-
-    forger.subscribe(key_of(Measurement, "loop"), forge)  # first, so that it overtakes the true one
-    with system.plant() as plant, system.controller(b"one"):
-        system.wait(lambda: system.recovered() == [b"one"])
-    assert plant.endpoint.status(time.monotonic()).malformed == len(forged) == 20
-    assert system.errors == {}
-
-
 def other_model(scenario: Scenario) -> Scenario:
     secrecy = scenario.secrecy.model_copy(update={"alpha": 7.0})
     return scenario.model_copy(update={"secrecy": secrecy})
@@ -329,7 +276,7 @@ def test_a_stray_of_another_scenario_is_refused_alone(system: System, stray: str
             system.wait(lambda: system.codes == {"stray": USAGE})
             k = system.k
             system.wait(lambda: system.k > k + 20)
-            status = controller.endpoint.status()
+            status = status_of(controller.endpoint)
             assert (status.phase, status.detail) == ("running", "")
     assert system.codes == {"stray": USAGE, "plant": DONE, "controller": DONE}
     sessions = read_trace(system.run_dir / PLANT_TRACE).of("session")
@@ -356,13 +303,13 @@ def test_two_controllers_on_one_loop_take_turns(
     ):
         names = {first.endpoint.instance: b"one", second.endpoint.instance: b"two"}
         system.wait(lambda: len(system.recovered()) == 1)
-        mine = plant.endpoint.session.controller
+        mine = plant.endpoint.state.session.controller
         assert mine is not None
         assert system.recovered() == [names.pop(mine)]
         running = first if mine == first.endpoint.instance else second
         k = system.k
         system.wait(lambda: system.k > k + 200)
-        assert plant.endpoint.session.controller == mine
+        assert plant.endpoint.state.session.controller == mine
         system.stop("controller" if running is first else "second")
         (other,) = names
         system.wait(lambda: system.recovered()[1:] == [names[other]])
@@ -394,9 +341,9 @@ def test_a_second_plant_does_not_disturb_the_first(
         with system.plant("x20", name="second") as second:
             k = system.k
             system.wait(lambda: system.k > k + 60)
-            assert not second.endpoint.accepted
+            assert not second.endpoint.state.session.accepted
         system.wait(lambda: system.recovered() == [b"one"])
-        assert first.endpoint.record.sessions == 1
+        assert first.endpoint.state.record.session.sessions == 1
     told = [r.getMessage() for r in caplog.records if "two plants" in r.getMessage()]
     both = (first.endpoint.instance, second.endpoint.instance)
     assert told

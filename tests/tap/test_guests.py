@@ -13,7 +13,7 @@ from tap_service.eavesdroppers import KnowledgeError
 from tap_service.sandboxed import sandboxed
 from tap_service.status import Listener
 from tests.support.patience import PATIENCE_S
-from tests.support.small_run import law_of
+from tests.support.recorded_pair import law_of
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.engine.taps import EavesdropperError, listen
 

@@ -20,17 +20,17 @@ from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.eavesdroppers.key_solver import KeySolver
 from tap_service.status import Listener
 from tests.support.held_memory import kept
-from tests.support.keyed_ends import KeyedEnds, keyed_rules
+from tests.support.keyed_pair import KeyedPair, keyed_rules
 from tests.support.mail import Mail
+from tests.support.pair import Name
 from tests.support.size import size
-from tests.support.two_ends import Name
 from wyner.runs.score.report import held_line
 
 CLAIM = Assumption(0.5)
 KNOWLEDGE = Knowledge(scenario="line", period_s=0.1, candidates=2, keys=CLAIM)
 
 
-class Recorded(KeyedEnds):
+class Recorded(KeyedPair):
     """A world whose field messages are kept; some of them never arrive."""
 
     def __init__(self, claim: Assumption, lose: Callable[[Message], bool]) -> None:
@@ -62,9 +62,9 @@ def recorded(
     draw = random.Random(4)
     world = Recorded(claim, lambda _: lossy and draw.random() < 0.01)
     while sum(world.confirmed["controller"].values()) < 4:
-        world.step()
+        world.next()
     for _ in range(60):  # so that who missed the last words hears later ones
-        world.step()
+        world.next()
     confirmed = world.confirmed["controller"]
     blocks = [b for b in world.closed if (b.session, b.number) in confirmed]
     world.close()
@@ -195,7 +195,7 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     most = list[tuple[int, int]]()
     last = size(36, 60)
     for blocks in (10, 11, 20, last):
-        while world.journals["plant"].load().record.transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
+        while world.journals["plant"].load().record.link.transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
             world.well(20)
         for message in without(world.field, loss, blocks):
             listener.hear(message)

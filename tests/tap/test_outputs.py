@@ -21,8 +21,8 @@ from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.opening import Known, Opening
 from tap_service.inference.output_fit import applied_in, identified, refitted
 from tap_service.inference.output_model import LATER, LOST, OutputModel
+from tests.support.recorded_pair import law_of
 from tests.support.size import size
-from tests.support.small_run import law_of
 from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.taps import listen, transcript

@@ -259,7 +259,7 @@ def remedies_for(scenario: "Scenario", found: dict[str, float], tight: float) ->
             f"{100 * tight:.0f} of 100 steps make a key"
         )
     if found["beyond"] > 1 - OFTEN or found["beyond"] > found["agreed"]:
-        remedies.append("a larger secrecy.alpha, if she really knows so little")
+        remedies.append("a larger secrecy.alpha, if Eve really knows so little")
     if found["none"] > 1 - FULL:
         remedies.append("a larger defender.disturbance: the state leaves every D_c")
     return remedies

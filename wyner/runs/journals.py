@@ -13,14 +13,14 @@ from typing import Any
 
 from protocol.agreement import NO_SYMBOL
 from protocol.link.incoming import Incoming
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, LinkRecord, PlantRecord
 from protocol.link.session import CountedTransition, Rules, reports
 from protocol.link.step import Answered, Read
 from protocol.messages import Measurement, Offer
 from protocol.schemes.base import decrypt
 from protocol.schemes.framing import frame_length
 from protocol.secret.nonces import contribution_of
-from protocol.secret.stream import Part, Stream
+from protocol.secret.stream import Held, KeyStream
 from protocol.vectors import Vector
 from runtime.journal import ControllerJournal, JournalError, PlantJournal
 from runtime.run_folder import CONTROLLER_JOURNAL, PLANT_JOURNAL
@@ -74,10 +74,10 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
     def read(path: Path) -> JournalState:
         with ControllerJournal(path, rules.fingerprint) as journal:
             loaded = journal.load()
-            record, step, t = loaded.record or SenderRecord(), loaded.step, None
-            if isinstance(step, Answered) and reports(record, step.measurement):
-                t = _by_controller(rules, record, step.measurement, loaded.parts)
-            delivered = record.message + (t is not None and _ends_frame(t, record, journal))
+            record, step, t = loaded.record or ControllerRecord(), loaded.step, None
+            if isinstance(step, Answered) and reports(record.link, record.offer, step.measurement):
+                t = _by_controller(rules, record, step.measurement, loaded.held)
+            delivered = record.frame.message + (t is not None and _ends_frame(t, record, journal))
             for number in range(delivered, journal.queued):
                 journal.identifier(number)  # one that is missing is named
             if delivered > journal.queued:
@@ -85,10 +85,10 @@ def read_controller(run_dir: Path, rules: Rules) -> JournalState | str | None:
                     f"{delivered} messages were delivered, and {journal.queued} queued"
                 )
             return JournalState(
-                session=record.session,
-                transitions=record.transitions + (t is not None),
+                session=record.session.id,
+                transitions=record.link.transitions + (t is not None),
                 pending=None if t is None else t.as_event(),
-                s=rules.scheme.restore(record.state)[0] if t is None else t.s,
+                s=rules.scheme.restore(record.link.state)[0] if t is None else t.s,
                 messages=journal.queued,
                 newest=journal.identifier(journal.queued - 1) if journal.queued else "",
                 delivered=delivered,
@@ -108,19 +108,19 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
         if record is None:
             return None
         if isinstance(loaded.step, Read):
-            t = _by_plant(rules, record, loaded.step, loaded.parts)
+            t = _by_plant(rules, record, loaded.step, loaded.held)
             if t.message_symbol != NO_SYMBOL:
-                under_way = Incoming(rules.size, loaded.symbols + record.partial)
+                under_way = Incoming(rules.size, record.frame, loaded.symbols)
                 received = under_way.deframer.push(t.message_symbol)
         return JournalState(
-            session=record.session,
-            transitions=record.transitions + (t is not None),
+            session=record.session.id,
+            transitions=record.link.transitions + (t is not None),
             pending=None if t is None else t.as_event(),
-            s=rules.scheme.restore(record.state)[0] if t is None else t.s,
-            messages=record.messages + (received is not None),
+            s=rules.scheme.restore(record.link.state)[0] if t is None else t.s,
+            messages=record.frame.messages + (received is not None),
             last=last if received is None else received,
-            k=record.k + (t is not None),
-            x=record.x if t is None else t.x_next,
+            k=record.link.k + (t is not None),
+            x=record.link.x if t is None else t.x_next,
         )
 
     return _from_copy(run_dir / PLANT_JOURNAL, read)
@@ -128,75 +128,76 @@ def read_plant(run_dir: Path, rules: Rules) -> JournalState | str | None:
 
 def _by_controller(
     rules: Rules,
-    record: SenderRecord,
+    record: ControllerRecord,
     answered: Measurement,
-    parts: tuple[Part, ...],
+    held: Held,
 ) -> CountedTransition:
     """The transition that the measurement it has answered reports."""
     offer = record.offer
     assert offer is not None
-    digits = _digits(rules, offer, answered, parts)
-    t = _counted(rules, record, offer, answered.x_after, digits, answered.applied_copy)
+    digits = _digits(rules, offer, answered, held)
+    t = _counted(rules, record.link, offer, answered.x_after, digits, answered.applied_copy)
     carried = t.role == "message"
     expected = digits[0] if digits and rules.keyed else NO_SYMBOL
     return t._replace(
-        message_symbol=record.message_symbol if carried else NO_SYMBOL, expected=expected
+        message_symbol=record.frame.message_symbol if carried else NO_SYMBOL, expected=expected
     )
 
 
 def _by_plant(
     rules: Rules,
-    record: ReceiverRecord,
+    record: PlantRecord,
     step: Read,
-    parts: tuple[Part, ...],
+    held: Held,
 ) -> CountedTransition:
     """The transition that it has saved, with what it will report of it."""
     offer, coin, report = step
-    digits = _digits(rules, offer, report, parts)
-    t = _counted(rules, record, offer, report.x, digits, offer.copy_number)
+    digits = _digits(rules, offer, report, held)
+    t = _counted(rules, record.link, offer, report.x, digits, offer.copy_number, coin)
     symbol = NO_SYMBOL if t.role == "test" else decrypt(offer.cipher, t.key, rules.size)
     return t._replace(message_symbol=symbol, coin=coin, u=offer.candidates[coin])
 
 
-def _digits(
-    rules: Rules, offer: Offer, said: Measurement, parts: tuple[Part, ...]
-) -> tuple[int, ...]:
+def _digits(rules: Rules, offer: Offer, said: Measurement, held: Held) -> tuple[int, ...]:
     """The digits of the key stream that have served, as far as they are held."""
     if not said.keyed:
         return ()
-    return Stream(rules.size, parts).at(offer.position, rules.digits) or ()
+    return KeyStream(rules.size, held).at(offer.position, rules.digits) or ()
 
 
 def _counted(
     rules: Rules,
-    record: SenderRecord | ReceiverRecord,
+    link: LinkRecord,
     offer: Offer,
     x_next: Vector,
     digits: tuple[int, ...],
     copy: int,
+    coin: int = NO_SYMBOL,
 ) -> CountedTransition:
-    """What the pure functions make of an applied offer after ``record``."""
-    record = record._replace(state=rules.scheme.restore(record.state))
-    counted = rules.count(record, offer, x_next, digits)
+    """What the pure functions make of an applied offer."""
+    link = link._replace(state=rules.scheme.restore(link.state))
+    counted = rules.count(link, offer, x_next, digits, coin)
     row = None
-    if rules.schedule is not None and record.transitions:
+    if rules.schedule is not None and link.transitions:
         row = contribution_of(
-            j=record.transitions,
-            steps=offer.k - record.applied_k,
+            j=link.transitions,
+            steps=offer.k - link.applied_k,
             offer=offer.nonce,
             applied_copy=copy,
-            measurement=record.nonce,
+            measurement=link.nonce,
             heard=offer.heard,
         )
-    return CountedTransition.of(rules.scheme, record, offer, x_next, counted, NO_SYMBOL, row)
+    return CountedTransition.of(rules.scheme, link, offer, x_next, counted, NO_SYMBOL, row)
 
 
-def _ends_frame(t: CountedTransition, record: SenderRecord, journal: ControllerJournal) -> bool:
+def _ends_frame(t: CountedTransition, record: ControllerRecord, journal: ControllerJournal) -> bool:
     """Whether a transition carried the last symbol of a frame."""
-    if t.role == "test" or not record.framed:
+    if t.role == "test" or not record.frame.framed:
         return False
-    payload = journal.payload(record.message)
-    return payload is not None and record.offset == frame_length(len(payload), len(t.candidates))
+    payload = journal.payload(record.frame.message)
+    return payload is not None and record.frame.offset == frame_length(
+        len(payload), len(t.candidates)
+    )
 
 
 def _from_copy(

@@ -142,6 +142,30 @@ class Run:
         except ScenarioError as error:
             raise TraceError(str(error)) from None
 
+    def whole(self, side: Side) -> "Trace":
+        """An end's trace in columns, where it can be read to its end.
+
+        Raises
+        ------
+        runtime.recording.TraceError
+            When it cannot.
+        """
+        trace = self.columns(side)
+        if trace.unread:
+            raise TraceError(f"{self.trace(side)}: {trace.unread}")
+        return trace
+
+    def so_far(self, side: Side, problems: list[str]) -> "Trace | None":
+        """An end's trace as far as it can be read; why it goes no further is added to these."""
+        try:
+            trace = self.columns(side)
+        except TraceError as error:
+            problems.append(str(error))
+            return None
+        if trace.unread:
+            problems.append(f"{self.trace(side)}: {trace.unread}")
+        return trace
+
     def has(self, side: Side) -> bool:
         """Whether any part of an end's trace is there."""
         return bool(parts_of(self.trace(side)))
@@ -180,10 +204,7 @@ class Run:
         sent: dict[str, bytes] = {}
         if not self.has("controller"):
             return []
-        trace = self.columns("controller")
-        if trace.unread:
-            raise TraceError(f"{self.trace('controller')}: {trace.unread}")
-        for told in trace.told("sent"):
+        for told in self.whole("controller").told("sent"):
             sent.setdefault(getattr(told.line, "id", ""), told.payload)
         return list(sent.values())
 

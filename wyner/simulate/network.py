@@ -20,15 +20,15 @@ from plant_service.adapters.base import PlantAdapter, Stepped
 from plant_service.core import PlantCore
 from plant_service.opening import open_core
 from protocol.agreement import NO_SYMBOL
+from protocol.link.channel import Channel
 from protocol.link.effects import Effects, Notice, Save
+from protocol.link.endpoint import Endpoint
 from protocol.link.events import Event, Missed
-from protocol.link.networked import behind
 from protocol.link.pacing import Pacing
-from protocol.link.peer import Peer
-from protocol.link.records import ReceiverRecord, SenderRecord
+from protocol.link.records import ControllerRecord, PlantRecord
 from protocol.link.session import CountedTransition, rules_of
+from protocol.link.step import IDLE
 from protocol.messages import (
-    Measurement,
     Message,
     Offer,
     SendCommand,
@@ -65,7 +65,7 @@ class History:
     crashes: int = 0
     amnesias: int = 0
     seconds: float = 0.0
-    record: ReceiverRecord | None = None
+    record: PlantRecord | None = None
 
 
 Side = Literal["plant", "controller"]
@@ -124,7 +124,7 @@ class SimulatedEnd:
         self.partner: Side = partner
         self.journal = journal
         self.ports = CrashingPorts(_Ports(world, side, partner, journal))
-        self.endpoint: Peer | None = None
+        self.endpoint: Endpoint | None = None
         self.wakes_at = inf
         self.incarnations = 0
 
@@ -187,6 +187,7 @@ class Simulation:
         self._width = len(scenario.plant.disturbance.half_widths)
         self._faults = faults or Faults()
         self._step_s = step_s
+        self._scheme = rules_of(scenario).scheme
         self.random = random.Random(seed)
         self._events: list[tuple[float, int, Callable[[], None]]] = []
         self._number = 0
@@ -228,13 +229,13 @@ class Simulation:
             if until is not None and until():
                 break
         self.history.seconds = self.now_s
-        self.history.record = self.plant.record
+        self.history.record = self.plant.state.record
         return self.history
 
     @property
     def k(self) -> int:
         """The plant's step."""
-        return self.plant.record.k
+        return self.plant.state.link.k
 
     @property
     def _sick(self) -> bool:
@@ -279,9 +280,9 @@ class Simulation:
     def kept(self, save: Save) -> None:
         """Note what a record says of messages that came through."""
         record = save.record
-        if isinstance(record, SenderRecord):
-            self.history.delivered.extend(range(self._delivered, record.message))
-            self._delivered = record.message
+        if isinstance(record, ControllerRecord):
+            self.history.delivered.extend(range(self._delivered, record.frame.message))
+            self._delivered = record.frame.message
         elif save.received is not None:
             self.history.inbox.append(save.received)
 
@@ -306,23 +307,17 @@ class Simulation:
         end = self.ends[side]
         end.incarnations += 1
         end.ports.crash_at()
-        end.endpoint = self._behind_the_network(side, end.incarnations)
+        end.endpoint = (
+            self._new_plant(end.incarnations) if side == "plant" else self._new_controller()
+        )
         self._perform(end, end.endpoint.start(self.now_s))
 
-    def _behind_the_network(self, side: Side, incarnations: int) -> Peer:
-        """A new process of an end; its channel begins anew, too."""
-        end: Peer
-        kind: type[Measurement] | type[Offer]
-        way: Direction
-        if side == "plant":
-            end, kind, way = self._new_plant(incarnations), Offer, "to_plant"
-        else:
-            end, kind, way = self._new_controller(), Measurement, "to_controller"
+    def _channel(self, way: Direction) -> Channel | None:
+        """What messages to a new process pass."""
         scale = 1.0 if self._step_s is None else self._step_s / self.scenario.plant.period_s
-        channel = channel_of(
+        return channel_of(
             self.scenario, way, self._folder, scale=scale, seed=self._seed, run=self._run
         )
-        return behind(channel, end, kind)
 
     def _new_controller(self) -> ControllerCore:
         self._controller = ControllerCore(
@@ -335,6 +330,7 @@ class Simulation:
             loaded=self._queue.load(),
             predict=self._predict,
             nonces=self._nonces,
+            channel=self._channel("to_controller"),
         )
         return self._controller
 
@@ -355,6 +351,7 @@ class Simulation:
             folder=self._folder,
             sensors=Stream(self._seed, SENSOR, width=self.scenario.readings, run=self._run),
             nonces=self._nonces,
+            channel=self._channel("to_plant"),
         )
         return self.plant
 
@@ -412,13 +409,13 @@ class Simulation:
 
         Where it died in between, and lost its journal too, nobody ever offers that one again.
         """
-        record = self._controller.record
-        if self._controller.unfinished:
+        state = self._controller.state
+        if state.step is not IDLE:
             return
         for offer in self._offered:
-            if record.offer == offer:
-                carries = self._controller.carries
-                self.history.offered.append((record.transitions, carries, offer))
+            if state.offer == offer:
+                carries = self._scheme.pad(state.link.state) != NO_SYMBOL
+                self.history.offered.append((state.link.transitions, carries, offer))
         self._offered.clear()
 
 

@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import IO, Final
 
 from protocol.statistics import (
-    NOTHING,
     Interval,
+    bits_left,
     mean_over_runs,
     mean_sequence,
+    normal_mean,
     share_over_runs,
+    wilson,
 )
 from runtime.files import PUBLIC_FILE, read_regular, refuse_irregular, write_atomically
 from wyner.sweeps.code import loop_version
@@ -24,6 +26,8 @@ from wyner.sweeps.grid import Point, Row, SweepError, canonical
 
 COUNTS: Final = ("tested", "agreements", "message_symbols", "mistaken")
 SUMS: Final = ("state_cost", "state_cost_squares", "input_effort", "input_effort_squares")
+REALS: Final = ("period_s", *SUMS)
+"""Columns that are no whole numbers."""
 FIXED: Final = ("task", "version", "scenario", "variant")
 MEASURED: Final = (
     "period_s",
@@ -40,8 +44,7 @@ MEASURED: Final = (
 """Columns of a row; the fields of the grid stand between FIXED and MEASURED."""
 BY_RUN: Final = "runs_by_agreed"
 """The column that says how many runs had how many of how many, as ``23/25:4``: agreed steps of
-those tested. Without it, as in files of before, the share has no interval: how runs differ cannot
-be told from a sum over them."""
+those tested."""
 TAPPED_BY_RUN: Final = ("runs_by_keys", "runs_by_messages")
 """The same of each eavesdropper: keys known of those agreed, messages read of those delivered."""
 TAPPED: Final = ("agreed", "right", "known", "delivered", "read", "key_blocks", "key_bits")
@@ -210,19 +213,15 @@ def read_rows(path: Path) -> list[Row]:
 
 def _numbers(path: Path, rows: list[Row]) -> list[Row]:
     for number, row in enumerate(rows, start=2):
+        counted = {}
         try:
-            by_run = []
             for name in (*MEASURED, *tap_columns(taps_in(row))):
-                if name.rpartition(".")[2] in (BY_RUN, *TAPPED_BY_RUN):
-                    by_run += [name] if name in row else []
-                elif name in ("period_s", *SUMS):
-                    row[name] = float(row[name])
-                elif name != "runs_by_symbols":
-                    row[name] = int(row[name])
-            name = "runs_by_symbols"
-            counted = {name: sum(histogram_of(row[name]).values())}
-            for name in by_run:
-                counted[name] = sum(pairs_of(row[name]).values())
+                if name == "runs_by_symbols":
+                    counted[name] = sum(histogram_of(row[name]).values())
+                elif name.rpartition(".")[2] in (BY_RUN, *TAPPED_BY_RUN):
+                    counted[name] = sum(pairs_of(row[name]).values())
+                else:
+                    row[name] = float(row[name]) if name in REALS else int(row[name])
         except (KeyError, ValueError):
             raise SweepError(f"{path}: line {number}: {name}: expected a number") from None
         for name, runs in counted.items():
@@ -250,7 +249,7 @@ class Summary:
     taps : dict
         For each eavesdropper the counts of `TAPPED`.
     pairs : dict
-        For each share how many runs had how many of how many; without those that the rows lack.
+        For each share how many runs had how many of how many.
     """
 
     first: Row
@@ -277,20 +276,29 @@ class Summary:
         return mean_sequence(self.histogram).scaled(self._scale)
 
     @property
+    def costs(self) -> dict[str, Interval]:
+        """Mean squares a step of the state and of the input, over runs: what control costs."""
+        return {
+            name: normal_mean(self.sums[name], self.sums[f"{name}_squares"], self.runs)
+            for name in ("state_cost", "input_effort")
+        }
+
+    @property
+    def secret(self) -> float | None:
+        """Bits a second that the strongest eavesdropper leaves at most; None: none was run."""
+        size, rate = self.first["candidates"], self.rate
+        most = rate.high if rate.known else rate.value
+        left = [
+            bits_left(1, size, wilson(counts["known"], counts["agreed"])).high
+            for counts in self.taps.values()
+            if counts["agreed"]
+        ]
+        return most * min(left) / float(log2(size)) if left else None
+
+    @property
     def shares(self) -> dict[str, Interval]:
         """Steps that agreed, and of each eavesdropper keys known and messages read, over runs."""
-        sums = {"agreed": (self.counts["agreements"], self.counts["tested"])}
-        for name, counts in self.taps.items():
-            sums[f"{name} keys known"] = (counts["known"], counts["agreed"])
-            sums[f"{name} messages read"] = (counts["read"], counts["delivered"])
-        found = {}
-        for name, (right, of) in sums.items():
-            pairs = self.pairs.get(name)
-            if pairs is not None:
-                found[name] = share_over_runs(Counter(pairs).elements())
-            else:
-                found[name] = Interval(right / of) if of else NOTHING
-        return found
+        return {name: share_over_runs(Counter(p).elements()) for name, p in self.pairs.items()}
 
 
 def histogram_of(text: str) -> dict[int, int]:
@@ -316,19 +324,15 @@ def pairs_text(pairs: Iterable[tuple[int, int]]) -> str:
 
 
 def _pairs(rows: Sequence[Row]) -> dict[str, dict[tuple[int, int], int]]:
-    """The shares of which every row says how many runs had how many."""
+    """Of each share how many runs had how many of how many."""
     columns = {"agreed": BY_RUN}
     for name in taps_in(rows[0]):
         for share, column in zip(("keys known", "messages read"), TAPPED_BY_RUN, strict=True):
             columns[f"{name} {share}"] = f"tap.{name}.{column}"
-    found = {}
-    for share, column in columns.items():
-        if all(column in row for row in rows):
-            counted: Counter[tuple[int, int]] = Counter()
-            for row in rows:
-                counted.update(pairs_of(row[column]))
-            found[share] = dict(counted)
-    return found
+    return {
+        share: dict(sum((Counter(pairs_of(row[column])) for row in rows), Counter()))
+        for share, column in columns.items()
+    }
 
 
 def summarise(rows: Iterable[Row]) -> list[Summary]:
@@ -393,7 +397,12 @@ def ready_rows(
             "bits_per_second": rate.value,
             "bits_per_second_low": cell(rate.low),
             "bits_per_second_high": cell(rate.high),
+            "secret_bits_per_second_at_most": "" if s.secret is None else s.secret,
         }
+        for name, cost in s.costs.items():
+            row[name] = cell(cost.value)
+            row[f"{name}_low"] = cell(cost.low)
+            row[f"{name}_high"] = cell(cost.high)
         for name, share in s.shares.items():
             row[name] = cell(share.value)
             row[f"{name} low"] = cell(share.low)

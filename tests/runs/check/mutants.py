@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, MANIFEST, PLANT_TRACE
-from tests.support.small_run import Lines, read_lines, write_lines
+from tests.support.recorded_pair import Lines, read_lines, write_lines
 
 Edit = Callable[[Lines, int], None]
 

@@ -7,8 +7,7 @@ import pytest
 from protocol.link.events import RESUMED
 from protocol.link.records import Side
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.small_run import SmallRun, read_lines, write_lines
+from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
 from tests.support.traces import read_trace
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
@@ -16,9 +15,9 @@ from wyner.runs.check.evidence import read_evidence
 MESSAGES = [b"a", b"b", b"b"]
 
 
-def killed_once(folder: Path, side: Side, since: str, after: int) -> RecordedLoop:
+def killed_once(folder: Path, side: Side, since: str, after: int) -> RecordedPair:
     """A run of three messages; the operator hands the second over again if he gets no answer."""
-    loop = RecordedLoop(folder, MESSAGES[0], "keys")
+    loop = RecordedPair(folder, MESSAGES[0], name="keys")
     loop.run(lambda: loop.transitions >= 3)
     loop.crash_at(side, after=after, since=since)
     loop.queue("second", MESSAGES[1])
@@ -38,7 +37,7 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
 ) -> None:
     loop = killed_once(tmp_path, side, since, after)
     assert loop.lives[side] == 2
-    assert (loop.plant.record.messages, loop.received) == (3, MESSAGES[2:])
+    assert (loop.plant.state.record.frame.messages, loop.received) == (3, MESSAGES)
     loop.stop()
     assert loop.wrong() == []
     for path, report in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):
@@ -46,14 +45,14 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
 
 
 def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: Path) -> None:
-    loop = RecordedLoop(tmp_path, MESSAGES[0], "keys")
+    loop = RecordedPair(tmp_path, MESSAGES[0], name="keys")
     loop.run(lambda: loop.transitions >= 3)
     loop.crash_at("controller", after=1, since="sent")
     loop.queue("given-up", b"b")
     loop.run(lambda: loop.lives["controller"] == 2)
     loop.queue("third", b"c")
     loop.run(lambda: loop.delivered >= 2)
-    assert loop.recovered == [b"a", b"c"]
+    assert loop.received == [b"a", b"c"]
     loop.stop()
     assert loop.wrong() == []
 
@@ -75,9 +74,9 @@ def test_a_report_that_is_taken_from_a_killed_run_is_missed(
 
 def test_a_missed_step_that_was_not_saved_is_made_again(tmp_path: Path) -> None:
     """Killed after it was traced, the plant counts the transition before, and misses it again."""
-    run = SmallRun(tmp_path)
+    run = RecordedPair(tmp_path, b"hi")
     run.steps(40, {20: "offer lost"})
-    run.close()
+    run.stop()
     lines = read_lines(tmp_path / PLANT_TRACE)
     at = next(i for i, line in enumerate(lines) if line["event"] == "missed")
     unsaved = {**lines[at], "x_next": [0.0, 0.0]}

@@ -9,7 +9,7 @@ from protocol.messages import Measurement
 from runtime.run_folder import CONTROLLER_TRACE
 from tests.support.checked_runs import failed
 from tests.support.mail import Mail, mail
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 from tests.support.traces import read_trace
 
 ONSET = 200
@@ -17,11 +17,11 @@ STEPS = 250
 """After these 180 of them are too many, once."""
 
 
-class Ended(RecordedLoop):
+class Ended(RecordedPair):
     """A forged reading ends each session before the controller has heard of its first step."""
 
     def _attacked(self, message: Mail) -> Mail:
-        attacked = ONSET <= self.plant.record.k < ONSET + STEPS
+        attacked = ONSET <= self.plant.state.record.link.k < ONSET + STEPS
         if message.kind is not Measurement or not attacked:
             return message
         m = Measurement.model_validate_json(message.payload)
@@ -35,7 +35,7 @@ class Ended(RecordedLoop):
 def ended(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("ended") / "run"
     loop = Ended(folder, name="watched")
-    loop.run(lambda: loop.plant.record.k >= ONSET + STEPS + 5)
+    loop.run(lambda: loop.plant.state.record.link.k >= ONSET + STEPS + 5)
     loop.stop()
     return folder
 

@@ -10,8 +10,8 @@ from tests.runs.check.mutants import Mutant, mutants_of
 from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
+from tests.support.recorded_pair import read_lines, write_lines
 from tests.support.size import size
-from tests.support.small_run import read_lines, write_lines
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 

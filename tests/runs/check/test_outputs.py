@@ -11,11 +11,10 @@ from protocol.box_observer import Box, BoxObserver, Observed
 from protocol.vectors import Vector
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.shipped import SCENARIOS
-from tests.support import recorded_loop
+from tests.support import recorded_pair
 from tests.support.checked_runs import failed
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.small_run import read_lines, write_lines
-from tests.support.two_ends import SIDES
+from tests.support.pair import SIDES
+from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
 
 Line = dict[str, Any]
 Inputs = Sequence[Sequence[float]]
@@ -24,7 +23,7 @@ Inputs = Sequence[Sequence[float]]
 @pytest.fixture(scope="module")
 def clean(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """120 steps, in the middle of which both processes are killed."""
-    loop = RecordedLoop(tmp_path_factory.mktemp("outputs") / "run", b"hi", "encoder")
+    loop = RecordedPair(tmp_path_factory.mktemp("outputs") / "run", b"hi", name="encoder")
     loop.run(lambda: loop.transitions >= 60)
     for side in SIDES:
         loop.kill(side)
@@ -56,8 +55,8 @@ def of_two_outputs(folder: Path, monkeypatch: pytest.MonkeyPatch) -> tuple[set[s
         assert old in text
         text = text.replace(old, new)
     (folder / "encoder.toml").write_text(text)
-    monkeypatch.setattr(recorded_loop, "SCENARIOS", folder)
-    loop = RecordedLoop(folder / "run", b"hi", "encoder")
+    monkeypatch.setattr(recorded_pair, "SCENARIOS", folder)
+    loop = RecordedPair(folder / "run", b"hi", name="encoder")
     loop.run(lambda: loop.transitions >= 120)
     loop.stop()
     lines = read_lines(loop.folder / PLANT_TRACE)

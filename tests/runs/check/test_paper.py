@@ -9,7 +9,7 @@ from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, predic
 from protocol.box_observer import Box, BoxObserver
 from protocol.schemes.base import Carry
 from protocol.schemes.switched import State, Switched
-from tests.support.small_run import SmallRun
+from tests.support.recorded_pair import RecordedPair
 from wyner.runs.check import check
 from wyner.runs.check.evidence import Finding, read_evidence
 from wyner.runs.check.paper import NO_KEY, ROUNDING, Automata, f_c, output_scale, scale
@@ -27,9 +27,9 @@ def key_symbols(*centres: tuple[float, float], x_next: tuple[float, float]) -> s
 
 
 def recorded(folder: Path, name: str = "sustained", steps: int = 150) -> list[Finding]:
-    run = SmallRun(folder, name=name)
+    run = RecordedPair(folder, b"hi", name=name)
     run.steps(steps, {4: "plant dies", 9: "offer lost", 30: "plant forgets"})
-    run.close()
+    run.stop()
     return check(read_evidence(folder))
 
 

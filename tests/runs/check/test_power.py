@@ -7,7 +7,7 @@ import pytest
 import runtime.journal as journals
 from protocol.link.records import Side
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.recorded_pair import RecordedPair
 
 TRACES: dict[Side, Path] = {"plant": PLANT_TRACE, "controller": CONTROLLER_TRACE}
 
@@ -30,7 +30,7 @@ def failed(
     torn: bool = False,
     times: int = 1,
     name: str = "keys",
-) -> RecordedLoop:
+) -> RecordedPair:
     """A run that lost so many lines where both ends were killed; ``power``: the machine died.
 
     Where it lost some of both traces, it lost some of the capture as well.
@@ -38,12 +38,12 @@ def failed(
     boot = folder.parent / "boot"
     boot.write_text("0")
     monkeypatch.setattr(journals, "BOOT_ID", boot)
-    loop = RecordedLoop(folder, b"a", name)
+    loop = RecordedPair(folder, b"a", name=name)
     for number in range(1, times + 1):
-        loop.advance(20)
+        loop.steps(20)
         loop.queue(f"{number}", b"b")
         loop.queue(f"{number}-again", b"b")
-        loop.advance(20)
+        loop.steps(20)
         for side in TRACES:
             loop.ends[side].files.journal.db.close()  # else it would note that it was closed
             loop.kill(side)

@@ -26,8 +26,7 @@ from runtime.scenario_file import load_scenario
 from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.lines import unmark
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.small_run import Lines, read_lines, write_lines
+from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_lines
 from wyner.runs.check import RULES
 
 Line = dict[str, Any]
@@ -48,8 +47,8 @@ def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def keyed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run that has made keys, and used some."""
-    loop = RecordedLoop(tmp_path_factory.mktemp("runs") / "keyed", name="watched")
-    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > 80)
+    loop = RecordedPair(tmp_path_factory.mktemp("runs") / "keyed", name="watched")
+    loop.run(lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > 80)
     loop.stop()
     return unmarked(loop.folder)
 

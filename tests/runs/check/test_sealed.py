@@ -8,8 +8,7 @@ import pytest
 
 from runtime.run_folder import CAPTURE, CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.checked_runs import failed
-from tests.support.recorded_loop import RecordedLoop
-from tests.support.small_run import Lines, read_lines, write_lines
+from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_lines
 
 TEXT = b"Meet me at nine"
 
@@ -17,9 +16,9 @@ TEXT = b"Meet me at nine"
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "sealed"
-    loop = RecordedLoop(folder, TEXT, "sealed")
+    loop = RecordedPair(folder, TEXT, name="sealed")
     loop.run(lambda: loop.delivered == 1)
-    assert loop.recovered == [TEXT]
+    assert loop.received == [TEXT]
     loop.stop()
     return folder
 

@@ -10,16 +10,16 @@ import pytest
 
 from plant_service.core import PlantCore
 from protocol.link.session import Truth
+from protocol.link.step import Begun
 from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
 from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
 from tests.support.checked_runs import failed
-from tests.support.recorded_loop import RecordedLoop
+from tests.support.pair import SIDES
+from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_lines
 from tests.support.size import size
-from tests.support.small_run import Lines, read_lines, write_lines
-from tests.support.two_ends import SIDES
 from wyner.cli.main import main
 
 STEPS = 1400
@@ -35,7 +35,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run in which each end was killed twelve times, at whatever it was doing."""
     folder = tmp_path_factory.mktemp("runs") / "watched"
     draw = random.Random(5)
-    loop = RecordedLoop(folder, b"The old mill.", "watched")
+    loop = RecordedPair(folder, b"The old mill.", name="watched")
     for at in range(500, STEPS, 75):
         loop.run(lambda at=at: loop.transitions >= at)  # type: ignore[misc]
         side = draw.choice(SIDES)
@@ -70,26 +70,32 @@ class Ghost:
 
     def __init__(self, core: PlantCore) -> None:
         self.core = core
-        self.prepare, self.safe, self.close = core.plant.prepare, core.plant.safe, core.plant.close
+        self.prepare, self.safe, self.close = (
+            core.stepper.plant.prepare,
+            core.stepper.plant.safe,
+            core.stepper.plant.close,
+        )
 
     def begin(self, k: int, x: Vector, u: Vector) -> None:
         self.x = x
 
     def end(self, k: int) -> Vector:
-        offer = self.core.under_way
-        assert offer is not None
-        return self.core.rules.prediction(self.x, offer, 0)
+        step = self.core.state.step
+        assert isinstance(step, Begun)
+        return self.core.state.rules.prediction(self.x, step.offer, 0)
 
 
 @pytest.fixture(scope="module")
 def attacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A run whose sensor is spoofed for its last sixty steps, by one who has no key."""
     folder = tmp_path_factory.mktemp("runs") / "attacked"
-    loop = RecordedLoop(folder, name="watched")
-    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > size(300, 600))
+    loop = RecordedPair(folder, name="watched")
+    loop.run(
+        lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > size(300, 600)
+    )
     until = loop.transitions + 60
-    loop.plant.plant = Ghost(loop.plant)
-    loop.run(lambda: loop.controller.record.transitions > until)
+    loop.plant.stepper.plant = Ghost(loop.plant)
+    loop.run(lambda: loop.controller.state.record.link.transitions > until)
     loop.stop()
     return folder
 
@@ -177,25 +183,25 @@ def test_status_tells_alarms_and_how_much_is_watched(
     assert status.alarm_sentence() in told
 
 
-def halted(loop: RecordedLoop) -> bool:
-    return loop.controller.record.halted
+def halted(loop: RecordedPair) -> bool:
+    return loop.controller.state.record.alarms.halted
 
 
 def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
-    loop = RecordedLoop(tmp_path / "run", name="watched")
-    loop.run(lambda: loop.controller.keys.stream.left > 100 and loop.transitions > 600)
-    loop.controller.rules = replace(loop.controller.rules, halts=True)
+    loop = RecordedPair(tmp_path / "run", name="watched", pace="fast")
+    loop.run(lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > 600)
+    loop.controller.state.rules = replace(loop.controller.state.rules, halts=True)
     at = loop.transitions
-    loop.plant.plant = Ghost(loop.plant)
+    loop.plant.stepper.plant = Ghost(loop.plant)
     for _ in range(3000):
-        loop.step()
+        loop.next()
     made = loop.transitions - at
     assert made < 20, "no offer follows an alarm"
     assert halted(loop)
     loop.kill("controller")
     loop.start("controller")
     for _ in range(500):
-        loop.step()
+        loop.next()
     assert halted(loop)
     assert loop.transitions - at == made
     loop.kill("controller")

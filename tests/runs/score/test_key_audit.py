@@ -124,7 +124,7 @@ def test_who_was_started_again_was_not_there_in_between(tmp_path: Path, scenario
 def test_who_was_never_there_is_said_not_to_have_been(tmp_path: Path, scenario: Scenario) -> None:
     audit = audited(tmp_path, scenario, lambda _topic, _k: False)
     assert audit.missed is None
-    assert [text.partition(":")[0] for text in audit.warnings] == ["she was not there"] * 2
+    assert [text.partition(":")[0] for text in audit.warnings] == ["Eve was not there"] * 2
 
 
 def test_what_left_too_often_is_no_copy_0_and_no_miss(tmp_path: Path, scenario: Scenario) -> None:

@@ -1,12 +1,13 @@
 """Every alarm is right, and none is missing."""
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from protocol.agreement import NO_SYMBOL
+from protocol.defence.watch import NEVER
+from protocol.link.session import Rules
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
 from wyner.runs.lines import AlarmLine, OtherLine, PowerLine, SessionLine
 
@@ -39,7 +40,7 @@ def alarms(e: Evidence) -> Findings:
     if trace is None:
         return
     names = [name for name in Tested._fields if name in (trace.rows.dtype.names or ())]
-    test = _Test(e)
+    test = _Test(e.rules)
     t: Tested | None = None
     known = trace.gone == 0  # of a cut trace, once another session has begun
     lost = False  # after a power failure nobody knows how many steps had no digit
@@ -91,34 +92,31 @@ def alarms(e: Evidence) -> Findings:
 
 @dataclass
 class _Test:
-    """The rule that makes an alarm, written a second time."""
+    """The rule that makes an alarm, from one transition to the next."""
 
-    e: Evidence
+    rules: Rules
     session: int = -1
-    tests: "deque[bool]" = field(init=False)
-    total: float | None = None
+    before: int = 0  # the tests that failed, as the rule remembers them
+    total: float = NEVER
     newest: str | None = None
-
-    def __post_init__(self) -> None:
-        self.tests = deque(maxlen=self.e.rules.alarm_rule.window)
 
     def failed(self, t: Tested) -> str:
         """Why a transition makes an alarm; empty where it makes none."""
-        rules = self.e.rules
+        rules = self.rules
         if t.session != self.session:
-            self.session = t.session
-            self.tests.clear()
+            self.session, self.before = t.session, 0
         explained = [g <= 1 + EDGE for g in t.gauges]
         watched = t.expected != NO_SYMBOL
         holds = explained[t.expected] if watched else any(explained)
         refused = rules.keyed and t.block >= 0 and not t.keyed
-        self.tests.append(not holds or refused)
+        alarm, self.before = rules.alarm_rule.test(self.before, failed=not holds or refused)
         reason = ""
-        if self.tests[-1] and sum(self.tests) >= rules.alarm_rule.failures:
+        if alarm:
             reason = "digits refused" if holds else "unexplained"
             reason = "another candidate" if not holds and watched else reason
-        if rules.keyed and self._unwatched(watched=watched):
-            reason = reason or "unwatched"
+        if rules.keyed:
+            self.total, too_many = rules.watch.after(self.total, watched=watched)
+            reason = reason or ("unwatched" if too_many else "")
         return reason
 
     def began(self, session: str | None) -> None:
@@ -126,24 +124,13 @@ class _Test:
         if session is None or session == self.newest:
             return
         self.newest = session
-        if self.e.rules.keyed and self.total is not None:
-            self.total += 1.0 - self.e.rules.watch.share
+        if self.rules.keyed:
+            self.total = self.rules.watch.unheard(self.total)
 
     @property
     def over(self) -> bool:
         """Whether the first reading of a session makes an alarm."""
-        return self.total is not None and self.total > self.e.rules.watch.burst
-
-    def _unwatched(self, *, watched: bool) -> bool:
-        """Whether too many steps had no digit: their cumulative sum, once there were keys."""
-        share, burst = self.e.rules.watch
-        if self.total is None:
-            self.total = 0.0 if watched else None
-            return False
-        self.total = max(0.0, self.total - share + (0.0 if watched else 1.0))
-        over = self.total > burst
-        self.total = 0.0 if over else self.total
-        return over
+        return self.total > self.rules.watch.burst
 
 
 def _unlike(e: Evidence, line: AlarmLine, t: Tested, reason: str) -> str:

@@ -33,7 +33,7 @@ def paper(e: Evidence) -> Findings:
     if not skipped(e):
         for trace in e.ends():
             yield from _of(e, trace)
-    if e.plant is not None:
+    if e.plant is not None and not e.rules.scheme.corrects:  # a key is no coin
         yield from _coin(e, e.plant)
 
 

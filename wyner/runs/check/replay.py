@@ -105,7 +105,10 @@ class _Replay:
             box,
         )  # fmt: skip
         self._estimate, self._known, self._k = verdict.estimate, True, k
-        self._state, carry = rules.scheme.follow(self._state, verdict.symbol)
+        state, taken = self._state, verdict.symbol
+        if rules.scheme.corrects and side == "plant":
+            state, taken = rules.scheme.hear(state, cipher), row[-1]
+        self._state, carry = rules.scheme.follow(state, taken)
         pad = carry.pad
         if rules.scheme.from_stream:
             pad = key if keyed else NO_SYMBOL
@@ -120,7 +123,7 @@ class _Replay:
             text = f"{side}: gauges are {gauges}, recomputed {list(verdict.gauges)}"
             found.append(("replay", text))
         self._p = p
-        if not rules.scheme.from_stream:
+        if not (rules.scheme.from_stream or rules.scheme.corrects):
             found += self._served(message, key, agreed)
         return found
 

@@ -8,10 +8,8 @@ import numpy as np
 
 from protocol.arrays import Array
 from protocol.link.events import AttackBegan
-from protocol.link.records import Side
 from protocol.scenario import Scenario
 from protocol.statistics import GIVEN
-from runtime.recording import TraceError
 from wyner.runs.lines import AlarmLine
 from wyner.runs.run import Run
 from wyner.runs.score.counts import parted, truth_of
@@ -136,24 +134,13 @@ def attacked(run: Run) -> AttackCounts:
     The controller's is read where the plant's names an attack.
     """
     counts = AttackCounts()
-    plant = _columns(run, "plant", counts)
+    plant = run.so_far("plant", counts.unread)
     if plant is not None:
         counts.plant(plant, run.scenario)
-    controller = None if counts.attack is None else _columns(run, "controller", counts)
+    controller = None if counts.attack is None else run.so_far("controller", counts.unread)
     if plant is not None and controller is not None:
         counts.controller(controller, plant)
     return counts
-
-
-def _columns(run: Run, side: Side, counts: AttackCounts) -> Trace | None:
-    try:
-        trace = run.columns(side)
-    except TraceError as error:
-        counts.unread.append(str(error))
-        return None
-    if trace.unread:
-        counts.unread.append(f"{run.trace(side)}: {trace.unread}")
-    return trace
 
 
 def _steps(number: int) -> str:

@@ -10,7 +10,6 @@ from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import ScenarioError
 from protocol.vectors import Vector
-from runtime.recording import TraceError
 from wyner.runs.run import Run
 from wyner.runs.trace import AT_ONCE, TRANSITION, Rows, Trace
 
@@ -151,7 +150,4 @@ def cost_of(run: Run) -> float | None:
         weights = run.scenario.cost_weights
     except ScenarioError:
         return None
-    trace = run.columns("plant")
-    if trace.unread:
-        raise TraceError(f"{run.trace('plant')}: {trace.unread}")
-    return PlantCounts.of(trace, weights).mean_cost
+    return PlantCounts.of(run.whole("plant"), weights).mean_cost

@@ -10,13 +10,11 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from protocol.link.records import Side
 from protocol.scenario import Scenario
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.statistics import COUNTED, POOLED
-from runtime.recording import TraceError
 from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
@@ -28,6 +26,11 @@ from wyner.runs.trace import AT_ONCE, INTERRUPTED, MISSED, Places, Trace
 KEY_BITS: Final = 8 * NONCE_BYTES
 
 _TOPICS: Final = ("measurement", "offer")
+
+
+Heard = Mapping[str, np.ndarray[Any, np.dtype[np.int16]]]
+"""By topic, of each step of the plant: the number of the recording in which Eve heard its copy 0,
+-1 where she missed it."""
 
 
 class AuditedBlock(NamedTuple):
@@ -73,24 +76,6 @@ class _Leaving:
             if at <= k:
                 times = count
         return 1 if times is None else times
-
-
-class HeardCopies:
-    """Copies 0 of the plant's steps that a tap has heard, each with the number of her recording.
-
-    Each direction takes two bytes a step: -1 where she missed the copy.
-    """
-
-    def __init__(self, plant: Trace) -> None:
-        self._places = Places(plant)
-        none = np.full(len(plant.rows), -1, np.int16)
-        self.of = {"measurement": none, "offer": none.copy()}
-
-    def add(self, topic: str, session: str, k: int, incarnation: int) -> None:
-        """Note a copy, the first time."""
-        place = self._places.of(session, k)
-        if place >= 0 and self.of[topic][place] < 0:
-            self.of[topic][place] = incarnation
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,17 +142,17 @@ class KeyAudit:
         found = [f"counted up to there: {why}" for why in self.unread]
         if self.held_bits:
             broken = sum(bool(block.held_bits) and block.keys > 0 for block in self.blocks)
-            found.append(f"she holds {self.held_bits} bits, of {broken} blocks")
+            found.append(f"Eve holds {self.held_bits} bits, of {broken} blocks")
         for name, rate in self.rates.items():
             if rate.refuted:
                 found.append(
-                    f"she misses {rate.high:.3g} of the {name} at most, and eps_E = "
+                    f"Eve misses {rate.high:.3g} of the {name} at most, and eps_E = "
                     f"{self.claim:g} was claimed: refuted"
                 )
             if rate.bursts:
-                found.append(f"her misses of {name} come in bursts ({rate.lag} copies apart)")
+                found.append(f"Eve's misses of {name} come in bursts ({rate.lag} copies apart)")
             if not rate.copies and rate.absent and name != ALL:
-                found.append(f"she was not there: of {rate.absent} {name} she heard one at most")
+                found.append(f"Eve was not there: of {rate.absent} {name} Eve heard one at most")
         return tuple(found)
 
     def as_json(self, *, blocks: bool = False) -> dict[str, Any]:
@@ -230,7 +215,7 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
         nothing = (claim.sentence(), refused, (), rates, 0.0, scenario.plant.period_s)
         return KeyAudit(claim.eps_E, *nothing)
     unread: list[str] = []
-    plant, controller = _columns(run, "plant", unread), _columns(run, "controller", unread)
+    plant, controller = run.so_far("plant", unread), run.so_far("controller", unread)
     leaving = {"measurement": _Leaving(plant), "offer": _Leaving(controller)}
     heard = None if plant is None else _heard(run, plant)
     blocks: list[AuditedBlock] = []
@@ -255,20 +240,8 @@ def audit_keys(run: Run, scenario: Scenario) -> KeyAudit | None:
     )
 
 
-def _columns(run: Run, side: Side, unread: list[str]) -> Trace | None:
-    """A trace as far as it can be read; what cannot be is told in ``unread``."""
-    try:
-        trace = run.columns(side)
-    except TraceError as error:
-        unread.append(str(error))
-        return None
-    if trace.unread:
-        unread.append(f"{run.trace(side)}: {trace.unread}")
-    return trace
-
-
 def _rates(
-    run: Run, claim: Assumption, plant: Trace, heard: HeardCopies, leaving: Mapping[str, _Leaving]
+    run: Run, claim: Assumption, plant: Trace, heard: Heard, leaving: Mapping[str, _Leaving]
 ) -> dict[str, MissRate]:
     """Her misses by class: direction, and how often the message left.
 
@@ -281,7 +254,7 @@ def _rates(
 
     def copies() -> Iterator[tuple[str, int]]:
         """The class of each copy 0 that was sent, and in which recording it is."""
-        for rows, *recorded in _together(plant.steps, heard.of["measurement"], heard.of["offer"]):
+        for rows, *recorded in _together(plant.steps, heard["measurement"], heard["offer"]):
             columns = (rows[name].tolist() for name in ("session", "k", "kind"))
             both = (one.tolist() for one in recorded)
             for number, k, kind, *incarnations in zip(*columns, *both, strict=True):
@@ -322,12 +295,12 @@ def _audited(
     block: TracedBlock,
     plant: Trace,
     keys: Mapping[tuple[str, int], int],
-    heard: HeardCopies | None,
+    heard: Heard | None,
 ) -> AuditedBlock:
     at, rows = (block.session, block.number), block.secret_rows(schedule)
     missed = held = None
     if heard is not None:
-        unheard = {topic: heard.of[topic][block.rows] < 0 for topic in _TOPICS}
+        unheard = {topic: heard[topic][block.rows] < 0 for topic in _TOPICS}
         missed = int((unheard["offer"] & (block.counts & 1 > 0)).sum())
         missed += int((unheard["measurement"] & (block.counts >> 1 > 0)).sum())
         held = bits_held(rows, missed) if rows >= 2 else 0
@@ -346,14 +319,16 @@ def _audited(
     )
 
 
-def _heard(run: Run, plant: Trace) -> HeardCopies | None:
-    """Every copy 0 in the capture, with the number of her recording; None where there is none."""
-    heard = HeardCopies(plant)
+def _heard(run: Run, plant: Trace) -> Heard | None:
+    """Every copy 0 of the plant's steps in the capture; None where there is no capture."""
+    places = Places(plant)
+    heard = {topic: np.full(len(plant.rows), -1, np.int16) for topic in _TOPICS}
     try:
         reader = run.capture()
         for _, message in reader.records():
-            if not message.copy_number:
-                heard.add(message.topic, message.session, message.k, reader.incarnations)
+            place = -1 if message.copy_number else places.of(message.session, message.k)
+            if place >= 0 and heard[message.topic][place] < 0:
+                heard[message.topic][place] = reader.incarnations
     except (CaptureError, OSError):
         return None
     return heard

@@ -271,7 +271,7 @@ def _tap(
     keys = known([t.pairs for t in scores], size)
     guessing = Interval(*(max(p, 1.0 / size) for p in keys.share)) if keys.of else keys.share
     by_keys, stated = _left(mine, guessing)
-    lists = [t.candidates_left for t in scores if t.candidates_left]
+    lists = [t.belief.candidates_left for t in scores if t.belief.candidates_left]
     every = [t for _, t in mine]
     return TapReport(
         name=name,
@@ -285,7 +285,7 @@ def _tap(
         relabelled=keys.labels,
         left_bits_by_keys=by_keys,
         left_bits_stated=stated,
-        given=next((t.given for t in scores if t.given), ""),
+        given=next((t.belief.given for t in scores if t.belief.given), ""),
         silent_bits=unheard
         + sum(t.silent * math.log2(size) for t in every if not t.messages.every),
         silent_steps=sum(t.silent for t in every),
@@ -293,9 +293,9 @@ def _tap(
         unscored=_why_unscored(every),
         leads=any(t.messages.right for t in every) or keys.better_than_chance(alpha),
         list_size=statistics.median(lists) if lists else None,
-        broken_at_k=tuple(t.solved_k for t in every),
+        broken_at_k=tuple(t.belief.solved_k for t in every),
         size=size,
-        keys=tuple(t.held for t in every if t.held is not None),
+        keys=tuple(t.belief.keys for t in every if t.belief.keys is not None),
     )
 
 

@@ -26,13 +26,14 @@ from tap_service.inference.kept import KEPT_SYMBOLS
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
 from wyner.runs.score.counts import parted
+from wyner.runs.score.plain import plain
 from wyner.runs.trace import TRANSITION, Trace
 
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
 
-UNFINISHED: Final = "she did not finish"
-SILENT: Final = "she guesses at no symbol of the loop"
+UNFINISHED: Final = "it did not finish"
+SILENT: Final = "it guesses at no symbol of the loop"
 DEAF: Final = "it could use none of the steps that agreed a key"
 
 
@@ -134,14 +135,10 @@ class EavesdropperScore:
     messages : Proportion
         Messages that she had whole and exact, of those the plant recovered; where she keeps only
         the last of hers, of as many of the plant's last.
-    candidates_left : int
-        Candidate messages that remain; 0 where they are not counted.
-    solved_k : int
-        The step at which she was first sure of a whole message; -1 never.
+    belief : Belief
+        What she thought of the message in the end.
     size : int
         M.
-    guess : str
-        Her best message as text.
     failed : str
         Why she stopped, if she did. What she had before counts, what she lacks does not.
     stray : int
@@ -155,14 +152,8 @@ class EavesdropperScore:
         it heard, her process was down, or her log was cut. What she leaves of them is not known.
     unused : mapping of str to int
         What the tap could not use, by kind.
-    stated_left : float, optional
-        Bits left by her own account, where she gives one.
-    given : str
-        What she expects of a message: her account is an entropy given that.
     unfinished : bool
         Whether she was stopped before she had looked at all: what she leaves nobody knows then.
-    held : KeysHeld, optional
-        What she holds of distilled keys, by her own count, where she goes for them.
     """
 
     name: str
@@ -170,21 +161,21 @@ class EavesdropperScore:
     keys_reviewed: Proportion
     bits: Proportion
     messages: Proportion
-    candidates_left: int
-    solved_k: int
+    belief: Belief
     size: int
     pairs: Pairs = field(default_factory=dict)
-    guess: str = ""
     failed: str = ""
-    held: KeysHeld | None = None
     stray: int = 0
     behind: int = 0
     agreed: int = 0
     silent: int = 0
     unused: Mapping[str, int] = field(default_factory=dict)
-    stated_left: float | None = None
-    given: str = ""
     unfinished: bool = False
+
+    @property
+    def stated_left(self) -> float | None:
+        """Bits left by her own account, where she gives one: an entropy given what she expects."""
+        return None if self.failed else self.belief.bits_left
 
     @property
     def why_unscored(self) -> str:
@@ -192,7 +183,7 @@ class EavesdropperScore:
         if self.messages.every:
             return ""
         if self.failed:
-            return f"she failed: {self.failed}"
+            return f"it failed: {self.failed}"
         if self.unfinished:
             return UNFINISHED
         if self.keys_reviewed.of:
@@ -225,14 +216,14 @@ class EavesdropperScore:
             "unused": dict(self.unused),
             "message_bit_accuracy": self.bits.share,
             "messages_exact": int(self.messages.right),
-            "candidates_left": self.candidates_left,
-            "solved_k": self.solved_k,
-            "guessed_text": self.guess,
+            "candidates_left": self.belief.candidates_left,
+            "solved_k": self.belief.solved_k,
+            "guessed_text": self.belief.message.decode("utf-8", errors="replace"),
             "failed": self.failed,
             "unscored": self.why_unscored,
             "stray_steps": self.stray,
             "steps_not_looked_at": self.behind,
-            "keys": None if self.held is None else self.held.model_dump(),
+            "keys": plain(self.belief.keys),
         }
 
 
@@ -253,16 +244,8 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
     """Compare what one eavesdropper said with what happened."""
     keys: Mapping[Step, int] = {} if said.failed else _used(truth, said)
     pairs = pairs_of((said.reviewed.get(at, said.live[at]), key) for at, key in keys.items())
-    recovered = [payload for _, payload in truth.whole]
     belief = said.belief
-    if belief.whole_count > len(belief.whole):
-        recovered = recovered[-len(belief.whole) :]
-    unclaimed = list(belief.whole)
-    exact = 0
-    for payload in recovered:
-        if payload in unclaimed:
-            unclaimed.remove(payload)
-            exact += 1
+    read, of = belief.read_of([payload for _, payload in truth.whole])
     return EavesdropperScore(
         name=said.name,
         keys=Proportion(sum(said.live.get(at) == key for at, key in keys.items()), len(keys)),
@@ -270,21 +253,16 @@ def score(truth: Truth, said: TapOutput) -> EavesdropperScore:
             sum(times for (guess, key), times in pairs.items() if guess == key), len(keys)
         ),
         bits=_bits(truth, said),
-        messages=Proportion(exact, len(recovered)),
-        candidates_left=belief.candidates_left,
-        solved_k=belief.solved_k,
+        messages=Proportion(read, of),
+        belief=belief,
         size=truth.size,
         pairs=pairs,
-        guess=belief.message.decode("utf-8", errors="replace"),
         failed=said.failed,
-        held=belief.keys,
         stray=_stray(truth, said),
         behind=said.behind,
         agreed=len(truth.keys),
         silent=len(truth.keys) - len(keys) if said.live and not said.failed else 0,
         unused=said.unused,
-        stated_left=None if said.failed else belief.bits_left,
-        given=belief.given,
         unfinished=not (said.heard_out or said.failed),
     )
 
@@ -418,12 +396,9 @@ def the_plant(run: Run) -> Trace:
         When it cannot be read.
     """
     try:
-        trace = run.columns("plant")
+        return run.whole("plant")
     except TraceError as error:
         raise ScoreError(str(error)) from None
-    if trace.unread:
-        raise ScoreError(f"{run.trace('plant')}: {trace.unread}")
-    return trace
 
 
 def score_run(run: Run) -> RunScore:

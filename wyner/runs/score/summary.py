@@ -39,6 +39,9 @@ GUESS_LENGTH: Final = 72
 
 NAME_WIDTH: Final = 16
 
+AGAIN: Final = "wyner score --eavesdropper"
+"""The command that reads the recording of a run again, at leisure."""
+
 MOST_PAIRS: Final = 1000
 """Messages, the last, of which a summary tells one by one."""
 
@@ -73,15 +76,11 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
     """
     scenario = run.scenario
-    size = scenario.secrecy.candidates
+    size, scheme = scenario.secrecy.candidates, rules_of(scenario).scheme
     counts, behind, errors = PlantCounts(), 0, list[str]()
-    try:
-        trace = run.columns("plant")
-    except TraceError as error:
-        errors.append(str(error))
-    else:
+    trace = run.so_far("plant", errors)
+    if trace is not None:
         counts, behind = PlantCounts.of(trace, scenario.cost_weights), trace.behind
-        errors += [f"{trace.side}/{trace.unread}"] if trace.unread else []
     sent: list[bytes] = []
     try:
         sent = run.sent()
@@ -112,14 +111,16 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "missed_by_network": missed_by_network(run, counts.without, steps, delays),
         "control_cost": counts.mean_cost,
         "agreements": counts.agreements,
-        "symbol_errors": counts.symbol_errors,
+        "symbol_errors": 0
+        if scheme.corrects
+        else counts.symbol_errors,  # a corrected key is no coin
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
         "no_interval": {"bits_per_second": COUNTED, "control_cost": COUNTED},
         **_secrecy(run, counts.agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
-        "under_keys": rules_of(scenario).scheme.from_stream,
+        "under_keys": scheme.from_stream,
         "attack": attacked(run).as_json(),
         "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
@@ -217,13 +218,13 @@ def render(summary: dict[str, Any]) -> str:
         if told := unused_in_words(tap["unused"]):
             lines += _folded(f"Eve        {name:<{NAME_WIDTH}}", f"not used: {told}")
         if tap["steps_not_looked_at"]:
-            late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner score --decode"
+            late = f"{tap['steps_not_looked_at']} steps not looked at: {AGAIN}"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
     if summary["taps"]:
         lines.append(f"           {ONE_RUN}")
     if summary["unguessed"]:
-        left = f"{summary['unguessed']} messages waited too long to be guessed at live"
-        lines.append(f"Eve        {left}: wyner score --decode")
+        left = f"{summary['unguessed']} messages were not guessed at live"
+        lines.append(f"Eve        {left}: {AGAIN}")
     lines.append(f"run        {summary['run_dir']}")
     return "\n".join([*lines, *verdict_lines(summary)])
 
@@ -299,7 +300,7 @@ def true_in_words(summary: dict[str, Any]) -> str:
             of = f" of {summary['claimed_bits'] - summary['silent_bits']:.0f}"
         return f"at most {true:.0f}{of} ({summary['strongest']})"
     if summary["failed"]:
-        return "unknown, she failed"
+        return "unknown, Eve failed"
     if any(tap["unscored"].startswith(UNFINISHED) for tap in summary["taps"].values()):
         return f"unknown, {UNFINISHED}"
     if any(tap["unscored"] == DEAF for tap in summary["taps"].values()):
@@ -342,7 +343,7 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
     if tap["failed"]:
         return "FAILED: not scored" + (", had a message whole" if tap["messages_exact"] else "")
     if tap["unscored"]:
-        on = ": wyner score --decode" if tap["unscored"] == UNFINISHED else ""
+        on = f": {AGAIN}" if tap["unscored"] == UNFINISHED else ""
         return f"not scored: {tap['unscored']}{on}"
     whole = "whole" if tap["messages_exact"] else "not whole"
     if not recovered:

@@ -8,12 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocol.agreement import NO_SYMBOL
-from protocol.arrays import Counts, Symbols
+from protocol.arrays import Counts, Flags, Symbols
 from protocol.brief import Brief
-from protocol.schemes.base import Carries
-from protocol.schemes.framing import IDLE, Deframer, encode_frame
+from protocol.schemes.base import Carries, Scheme
+from protocol.schemes.framing import IDLE, Deframer, encode_frame, frame_length
 from protocol.schemes.registry import make_scheme
 from protocol.schemes.table import advance_many
+from wyner.simulate.engine.corrected import Followed, corrected, sent_again
 from wyner.simulate.engine.draws import cipher_symbols, symbol_type
 from wyner.simulate.engine.loop import Runs
 
@@ -31,7 +32,8 @@ class LinkCounts(Brief):
     message_symbols : int array
         Transitions that carried one.
     mistaken : int array
-        Agreements on another symbol than the coin b_r; none while d is in D_c.
+        Agreements on another symbol than the coin b_r; none while d is in D_c. Where words are
+        corrected: estimates before that.
     """
 
     tested: Counts
@@ -48,6 +50,11 @@ class LinkCounts(Brief):
 
 def carries(runs: Runs, alphas: Sequence[float]) -> Carries:
     """What the scheme makes of every transition; arrays of shape (steps, alphas, R)."""
+    return followed(runs, alphas).carries
+
+
+def followed(runs: Runs, alphas: Sequence[float]) -> Followed:
+    """The same, with what travelled in clear where words are corrected."""
     limit = np.asarray(alphas, dtype=float)[None, :, None]
     possible = runs.largest[:, None, :] <= limit
     # NO_SYMBOL is -1, all bits set: or-ing it in is many times faster than choosing
@@ -55,17 +62,32 @@ def carries(runs: Runs, alphas: Sequence[float]) -> Carries:
     np.bitwise_or(verdicts, runs.symbol[:, None, :], out=verdicts)
     secrecy = runs.scenario.secrecy
     scheme = make_scheme(secrecy.scheme, secrecy.candidates)
+    coins = np.broadcast_to(runs.coin[:, None, :], verdicts.shape)
     if runs.missed is None:
-        return advance_many(scheme, verdicts)
+        return _followed(scheme, verdicts, coins)
     # A missed step is no transition: each run's transitions come first, and go back to their steps.
     order = transitions_first(runs.missed)[:, None, :]
-    many = advance_many(scheme, np.take_along_axis(verdicts, order, axis=0))
+    many = _followed(
+        scheme, *(np.take_along_axis(part, order, axis=0) for part in (verdicts, coins))
+    )
     nothing = runs.missed[:, None, :]
-    agreed, pad, tested = (_at_steps(part, order) for part in many)
+    agreed, pad, tested = (_at_steps(part, order) for part in many.carries)
     agreed[np.broadcast_to(nothing, agreed.shape)] = NO_SYMBOL
     pad[np.broadcast_to(nothing, pad.shape)] = NO_SYMBOL
     tested[np.broadcast_to(nothing, tested.shape)] = False
-    return Carries(agreed, pad, tested)
+    clear, ended = (
+        None if part is None else _at_steps(part, order) for part in (many.clear, many.ended)
+    )
+    if clear is not None and ended is not None:
+        clear[np.broadcast_to(nothing, clear.shape)] = NO_SYMBOL
+        ended &= ~nothing
+    return Followed(Carries(agreed, pad, tested), clear, ended)
+
+
+def _followed(scheme: Scheme[Any], verdicts: Symbols, coins: Symbols) -> Followed:
+    if scheme.corrects:
+        return corrected(scheme, verdicts, coins)
+    return Followed(advance_many(scheme, verdicts))
 
 
 def transitions_first(missed: NDArray[np.bool_]) -> NDArray[np.intp]:
@@ -89,6 +111,17 @@ def _count(flags: NDArray[np.bool_]) -> Counts:
     return count
 
 
+def _mistaken(runs: Runs, agreed: Symbols) -> Flags:
+    """Keys that are not the coin; where words are corrected, estimates that are not."""
+    coin = runs.coin[:, None, :]
+    scheme = make_scheme(runs.scenario.secrecy.scheme, runs.scenario.secrecy.candidates)
+    if scheme.corrects:
+        wrong: Flags = (runs.symbol != runs.coin)[:, None, :]
+        return np.broadcast_to(wrong, agreed.shape)
+    unlike: Flags = (agreed != NO_SYMBOL) & (agreed != coin)
+    return unlike
+
+
 def follow(runs: Runs, alphas: Sequence[float]) -> LinkCounts:
     """Count what the link did at each of ``alphas``, from one simulation."""
     agreed, pad, tested = carries(runs, alphas)
@@ -97,7 +130,7 @@ def follow(runs: Runs, alphas: Sequence[float]) -> LinkCounts:
         tested=_count(tested),
         agreements=_count(gained),
         message_symbols=_count(pad != NO_SYMBOL),
-        mistaken=_count(gained & (agreed != runs.coin[:, None, :])),
+        mistaken=_count(_mistaken(runs, agreed)),
     )
 
 
@@ -162,24 +195,32 @@ def transfer(
     stream = [*symbols, *(v for payload in payloads for v in encode_frame(payload, size))]
     text = np.full(len(stream) + runs.steps + 1, IDLE, dtype=np.int16)
     text[: len(stream)] = stream
-    many = carries(runs, [limit])
+    many, clear, ended = followed(runs, [limit])
     kind = symbol_type(size)
     agreed, pad = many.agreed[:, 0].astype(kind), many.pad[:, 0].astype(kind)
     carried = pad != NO_SYMBOL
     p = carried.cumsum(axis=0, dtype=np.int64)
-    sent = text[np.maximum(p - 1, 0)]
+    index, torn = np.maximum(p - 1, 0), np.zeros(carried.shape, bool)
+    if ended is not None:
+        lengths = [len(symbols), *(frame_length(len(payload), size) for payload in payloads)]
+        frames = np.cumsum(lengths).tolist()
+        for r in range(carried.shape[1]):
+            index[:, r], torn[:, r] = sent_again(carried[:, r], ended[:, 0, r], frames)
+    sent = text[index]
     if covers is None:
         covers = cipher_symbols(runs.seed, runs.runs, runs.steps, size)
     cipher = covers.astype(kind)
     if runs.missed is not None:
         cipher = _at_steps(cipher, transitions_first(runs.missed))
+    if clear is not None:
+        np.copyto(cipher, clear[:, 0], where=clear[:, 0] != NO_SYMBOL)
     np.copyto(cipher, ((sent + pad) % size).astype(kind), where=carried)
     recovered = (cipher.astype(np.int16) - pad) % size
     return Transfer(
         cipher=cipher,
         agreed=agreed,
         pad=pad,
-        message_symbol=np.where(carried, recovered, NO_SYMBOL).astype(kind),
+        message_symbol=np.where(carried & ~torn, recovered, NO_SYMBOL).astype(kind),
         p=p,
     )
 

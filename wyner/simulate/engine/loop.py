@@ -31,6 +31,7 @@ from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict, spread
 from protocol.arrays import Array, Flags, Indices, Symbols
 from protocol.box_observer import Box, Estimate
 from protocol.brief import Brief
+from protocol.errors import WynerError
 from protocol.link.fallback import Fallback
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -47,7 +48,7 @@ CHUNK_RUNS: Final = 4096
 Places = NDArray[np.intp]
 
 
-class SimulationError(Exception):
+class SimulationError(WynerError):
     """A run that cannot go on; the message names run, step and reason."""
 
 
@@ -116,7 +117,8 @@ class Runs(Brief):
     coin : integer array, shape (steps, R)
         b_r.
     symbol : integer array, shape (steps, R)
-        The one candidate whose gauge is at most 1, or -1 where there is none or more than one.
+        The one candidate whose gauge is at most 1, or -1 where there is none or more than one;
+        the likeliest candidate where d is taken to be Gaussian.
     largest : array, shape (steps, R)
         The largest gauge, of D_e over alpha: a transition is in Diff at alpha when ``symbol`` is
         not -1 and this is at most alpha.
@@ -228,9 +230,13 @@ class _Loop:
         own = scenario.secrecy.disturbance is not None or self.rule.apart is not None
         self.possible = np.empty((self.M, R)) if own or rules.outputs else self.gauges
         self._inside = np.empty((self.M, R), dtype=bool)
+        self.unlikeliness = np.zeros((self.M, R))
 
     def verdict(self, symbol: Symbols, largest: Array) -> None:
         """The verdict's parts that do not depend on alpha."""
+        if self.rule.deviations is not None:
+            symbol[:], largest[:] = np.argmin(self.unlikeliness, axis=0), 0.0
+            return
         np.less_equal(self.gauges, INSIDE, out=self._inside)
         if self.M == 2:
             np.maximum(self.possible[0], self.possible[1], out=largest)
@@ -380,6 +386,12 @@ class _Many(_Loop):
             self.y = np.ascontiguousarray(read.T)
         for j in range(self.M):
             np.subtract(self.y, self.predictions[j], out=self.difference)
+            if self.rule.deviations is not None:
+                self.unlikeliness[j] = 0.0
+                for v, s in zip(self.difference, self.rule.deviations, strict=True):
+                    np.divide(v, s, out=self.ratio)
+                    np.multiply(self.ratio, self.ratio, out=self.ratio)
+                    np.add(self.unlikeliness[j], self.ratio, out=self.unlikeliness[j])
             self.measure(self.gauge, self.gauges[j])
             if self.reach is not None:
                 np.subtract(self.y, self.predictions[j], out=self.difference)
@@ -526,6 +538,7 @@ class _One(_Loop):
         self.gone = 0
         found = self.rules.judge(y, self.offer, self.centres, self.now, self.box)
         self.estimate, self.gauges[:, 0] = found.estimate, found.gauges
+        self.unlikeliness[:, 0] = np.arange(self.M) != found.symbol  # asked where there is one
         if self.possible is self.gauges:
             return
         if outputs is not None:

@@ -8,13 +8,14 @@ from dataclasses import dataclass
 from random import Random
 
 from protocol.agreement import NO_SYMBOL
+from protocol.errors import WynerError
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.relabelling import known
 from protocol.secret.nonces import NONCE_BYTES
 from protocol.vectors import Vector
 from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import ORACLE, Belief, Eavesdropper, KnowledgeError, sound
+from tap_service.eavesdroppers import ORACLE, Eavesdropper, KnowledgeError, sound
 from tap_service.status import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
@@ -115,7 +116,7 @@ def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
     return (message for message in both if draw.random() >= loss)
 
 
-class EavesdropperError(Failure):
+class EavesdropperError(Failure, WynerError):
     """An eavesdropper raised, or gave an answer that is none; one line that names it."""
 
 
@@ -129,16 +130,6 @@ def _told_of(name: str, where: str) -> Iterator[None]:
     except Exception as error:
         what = f"{type(error).__name__}: {' '.join(str(error).split())}"
         raise EavesdropperError(f"eavesdropper {name}: {where}: {what}") from error
-
-
-def read_of(messages: Sequence[bytes], belief: Belief) -> tuple[int, int]:
-    """How many of the messages she had whole, and of how many that can be told.
-
-    She keeps the last of hers alone, so they stand beside as many of the last messages.
-    """
-    if belief.whole_count > len(belief.whole):
-        messages = messages[-len(belief.whole) :]
-    return (Counter(messages) & Counter(belief.whole)).total(), len(messages)
 
 
 def listen(
@@ -200,7 +191,7 @@ def listen(
             belief = tap.belief()
         with _told_of(name, "belief"):
             belief = sound_belief(belief)
-        read, of = read_of(messages, belief)
+        read, of = belief.read_of(messages)
         held = (0, 0) if belief.keys is None else (belief.keys.blocks, belief.keys.bits)
         agreed = agreements if tap.guesses else 0
         out.append(TapResult(agreed, its.named, its.right, of, read, *held))

@@ -15,7 +15,7 @@ from protocol.agreement import AgreementRule, Gauge
 from protocol.link.effects import Save
 from protocol.link.events import Event, Interrupted, Missed
 from protocol.link.pacing import Pacing
-from protocol.link.records import ReceiverRecord
+from protocol.link.records import PlantRecord
 from protocol.link.session import CountedTransition, Rules, Truth
 from protocol.link.step import Read
 from protocol.messages import ControllerHello, Measurement
@@ -27,6 +27,7 @@ from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.journal import ControllerJournal, PlantJournal
 from runtime.perform import CrashPoint
+from tests.support.records import plant_record
 
 PERIOD_S = 1.0
 
@@ -52,11 +53,11 @@ def line_rules(
 def disowned(plant: PlantCore) -> ControllerHello:
     """What a controller says that was misled, or holds other keys: the session is over."""
     return ControllerHello(
-        instance=plant.session.controller or "",
-        incarnation=plant.record.incarnation,
-        fingerprint=plant.rules.fingerprint,
+        instance=plant.state.session.controller or "",
+        incarnation=plant.state.record.session.incarnation,
+        fingerprint=plant.state.rules.fingerprint,
         verdict="unknown-session",
-        session=plant.record.session,
+        session=plant.state.record.session.id,
         answers=plant.instance,
     )
 
@@ -108,17 +109,18 @@ class Reports:
         report, self._said = self._said, None
         if isinstance(save.step, Read):
             self._said = save.step.report
-        if report is None or not isinstance(record, ReceiverRecord) or record.k != report.k:
+        if report is None or not isinstance(record, PlantRecord) or record.link.k != report.k:
             return
-        if record.session == report.session:
-            assert (record.x, record.x_after, record.applied_k) == (
+        if record.session.id == report.session:
+            assert (record.link.x, record.applied.x_after, record.link.applied_k) == (
                 report.x,
                 report.x_after,
                 report.applied_k,
             )
-            assert (record.nonce, record.applied_copy) == (report.nonce, report.applied_copy)
-            assert (record.block, record.tag) == (report.block, report.tag)
-            assert bool(report.keyed) == record.keyed
+            assert (record.link.nonce, record.applied.copy) == (report.nonce, report.applied_copy)
+            newest = report if self._said is None else self._said
+            assert (record.keys.block, record.keys.tag) == (newest.block, newest.tag)
+            assert bool(report.keyed) == record.applied.keyed
 
 
 def line_controller(
@@ -243,7 +245,7 @@ def line_plant(
     loaded = journal.load()
     first = None
     if loaded.record is None:
-        first = ReceiverRecord(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
+        first = plant_record(session=new_id(), k=0, x=x or (0.0,), u=(0.0,))
     core = PlantCore(
         rules,
         plant,

@@ -11,12 +11,12 @@ from protocol.link.session import CountedTransition, Rules
 from protocol.messages import Measurement, Offer
 from protocol.secret.blocks import Schedule
 from protocol.secret.bound import Assumption
-from protocol.secret.stream import Part
-from tests.support.line_ends import line_rules
+from protocol.secret.stream import Held
+from tests.support.line import line_rules
 from tests.support.mail import Mail
 from tests.support.once import Copies, Digits
+from tests.support.pair import OTHER, SIDES, LinePair, Name
 from tests.support.safety import differing_key
-from tests.support.two_ends import OTHER, SIDES, LineEnds, Name
 
 SMALL_BLOCKS: Final = Schedule(Assumption(0.95, eps_sec=1e-2), first=3, largest=6)
 """Blocks of three transitions and then six, so that keys come all the time."""
@@ -27,7 +27,7 @@ def keyed_rules(**more: Any) -> Rules:
     return replace(line_rules(alpha=4.0, largest_input=1e9), **{"schedule": SMALL_BLOCKS, **more})
 
 
-class KeyedEnds(LineEnds):
+class KeyedPair(LinePair):
     """Ends whose keys are made, and serve where the rules say so.
 
     Attributes
@@ -74,16 +74,16 @@ class KeyedEnds(LineEnds):
             other = self.counted[OTHER[side]].get(at)
             assert other is None or other == transition, "the ends counted differently"
 
-    def parts(self, side: Side) -> dict[tuple[int, int], Part]:
+    def held(self, side: Side) -> Held:
         """The key stream that an end's journal holds."""
-        return {(part.block, part.number): part for part in self.journals[side].load().parts}
+        return self.journals[side].load().held
 
     def agree(self) -> None:
         """What both journals hold of the key stream of one session is the same."""
         mine, theirs = (self.journals[side].load() for side in SIDES)
         if mine.record is None or theirs.record is None:
             return
-        if mine.record.session != theirs.record.session:
+        if mine.record.session.id != theirs.record.session.id:
             return
-        wrong = differing_key(mine.parts, theirs.parts)
+        wrong = differing_key(self.rules.size, mine.held, theirs.held)
         assert not wrong, wrong

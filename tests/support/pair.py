@@ -7,10 +7,10 @@ nothing: a subclass looks at what an end writes, says and traces.
 =====================  ==============================  ========================================
 class                  the ends are                    who needs it
 =====================  ==============================  ========================================
-:class:`LineEnds`      the plant on a line, journals   machines that draw schedules, the fuzzer
+:class:`LinePair`      the plant on a line, journals   machines that draw schedules, the fuzzer
                        in memory, or on disk
-`KeyedEnds`            these with distilled keys       what must happen once, at each event
-`RecordedLoop`         the services', files on disk    ``wyner check``, spoiled files, attacks
+`KeyedPair`            these with distilled keys       what must happen once, at each event
+`RecordedPair`         the services', files on disk    whoever needs a run: checks, attacks, pages
 =====================  ==============================  ========================================
 """
 
@@ -25,7 +25,6 @@ from controller_service.core import ControllerCore
 from plant_service.core import PlantCore
 from protocol.link.effects import Effects, Notice, Save
 from protocol.link.events import Event, lines
-from protocol.link.peer import Peer
 from protocol.link.records import Side
 from protocol.link.session import Rules
 from protocol.messages import Message, Status
@@ -42,7 +41,7 @@ from tests.support.journals import (
     handed_over,
     plant_journal,
 )
-from tests.support.line_ends import (
+from tests.support.line import (
     ActingLine,
     LineDevice,
     LinePlant,
@@ -57,7 +56,7 @@ Name = Literal["plant", "controller", "rival"]
 
 SIDES: Final[tuple[Side, Side]] = ("plant", "controller")
 OTHER: Final[dict[Name, Side]] = {"controller": "plant", "rival": "plant", "plant": "controller"}
-HEARS: Final = {"controller": ControllerCore.hears, "plant": PlantCore.hears}
+HEARS: Final = {"controller": ControllerCore.receives, "plant": PlantCore.receives}
 Performer = Callable[[Effects, Ports], None]
 
 MEMORY: Final = 12
@@ -94,13 +93,8 @@ class Alive:
     closed: deque[ClosedBlock] = field(default_factory=deque)
     extracted: deque[ExtractedBlock] = field(default_factory=deque)
 
-    @property
-    def peer(self) -> Peer:
-        """What a host has of it."""
-        return self.endpoint
 
-
-class TwoEnds(ABC):
+class Pair(ABC):
     """Two ends of one loop; a subclass opens them from what their journals hold.
 
     Attributes
@@ -139,7 +133,7 @@ class TwoEnds(ABC):
         """A life of one end begins."""
         self.lives[side] += 1
         self.ends[side] = self.open(side)
-        self.do(side, self.ends[side].peer.start)
+        self.do(side, self.ends[side].endpoint.start)
 
     def die(self, side: Name) -> None:
         """A process is killed, and comes back at once."""
@@ -191,7 +185,7 @@ class TwoEnds(ABC):
 
     def hear(self, side: Name, message: Mail) -> None:
         """A message arrives, for the first time or once more."""
-        self.do(side, lambda now: self.ends[side].peer.receive(*message, now))
+        self.do(side, lambda now: self.ends[side].endpoint.receive(*message, now))
 
     def deliver(self, side: Side, place: int) -> None:
         """A message in the network's memory arrives, and stays in it."""
@@ -201,8 +195,8 @@ class TwoEnds(ABC):
     def wake(self, side: Side, seconds: float = 0.05) -> None:
         """Time passes, and an end that is due is woken."""
         self.now += seconds
-        if self.ends[side].peer.wake_at() <= self.now:
-            self.do(side, self.ends[side].peer.wake)
+        if self.ends[side].endpoint.wake_at() <= self.now:
+            self.do(side, self.ends[side].endpoint.wake)
 
     def extract(self, side: Side) -> None:
         """The next block is extracted; its end learns of it later, or never."""
@@ -215,11 +209,11 @@ class TwoEnds(ABC):
         end = self.ends[side]
         if end.extracted:
             block = end.extracted.popleft()
-            self.do(side, lambda _now: end.peer.extracted(block))
+            self.do(side, lambda _now: end.endpoint.extracted(block))
 
     # --- all is well ------------------------------------------------------------------------------
 
-    def step(self, *, extracts: bool = True) -> None:
+    def next(self, *, extracts: bool = True) -> None:
         """The next thing happens: blocks and mail first, in their order; else time passes."""
         quiet = True
         for side in SIDES:
@@ -235,10 +229,10 @@ class TwoEnds(ABC):
             self._wake_next()
 
     def _wake_next(self) -> None:
-        due = {side: self.ends[side].peer.wake_at() for side in SIDES}
+        due = {side: self.ends[side].endpoint.wake_at() for side in SIDES}
         side = min(due, key=lambda s: due[s])
         self.now = max(self.now, due[side])
-        self.do(side, self.ends[side].peer.wake)
+        self.do(side, self.ends[side].endpoint.wake)
 
     def well(
         self,
@@ -256,15 +250,17 @@ class TwoEnds(ABC):
         self._lose_mail()
         self._loses = True
         for _ in range(things):
-            self.step()
+            self.next()
         self._loses = False
 
     def run(self, over: Callable[[], bool]) -> None:
         """Go on until ``over``; an error where nothing moves any more."""
         moved, at = (0, -1), self.now
         while not over():
-            self.step()
-            if (steps := (self.plant.record.sessions, self.plant.record.k)) != moved:
+            self.next()
+            if (
+                steps := (self.plant.state.record.session.sessions, self.plant.state.record.link.k)
+            ) != moved:
                 moved, at = steps, self.now
             assert self.now - at < QUIET_S, "the loop stands still"
 
@@ -282,7 +278,7 @@ class Covers:
 class _Ports:
     """What one end does to the world."""
 
-    def __init__(self, world: "LineEnds", side: Name, closed: deque[ClosedBlock]) -> None:
+    def __init__(self, world: "LinePair", side: Name, closed: deque[ClosedBlock]) -> None:
         self._world, self._side = world, side
         self._reports = Reports()
         self.extract = closed.append
@@ -304,7 +300,7 @@ class _Ports:
         pass
 
 
-class LineEnds(TwoEnds):
+class LinePair(Pair):
     """The ends of the plant on a line: x+ = x + u + d.
 
     Parameters
