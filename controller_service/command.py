@@ -42,8 +42,8 @@ class ControllerOptions(MessageOptions, ServiceOptions):
     clear_alarm: bool = option(
         "let a controller offer again whose offers an alarm has ended", default=False
     )
-    model_folder: str | None = option(
-        "where the files of defender.model and [network] are (default: beside the scenario)", "D"
+    folder: str | None = option(
+        "where the files are that the scenario names (default: beside it)", "D"
     )
 
 
@@ -76,8 +76,8 @@ def run_controller(options: ControllerOptions) -> int:
     from runtime.shipped import scenario_file_of
 
     check_addresses(options, "controller")
-    bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
-    message = message_of(options.message, options.message_file)
+    bounds = checked(Bounds, total_bytes=options.total_bytes)
+    message = message_of(options.message)
     fleet = fleet_of(options, message)
     if fleet is not None:
         pace = pace_of(options.pace)
@@ -90,9 +90,7 @@ def run_controller(options: ControllerOptions) -> int:
                 fleet, folder, designed, bounds, pace, field, management, stopping
             )
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
-    folder = folder_of(
-        "--model-folder", options.model_folder, scenario_file_of(options.scenario).parent
-    )
+    folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
     check_delays(scenario, folder)
     if options.check:
         return fine(f"scenario {scenario.name}")

@@ -24,8 +24,8 @@ class PlantOptions(ServiceOptions):
     scenario: str = option("file or shipped name", "S", "sustained")
     pace: str = option("realtime, xN, or fast (lock-step)", "P", "realtime")
     steps: int | None = option("stop at step N", "N", least=1)
-    plant_folder: str | None = option(
-        "where the files are that [plant] and [network] name (default: beside the scenario)", "D"
+    folder: str | None = option(
+        "where the files are that the scenario names (default: beside it)", "D"
     )
     clear_safe: bool = option(
         "let a plant run again that was sent to its safe state", default=False
@@ -64,7 +64,7 @@ def run_plant(options: PlantOptions) -> int:
     from runtime.shipped import scenario_file_of
 
     check_addresses(options, "plant")
-    bounds = checked(Bounds, part_bytes=options.part_bytes, total_bytes=options.total_bytes)
+    bounds = checked(Bounds, total_bytes=options.total_bytes)
     fleet = fleet_of(options)
     if fleet is not None:
         pace = pace_of(options.pace)
@@ -78,9 +78,7 @@ def run_plant(options: PlantOptions) -> int:
             return run_plants(fleet, folder, pace, bounds, field, management, stopping)
     scenario, pace = scenario_of(options.scenario), pace_of(options.pace)
     attack = attack_option(options.attack, scenario.attack, options.steps)
-    folder = folder_of(
-        "--plant-folder", options.plant_folder, scenario_file_of(options.scenario).parent
-    )
+    folder = folder_of("--folder", options.folder, scenario_file_of(options.scenario).parent)
     check_delays(scenario, folder)
     if options.check:
         return fine(f"scenario {scenario.name}")

@@ -50,7 +50,6 @@ class Addresses:
     connect: tuple[str, ...] = ()
     client: bool = False
     tls: TlsFiles | None = None
-    scouting: bool = False
 
 
 def check_endpoint(endpoint: str, option: str = "endpoint", *, tls: bool = False) -> str:

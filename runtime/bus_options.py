@@ -27,16 +27,9 @@ ENDPOINTS: Final = "endpoints\nBUS is one of: {buses}; an option replaces that b
 
 @dataclass(frozen=True, kw_only=True)
 class BusOptions:
-    """What a command line says of the buses."""
+    """Where a program that joins a running loop finds its buses."""
 
     loop: str = option("id of the control loop", "ID", DEFAULT_LOOP, group=ENDPOINTS)
-    listen: Sequence[str] = option(
-        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
-        "BUS=ENDPOINT",
-        (),
-        many=True,
-        group=ENDPOINTS,
-    )
     connect: Sequence[str] = option(
         "connect to an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
         "BUS=ENDPOINT",
@@ -58,32 +51,30 @@ class BusOptions:
         many=True,
         group=ENDPOINTS,
     )
-    scouting: bool = option(
-        "let peers find one another by multicast", default=False, group=ENDPOINTS
-    )
-
-
-BOUNDS: Final = "bounds of the recording"
 
 
 @dataclass(frozen=True, kw_only=True)
 class ServiceOptions(BusOptions):
-    """What each of the services is told: also how its recording is bounded, and of many loops."""
+    """Options that each of the three services has."""
+
+    listen: Sequence[str] = option(
+        "listen at an endpoint such as tcp/127.0.0.1:7461 (repeatable)",
+        "BUS=ENDPOINT",
+        (),
+        many=True,
+        group=ENDPOINTS,
+    )
 
     scenario: str | None = option("file or shipped name", "S")
     run_dir: str | None = option("where journal and traces lie", "D")
     seed: int | None = option("for experiments: predictable draws", "N", least=0)
     check: bool = option("check options and scenario, and start nothing", default=False)
     fleet: str | None = option(
-        "run all loops of this file (docs/deployment.md)", "FILE", either="fleet"
+        "run many loops: those of FILE, or N of --scenario (docs/deployment.md)", "FILE|N"
     )
-    loops: int | None = option("run N loops of --scenario", "N", either="fleet")
     metrics: str | None = option("answer Prometheus there (docs/deployment.md)", "HOST:PORT")
-    part_bytes: int | None = option("size at which a part ends", "N", group=BOUNDS)
     total_bytes: int | None = option(
-        "bound of all parts together, of which one takes half at most; the oldest are dropped",
-        "N",
-        group=BOUNDS,
+        "room for the recording; its oldest parts are dropped (default: 1 GiB)", "N"
     )
 
 
@@ -125,7 +116,8 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
     from runtime.bus import TransportError
 
     defaults = SERVICES[service].ends
-    listens = _split("--listen", options.listen, defaults)
+    listening = options.listen if isinstance(options, ServiceOptions) else ()
+    listens = _split("--listen", listening, defaults)
     connects = _split("--connect", options.connect, defaults)
     folders = dict(_split("--tls", options.tls, defaults))
     for said, pairs in (("--listen", listens), ("--connect", connects)):
@@ -147,7 +139,6 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
         connect=connect,
         client=bus in options.client,
         tls=TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None,
-        scouting=options.scouting,
     )
 
 
@@ -217,7 +208,7 @@ def buses_of(options: ServiceOptions, service: str) -> "Iterator[tuple[threading
 
 
 def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | None":
-    """The fleet of ``--fleet`` or ``--loops``, if any; ``message`` is for each loop of ``--loops``.
+    """The fleet of ``--fleet``, if any; ``message`` is for each loop of a numbered one.
 
     Raises
     ------
@@ -226,12 +217,11 @@ def fleet_of(options: ServiceOptions, message: bytes | None = None) -> "Fleet | 
     """
     from runtime.fleet import numbered, read_fleet
 
-    if options.fleet is None and options.loops is None:
+    if options.fleet is None:
         return None
     if options.loop != DEFAULT_LOOP:
         raise UsageError("--loop: is for a single loop; a fleet's loops have ids of their own")
-    if options.fleet is not None:
+    if not options.fleet.isdecimal():
         return read_fleet(Path(options.fleet))
-    assert options.loops is not None
     text = (message or b"").decode("utf-8", errors="surrogateescape")
-    return numbered(options.loops, options.scenario or "", text, options.seed)
+    return numbered(int(options.fleet), options.scenario or "", text, options.seed)

@@ -12,6 +12,7 @@ import threading
 from collections.abc import Callable
 from typing import Final
 
+from protocol.errors import WynerError
 from protocol.text import printable
 from runtime.errors import FAILED, INTERRUPTED, USAGE, Failure, UsageError
 from runtime.hanging import leave
@@ -44,7 +45,7 @@ def carry_out(command: Callable[[], int]) -> int:
         for line in error.lines:
             print(f"wyner: {printable(_by_variable(line))}", file=sys.stderr)
         return USAGE
-    except Failure as error:
+    except (Failure, WynerError) as error:
         print(f"wyner: {printable(str(error))}", file=sys.stderr)
         return FAILED
     except KeyboardInterrupt:

@@ -1,10 +1,13 @@
 """How a program ends: exit codes, and errors that are one line."""
 
+import errno
 import os
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Final
+
+from protocol.errors import WynerError
 
 DONE: Final = 0
 FAILED: Final = 1
@@ -51,11 +54,37 @@ def reading(what: str) -> Iterator[None]:
     """
     try:
         yield
+    except WynerError:  # its line is clear already
+        raise
     except (ArithmeticError, LookupError, TypeError, ValueError) as error:
         if os.environ.get("WYNER_TRACEBACK"):
             raise
         why = f"{type(error).__name__}: {error}".split("\n")[0]
         raise UsageError(f"{what}: not as this program writes it ({why})") from None
+
+
+FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EIO)
+"""Errors of a disk, which no other option would mend."""
+
+
+@contextmanager
+def writing(what: str) -> Iterator[None]:
+    """Within the block, a file that cannot be written becomes one line about the option ``what``.
+
+    Raises
+    ------
+    UsageError
+        When the file that was named cannot be written.
+    Failure
+        When the disk is full or broken.
+    """
+    try:
+        yield
+    except BrokenPipeError:
+        raise
+    except OSError as error:
+        text = f"{what}: cannot be written: {error.strerror or error}"
+        raise (Failure if error.errno in FULL else UsageError)(text) from None
 
 
 def needs(what: str, package: str) -> str:

@@ -65,7 +65,7 @@ def numbered(count: int, scenario: str, message: str = "", seed: int | None = No
         When that is no number of loops.
     """
     if not 1 <= count <= LARGEST_FLEET:
-        raise UsageError(f"--loops: got {count}, expected 1 to {LARGEST_FLEET}")
+        raise UsageError(f"--fleet: got {count}, expected 1 to {LARGEST_FLEET}")
     loops = [
         FleetLoop(
             id=f"loop-{number:04d}",

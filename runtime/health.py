@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from runtime.errors import Failure
+from runtime.errors import UsageError
 from runtime.files import read_regular
 
 if TYPE_CHECKING:
@@ -54,7 +54,7 @@ def look_at_status(folder: Path, now_s: float) -> Look:
 
     Raises
     ------
-    Failure
+    UsageError
         When there is none, or it is not one.
     """
     from pydantic_core import from_json
@@ -66,10 +66,10 @@ def look_at_status(folder: Path, now_s: float) -> Look:
         field = next(field for field in COUNTED if field in status)
         count = int(status[field])
     except OSError as error:
-        raise Failure(f"{path}: cannot be read: {error.strerror}") from None
+        raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
     except (ValueError, KeyError, TypeError, StopIteration):
         fields = ", ".join(COUNTED)
-        raise Failure(f"{path}: expected a status with t_ns and one of {fields}") from None
+        raise UsageError(f"{path}: expected a status with t_ns and one of {fields}") from None
     detail = f" ({status['detail']})" if status.get("detail") else ""
     phase = f"{status['phase']}{detail}, " if "phase" in status else ""
     stopped = f"; keys stopped: {why}" if (why := status.get("keys_stopped")) else ""

@@ -161,7 +161,6 @@ class Host:
         self._sleeps_until = -inf
         self._dropped = 0
         self._error: BaseException | None = None
-        self._started = False
         self._code = DONE
 
     @property
@@ -196,9 +195,6 @@ class Host:
                 self._by_key[key_of(kind, loop)] = (loop, kind)
         for kind in endpoint.receives:
             self.subscribe(kind, every_loop(kind) if self._fleet else key_of(kind, loop))
-        if self._started:
-            with self.turns:
-                self._do(loop, endpoint.start)
 
     def subscribe(self, kind: type[Message], key_expr: str) -> None:
         """Hear what comes on a key, once for all loops."""
@@ -209,8 +205,6 @@ class Host:
             self.channels[key_expr] = channel
             thread = threading.Thread(target=self._listen, args=(channel,), daemon=True)
             self._threads.append(thread)
-            if self._started:
-                thread.start()
         elif key_expr not in self._heard_on_management:
             self._heard_on_management.add(key_expr)
             self._management.subscribe(
@@ -246,7 +240,6 @@ class Host:
         for loop in self.loops:
             with self.turns:
                 self._do(loop, self._loops[loop].endpoint.start)
-        self._started = True
         for thread in self._threads:
             thread.start()
         while (self._fleet or self._loops) and not self._stopping.is_set():
@@ -346,7 +339,7 @@ class Host:
         name, kind = self._by_key.get(key, ("", Message))
         loop = self._loops.get(name)
         if loop is not None:
-            self._do(name, partial(loop.endpoint.receive, kind, payload))
+            self._do(name, lambda now: loop.endpoint.receive(kind, payload, now))
 
     def _do(self, name: str, act: Callable[[float], Effects]) -> None:
         loop = self._loops[name]

@@ -23,9 +23,8 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from itertools import chain
 from pathlib import Path
 from struct import Struct
 from typing import Any, ClassVar, Final, Generic, Self
@@ -34,6 +33,7 @@ from zlib import crc32
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
+from protocol.link.distiller import NO_ROWS
 from protocol.link.effects import Save
 from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRecord, R
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
@@ -229,15 +229,13 @@ class Journal(ABC, Generic[R]):
         try:
             if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            beside = chain(self._beside(save), self._more(save))
-            first = next(beside, None)
-            if first is not None:
+            beside = [*self._of_keys(save), *self._more(save)]
+            if beside:
                 execute("BEGIN IMMEDIATE")
-                execute(*first)
                 for statement in beside:
                     execute(*statement)
             execute(_STEP, self._step(save))  # by itself it is a transaction
-            if first is not None:
+            if beside:
                 execute("COMMIT")
             if save.durable:
                 execute("PRAGMA synchronous=NORMAL")
@@ -259,8 +257,12 @@ class Journal(ABC, Generic[R]):
         check = check_of(0, record, offer, coin, measurement, keys)
         return record, offer, coin, measurement, keys, check
 
-    def _beside(self, save: Save) -> Iterator[Statement]:
+    def _of_keys(self, save: Save) -> Sequence[Statement]:
         """What is written of key blocks and of the key stream beside the step's row."""
+        same = self._saved is not None and save.record.session.id == self._saved.session.id
+        return () if same and save.rows is NO_ROWS else tuple(self._changed(save))
+
+    def _changed(self, save: Save) -> Iterator[Statement]:
         if self._saved is None or save.record.session.id != self._saved.session.id:
             self._rows = {}
             if self._boot_due is not None:
@@ -268,13 +270,15 @@ class Journal(ABC, Generic[R]):
                 self._boot_due = None
             for table in self.of_session:
                 yield f"DELETE FROM {table}", ()
+        obsolete = save.rows.obsolete_rows
+        for over in obsolete:
+            yield from self._without(over)
         for row in save.rows.contributions:
-            self._rows[row.j] = _packed(row)
-            if row.j % BATCH == BATCH - 1:
+            if not any(row.j in over for over in obsolete):
+                self._rows[row.j] = _packed(row)
+            if row.j % BATCH == BATCH - 1 and self._rows:
                 yield self._row("row", row.j // BATCH, b"".join(self._rows.values()))
                 self._rows = {}
-        for over in save.rows.obsolete_rows:
-            yield from self._without(over)
         for keys in save.rows.keys:
             if keys.keys:
                 yield self._row("stream", *keys)
@@ -294,7 +298,7 @@ class Journal(ABC, Generic[R]):
         yield "DELETE FROM row WHERE batch > ? AND batch < ?", (first, last)
 
     @abstractmethod
-    def _more(self, save: Save) -> Iterable[Statement]:
+    def _more(self, save: Save) -> Iterator[Statement]:
         """What is written in this side's own tables."""
 
     def forget(self) -> None:

@@ -138,15 +138,7 @@ class MessageOptions:
     """What to deliver."""
 
     message: str | None = option(
-        "the message to deliver, seen by all who list processes; - reads standard input",
-        "TEXT",
-        either="message",
-    )
-    message_file: str | None = option(
-        "a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
-        "- as above",
-        "F",
-        either="message",
+        "the message to deliver; - reads it from standard input, @FILE from a file", "TEXT"
     )
 
 
@@ -167,44 +159,44 @@ def checked(kind: type[M], **values: object) -> M:
         lines = []
         for e in error.errors(include_url=False):
             field = str(e["loc"][0])
-            option = {"part_s": "part_seconds"}.get(field, field).replace("_", "-")
-            lines.append(f"--{option}: got {e['input']!r}, {expected_of(e)}")
+            lines.append(f"--{field.replace('_', '-')}: got {e['input']!r}, {expected_of(e)}")
         raise UsageError(lines) from None
 
 
-def message_of(text: str | None, file: str | None) -> bytes | None:
-    """The message given as text or as a file, if any; `STDIN` for either is standard input.
+def message_of(text: str | None) -> bytes | None:
+    """The bytes of a message, if one is given: `STDIN` reads standard input, ``@FILE`` a file.
 
-    Standard input ends without its last newline, of which ``echo`` and a terminal's Enter leave
-    one. A file's bytes stay as they are, and ``/dev/stdin`` names such a file.
+    Standard input loses its last newline, which ``echo`` and Enter add. A file's bytes stay as
+    they are.
 
     Raises
     ------
     UsageError
         When the file cannot be read, or the message is empty or too long for one frame.
     """
-    if text is None and file is None:
+    if text is None:
         return None
-    if text is not None and text != STDIN:
-        payload = text.encode("utf-8", errors="surrogateescape")
-    else:
-        given = file in (None, STDIN)
-        path = "/dev/stdin" if given else str(file)
-        if given and os.isatty(0):
+    if text == STDIN:
+        if os.isatty(0):
             print("type the message; Enter, then Ctrl-D end it", file=sys.stderr, flush=True)
-        try:
-            known = path == "/dev/stdin"  # whoever names it waits for what comes
-            with Path(path).open("rb") if known else open_regular(Path(path)) as source:
-                payload = source.read(MAX_PAYLOAD + 2)
-        except OSError as error:
-            raise UsageError(f"{path}: cannot be read: {error.strerror}") from None
-        if given:
-            payload = payload.removesuffix(b"\n")
-        if len(payload) > MAX_PAYLOAD:
-            raise UsageError(f"message: got more than {MAX_PAYLOAD} bytes, expected 1 to so many")
+        payload = _read(Path("/dev/stdin")).removesuffix(b"\n")
+    elif text.startswith("@"):
+        payload = _read(Path(text[1:]))
+    else:
+        payload = text.encode("utf-8", errors="surrogateescape")
     if not 0 < len(payload) <= MAX_PAYLOAD:
-        raise UsageError(f"message: got {len(payload)} bytes, expected 1 to {MAX_PAYLOAD}")
+        size = len(payload) if len(payload) <= MAX_PAYLOAD else f"more than {MAX_PAYLOAD}"
+        raise UsageError(f"message: got {size} bytes, expected 1 to {MAX_PAYLOAD}")
     return payload
+
+
+def _read(path: Path) -> bytes:
+    """What a message may be of a file; standard input may be a pipe, other files may not."""
+    try:
+        with path.open("rb") if path == Path("/dev/stdin") else open_regular(path) as source:
+            return source.read(MAX_PAYLOAD + 2)
+    except OSError as error:
+        raise UsageError(f"message: {path}: cannot be read: {error.strerror}") from None
 
 
 def pace_of(text: str) -> Pace:

@@ -286,8 +286,6 @@ class ZenohBus(Bus):
         Talk through the router at ``connect`` only.
     tls : TlsFiles, optional
         Mutual TLS: both sides show a certificate of the same authority.
-    scouting : bool
-        Find peers of the local network by multicast as well.
     patience_s : float
         How long a client waits for its router.
     extra : mapping, optional
@@ -306,7 +304,6 @@ class ZenohBus(Bus):
         connect: Sequence[str] = (),
         client: bool = False,
         tls: TlsFiles | None = None,
-        scouting: bool = False,
         patience_s: float = inf,
         extra: Mapping[str, Any] | None = None,
     ) -> None:
@@ -323,9 +320,8 @@ class ZenohBus(Bus):
         self._client = client
         self._groups = sum(map(is_group, listen))
         self._endpoints = (*listen, *connect)
-        self._settings = settings_of(
-            Addresses(tuple(listen), tuple(connect), client, tls, scouting)
-        ) | dict(extra or {})
+        addresses = Addresses(tuple(listen), tuple(connect), client, tls)
+        self._settings = settings_of(addresses) | dict(extra or {})
         self._parts: list[ZenohPublisher | ZenohChannel | _Subscription] = []
         self._changing = threading.Lock()
         self._closing = threading.Event()
@@ -550,7 +546,6 @@ def open_bus(endpoints: Addresses, patience_s: float = inf) -> ZenohBus:
         connect=endpoints.connect,
         client=endpoints.client,
         tls=endpoints.tls,
-        scouting=endpoints.scouting,
         patience_s=patience_s,
     )
 

@@ -45,10 +45,12 @@ def settings_of(endpoints: Addresses) -> dict[str, Any]:
             "period_max_ms": 500,
             "period_increase_factor": 2,
         },
+        # Without this a peer listens on every address of the machine.
+        "listen/endpoints": list(endpoints.listen),
         "listen/timeout_ms": 0,
         "listen/exit_on_failure": True,
         "scouting/delay": 0,
-        "scouting/multicast/enabled": endpoints.scouting,
+        "scouting/multicast/enabled": False,
         # Gossip goes round a router's access control.
         "scouting/gossip/enabled": False,
         "timestamping/enabled": True,
@@ -63,9 +65,6 @@ def settings_of(endpoints: Addresses) -> dict[str, Any]:
         "transport/unicast/open_timeout": OPEN_MS,
         "transport/unicast/accept_timeout": 2000,
     }
-    if endpoints.listen or not endpoints.scouting:
-        # Without this a peer listens on every address of the machine.
-        settings["listen/endpoints"] = list(endpoints.listen)
     if tls is not None:
         settings["transport/link/protocols"] = ["tls"]
         settings["transport/link/tls"] = {

@@ -24,7 +24,7 @@ def build_parser() -> argparse.ArgumentParser:
     for one in (measure, draw):
         one.add_argument("--data", type=Path, metavar="D", help="folder (default: docs/data)")
         one.add_argument("--jobs", type=int, default=1, metavar="N", help="workers (1)")
-        one.add_argument("--executor", choices=("process", "dask"), default="process")
+        one.add_argument("--dask", nargs="?", const="", metavar="ADDRESS", help="Dask workers")
     commands.add_parser("stale", help="list files with rows of other code")
     own = commands.add_parser("defence", help="try a defence of your own against every attack")
     own.add_argument("defence", metavar="FILE.py:NAME")
@@ -64,15 +64,11 @@ def _measure(args: argparse.Namespace, names: Sequence[str], only: str = "") -> 
         if name not in known:
             raise UsageError(f"name: got {name!r}, expected one of {', '.join(sorted(known))}")
     at_least("--jobs", args.jobs, 1)
-    with workers(args.executor, args.jobs) as executor:
+    with workers(args.jobs, args.dask) as executor:
         for name in names:
             path = (args.data or DATA) / f"{name}.csv"
-            known[name].measure(path, executor, only, _say)
+            known[name].measure(path, executor, only)
             print(path)
-
-
-def _say(line: str) -> None:
-    print(line, file=sys.stderr, flush=True)
 
 
 def _figures(args: argparse.Namespace, data: Path) -> None:

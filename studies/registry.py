@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from runtime.files import PUBLIC_FILE, write_atomically
+from runtime.progress import shown
 from studies import DATA
 from wyner.sweeps.code import ROOT, code_version, same_code
 from wyner.sweeps.results import read_table
@@ -87,7 +88,6 @@ class Study:
         path: Path,
         executor: Executor | None = None,
         only: str = "",
-        say: Callable[[str], None] = lambda _: None,
     ) -> None:
         """Add what a file lacks, or has of other code; each task's rows as they are made.
 
@@ -99,8 +99,6 @@ class Study:
             Of :func:`wyner.sweeps.workers.workers`; this process by default.
         only : str
             Tasks whose text contains this.
-        say : callable
-            Is told how far it is.
         """
         wanted = {self.id(task): task for task in self.tasks() if only in str(task)}
         kept = [
@@ -112,13 +110,17 @@ class Study:
         todo = [task for id, task in wanted.items() if id not in done]
         path.parent.mkdir(parents=True, exist_ok=True)
         _write(path, self.head, kept)
-        with path.open("a", encoding="utf-8", newline="") as file:
+        with (
+            path.open("a", encoding="utf-8", newline="") as file,
+            shown(f"{self.name}, tasks") as advance,
+        ):
+            advance(0, len(todo))
             work = self.measured if executor is None else partial(_measured, self.name)
             made = in_order(executor or SerialExecutor(), work, todo, lambda task: (task,))
             for number, (_, rows) in enumerate(made, 1):
                 file.write(_text(self.head, rows))
                 file.flush()
-                say(f"{self.name}: {number} of {len(todo)} tasks")
+                advance(number, len(todo))
         order = {id: place for place, id in enumerate(wanted)}
         rows = sorted(_whole_rows(path, self.head), key=lambda row: order.get(row["task"], -1))
         _write(path, self.head, rows)

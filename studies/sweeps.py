@@ -1,10 +1,9 @@
 """The shipped sweeps whose rows the figures are of: studies with a runner of their own."""
 
-from collections.abc import Callable
 from concurrent.futures import Executor
 from pathlib import Path
 
-from runtime.files import PUBLIC_FILE, replacing
+from runtime.progress import shown
 from studies.registry import Study, add
 from wyner.sweeps import SWEEPS
 from wyner.sweeps.code import loop_version
@@ -27,22 +26,21 @@ class SweepStudy(Study):
         path: Path,
         executor: Executor | None = None,
         only: str = "",  # noqa: ARG002
-        say: Callable[[str], None] = lambda _: None,  # noqa: ARG002
     ) -> None:
-        """Make the file anew."""
+        """Make the file anew; what a measurement that was stopped has left is gone on with."""
         file = SWEEPS / f"{self.name}.toml"
         sweep = load_sweep(file)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with replacing(path, PUBLIC_FILE) as partial:
-            partial.unlink()  # a sweep makes its file itself
-            results = Results(partial, sweep.columns, resume=False)
-            try:
+        partial = path.with_suffix(".partial.csv")
+        results = Results(partial, sweep.columns, resume=True)
+        try:
+            with shown(f"{self.name}, runs") as advance:
                 points = points_of(sweep, file.parent)
-                failures = run_sweep(sweep, points, results, executor or SerialExecutor())
-            finally:
-                results.close()
-            if failures:
-                raise RuntimeError("; ".join(failures))
+                failures = run_sweep(sweep, points, results, executor or SerialExecutor(), advance)
+        finally:
+            results.close()
+        if failures:
+            raise RuntimeError("; ".join(failures))
+        partial.replace(path)
 
 
 for name in (

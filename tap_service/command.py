@@ -2,13 +2,14 @@
 
 import argparse
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+from pydantic import BaseModel, ValidationError
 
 from runtime.bus_options import (
-    BOUNDS,
     ServiceOptions,
     add_service_arguments,
     check_addresses,
@@ -24,30 +25,10 @@ from runtime.options import checked, fine, option, picked, run_dir_of
 if TYPE_CHECKING:
     from protocol.knowledge import Knowledge
     from runtime.fleet import FleetLoop
-    from tap_service.capture.channel import View
-
-
-VIEW: Final = "what the tap sees (default: as the scenario says)"
 
 
 @dataclass(frozen=True, kw_only=True)
-class ViewOptions:
-    """The knobs of what the tap sees; each overrides the scenario's."""
-
-    view: str | None = option("direction", choices=("both", "measurements", "offers"), group=VIEW)
-    loss: float | None = option("probability to miss a message", "P", group=VIEW)
-    loss_bad: float | None = option("the same in the bad one of two states", "P", group=VIEW)
-    to_bad: float | None = option("probability, a step, of turning bad", "P", group=VIEW)
-    to_good: float | None = option("probability, a step, of turning good again", "P", group=VIEW)
-    noise: float | None = option("noise on every state and input", "SD", group=VIEW)
-    quantise: float | None = option("round every state and input", "STEP", group=VIEW)
-    delay: int | None = option("hear everything N messages late", "N", group=VIEW)
-    model_error: float | None = option("relative error of each entry of A and B", "E", group=VIEW)
-    seed: int = option("of the knobs' draws (default 0)", "N", 0, least=0, group=VIEW)
-
-
-@dataclass(frozen=True, kw_only=True)
-class TapOptions(ViewOptions, ServiceOptions):
+class TapOptions(ServiceOptions):
     """The service's options, but for what the tap is told of the plant."""
 
     scenario: str | None = option("derive what the tap knows from a scenario", "S", either="source")
@@ -59,9 +40,9 @@ class TapOptions(ViewOptions, ServiceOptions):
         (),
         many=True,
     )
-    part_seconds: float | None = option("age at which a part ends", "S", group=BOUNDS)
-    free_bytes: int | None = option(
-        "room to leave on the disk; recording pauses while there is less", "N", group=BOUNDS
+    view: str | None = option(
+        "what the tap hears, as JSON with the fields of [tap] (default: as the scenario says)",
+        "FILE",
     )
     finish: float | None = option(
         "seconds for the heavy eavesdroppers' last thoughts at the end (default 20)", "S"
@@ -121,22 +102,11 @@ def find_each(names: Iterable[str], find: Callable[[str], object], where: str) -
         raise UsageError(problems)
 
 
-def view_of(options: TapOptions, defaults: Mapping[str, object]) -> "View":
-    """The view that the options ask for, over ``defaults``.
-
-    Raises
-    ------
-    UsageError
-        With one line for each wrong value.
-    """
-    from tap_service.capture.channel import View
-
-    given = {one.name: getattr(options, one.name) for one in fields(ViewOptions)}
-    return checked(View, **{**defaults, **{k: v for k, v in given.items() if v is not None}})
+M = TypeVar("M", bound=BaseModel)
 
 
-def read_knowledge(path: str) -> "Knowledge":
-    """Read what an eavesdropper knows from a JSON file.
+def read_json(option: str, path: str, kind: type[M]) -> M:
+    """Read the model that an option's JSON file holds.
 
     Raises
     ------
@@ -145,18 +115,15 @@ def read_knowledge(path: str) -> "Knowledge":
     """
     from pathlib import Path
 
-    from pydantic import ValidationError
-
-    from protocol.knowledge import Knowledge
     from protocol.wrong_fields import expected_of
     from runtime.files import read_regular
 
     try:
         text = read_regular(Path(path))
     except OSError as error:
-        raise UsageError(f"--knowledge: {path}: cannot be read: {error.strerror}") from None
+        raise UsageError(f"{option}: {path}: cannot be read: {error.strerror}") from None
     try:
-        return Knowledge.model_validate_json(text)
+        return kind.model_validate_json(text)
     except ValidationError as error:
         raise UsageError(
             [
@@ -180,9 +147,11 @@ def knowledge_in(path: str) -> GivenKnowledge:
     Raises
     ------
     UsageError
-        As :func:`read_knowledge`.
+        As :func:`read_json`.
     """
-    knowledge = read_knowledge(path)
+    from protocol.knowledge import Knowledge
+
+    knowledge = read_json("--knowledge", path, Knowledge)
     return GivenKnowledge(knowledge, knowledge if knowledge.alpha is not None else None)
 
 
@@ -199,19 +168,15 @@ def run_with_knowledge(
 
     from runtime.bus import TransportError
     from runtime.recording import Bounds
+    from tap_service.capture.channel import View
     from tap_service.config import FINISH_S, TapConfig
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import TapFleet
     from tap_service.sandboxed import sandboxed
     from tap_service.service import TapService, run_tap
 
-    limits = checked(
-        Bounds,
-        part_bytes=options.part_bytes,
-        part_s=options.part_seconds,
-        total_bytes=options.total_bytes,
-        free_bytes=options.free_bytes,
-    )
+    limits = checked(Bounds, total_bytes=options.total_bytes)
+    own_view = None if options.view is None else read_json("--view", options.view, View)
     if options.finish is not None and not 0 <= options.finish <= 3600:
         raise UsageError(f"--finish: got {options.finish}, expected 0 to 3600 seconds")
     check_addresses(options, "tap")
@@ -226,7 +191,9 @@ def run_with_knowledge(
         assert told is not None, "a fleet's taps are told by loop"
         names = names_of(options.eavesdropper)
         names, where = (names, "--eavesdropper: ") if names else (told.names, told.where)
-        view = view_of(options, told.view)
+        view = own_view or View.model_validate(told.view)
+        if options.seed is not None:
+            view = view.model_copy(update={"seed": options.seed})
         config = TapConfig(
             run_dir=folder,
             knowledge=told.knowledge.without_secrets(),

@@ -1,7 +1,7 @@
 """The taps of a fleet in one process: one subscription, a recording for each loop.
 
 Each loop has a tap of its own, with all that it heard and guessed below the loop's folder. Heavy
-eavesdroppers, which need a process each, read the recordings afterwards (``wyner score --decode``).
+eavesdroppers, which need a process each, read the recordings afterwards (``wyner score``).
 """
 
 import threading

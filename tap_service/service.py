@@ -281,7 +281,7 @@ class TapService:
         if self._unheard:
             self.log.warning(
                 "%d messages were mirrored and not guessed at, as too many waited: "
-                "wyner score --decode guesses at all of them",
+                "wyner score RUN --eavesdropper NAME guesses at all of them",
                 self._unheard,
             )
         for listener in self.listeners.listeners:

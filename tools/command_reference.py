@@ -15,6 +15,15 @@ HEAD: Final = """\
 # Commands
 
 What `wyner COMMAND --help` prints.
+
+Every command ends with one of these exit codes:
+
+- **0**: done.
+- **1**: done, and something was found (a broken rule, a warning, an eavesdropper that failed, a
+  loop that carries nothing); or it failed (no answer, a full disk, a service that died).
+- **2**: wrong use: an option, or a file that the command line names and that is missing, malformed
+  or cannot be written.
+- **130**: Ctrl-C.
 """
 
 

@@ -22,7 +22,7 @@ from protocol.scenario import LAWS, PLANTS, Control, PlantTable, Scenario, Scena
 HEAD: Final = """# The scenario file
 
 A scenario is a TOML file: a plant, its sets, its control law, and what each side knows.
-`wyner design --list` lists the shipped scenarios, `wyner new NAME` writes a commented one, and
+`wyner design` lists the shipped scenarios, `wyner new NAME` writes a commented one, and
 `wyner design FILE` computes its sets and rate. Unknown fields are refused, each in one line.
 
 Vectors are lists of numbers, matrices lists of rows. n is the number of states, m of inputs, M of

@@ -7,12 +7,14 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
+from protocol.errors import WynerError
 
-class OutsideError(LookupError):
+
+class OutsideError(WynerError, LookupError):
     """A state outside every T_i; the message names the state, the largest set and the distance."""
 
 
-class ProgramError(LookupError):
+class ProgramError(WynerError, LookupError):
     """A program without an answer that satisfies its constraints."""
 
 

@@ -8,6 +8,7 @@ from controller_service.sets.units import in_units, state_units
 from controller_service.tolerances import NEARLY_PARALLEL, TERMINAL_ERROR
 from protocol.arrays import Array
 from protocol.convex import Polytope, corners, planar_reduce, planar_vertices
+from protocol.errors import WynerError
 from protocol.scenario import ConvexSet, Scenario
 
 MOST_TERMS = 200
@@ -26,7 +27,7 @@ UNREACHED = 1e-9
 """A mode is not moved by B where its left eigenvector meets B by less than this part of B."""
 
 
-class SynthesisError(Exception):
+class SynthesisError(WynerError):
     """A scenario for which no sets exist; the message is one line."""
 
 

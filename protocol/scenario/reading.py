@@ -7,6 +7,7 @@ from typing import Any, Final
 
 from pydantic import ValidationError
 
+from protocol.errors import WynerError
 from protocol.scenario.system import Scenario
 from protocol.wrong_fields import expected_of
 
@@ -14,7 +15,7 @@ LARGEST_NUMBER: Final = 1e150
 """Of every number in a scenario: the square of one beyond is no number to a computer."""
 
 
-class ScenarioError(Exception):
+class ScenarioError(WynerError):
     """A scenario that cannot be used; ``problems`` holds one line for each wrong field."""
 
     def __init__(self, problems: Sequence[str]) -> None:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Final, Protocol
 from pydantic import BaseModel, ConfigDict
 
 from protocol.agreement import NO_SYMBOL, Gauge, predict
+from protocol.errors import WynerError
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
 from protocol.plugins import UnknownError
@@ -32,7 +33,7 @@ IDLE_GUESS: Final = 0
 """Stands in for a message symbol whose cipher symbol was missed: the idle symbol."""
 
 
-class KnowledgeError(Exception):
+class KnowledgeError(WynerError):
     """An eavesdropper that is not told what it needs; the text names what is missing."""
 
 

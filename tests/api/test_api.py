@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 import wyner
-from protocol.knowledge import Knowledge
 from tap_service.eavesdroppers.nearest_centre import NearestCentre
 from tests.support.patience import PATIENCE_S
 from wyner import (
@@ -20,10 +19,8 @@ from wyner import (
     EavesdropperError,
     Guess,
     KnowledgeError,
-    OutsideError,
     ScenarioError,
     Simulated,
-    SimulationError,
     System,
     Transition,
     build,
@@ -125,18 +122,6 @@ def test_fields_are_varied_by_their_path() -> None:
             vary(s, {path: 1.0})
 
 
-def test_a_design_answers_for_states_and_sets(system: System) -> None:
-    assert system.index((0.0, 0.0)) == 0
-    assert system.gain.shape == (1, 2)
-    assert system.candidates((0.1, 0.2)).shape == (2, 1)
-    ring = system.corners(2)
-    middle = ring.mean(axis=0)
-    assert system.index(middle + 0.99 * (ring[0] - middle)) <= 2
-    assert system.index(middle + 1.01 * (ring[0] - middle)) > 2
-    with pytest.raises(OutsideError, match="is outside T_"):
-        system.index((1e6, 0.0))
-
-
 def test_arrays_fit_together(system: System, runs: Simulated) -> None:
     s = system.scenario
     assert (runs.count, runs.steps) == (3, 900)
@@ -164,12 +149,6 @@ def test_the_message_arrives_and_its_rate_is_what_was_carried(runs: Simulated) -
     assert same == runs.rate
     low, high = rate_against_alpha(runs, [1.5, 8.0])
     assert low.value < high.value
-
-
-def test_a_run_is_the_same_however_many_others_there_are(system: System, runs: Simulated) -> None:
-    alone = run(system, steps=900, seed=5, message=MESSAGE)
-    assert (alone.x[0] == runs.x[0]).all()
-    assert (alone.cipher[0] == runs.cipher[0]).all()
 
 
 def test_a_frame_has_a_row_a_step(runs: Simulated) -> None:
@@ -256,51 +235,6 @@ def test_an_eavesdropper_that_is_none_is_told_in_a_line(
         eavesdrop(runs, [who])
 
 
-def test_a_mirrored_model_names_symbols_wrong_and_knows_them() -> None:
-    """Under `packed` (A + 2 B K, -B) explains a run as (A, B) does, with the candidates reversed.
-
-    Of M = 2 it read as worse than chance, so as if nothing were known.
-    """
-    one = design(vary(load("packed"), {"secrecy.candidates": 2}))
-    runs = run(one, steps=300, runs=6, seed=1)
-    assert runs.record.candidates is not None
-    assert runs.record.x is not None
-    centre = runs.record.candidates.mean(axis=1).transpose(0, 2, 1).reshape(-1, 1)
-    K = np.linalg.lstsq(runs.record.x[:300].transpose(0, 2, 1).reshape(-1, 2), centre)[0].T
-
-    class Mirrored(NearestCentre):
-        name = "mirrored"
-
-        def __init__(self, knowledge: Knowledge) -> None:
-            A, B = np.array(knowledge.A), np.array(knowledge.B)
-            model = {"A": (A + 2 * B @ K).tolist(), "B": (-B).tolist()}
-            super().__init__(
-                knowledge.model_copy(update={k: tuple(map(tuple, v)) for k, v in model.items()})
-            )
-
-    (tap,) = eavesdrop(runs, [Mirrored])
-    assert tap.agreements == 1800
-    assert tap.right < 0.3 * tap.agreements
-    assert tap.known == tap.agreements - tap.right
-    assert tap.keys.value == tap.known / tap.agreements
-    assert tap.keys.low > 0.6
-
-
-def test_where_nothing_was_agreed_there_is_no_share() -> None:
-    """It was 0.5: a blind tap looked as good as one who guesses right half the time."""
-    alike = design(vary(load("sustained"), {"secrecy.alpha": 1.0}))  # D_e is D_c: no key
-    (tap,) = eavesdrop(run(alike, runs=6, steps=40, seed=1), ["nearest-centre"])
-    assert (tap.agreements, tap.right) == (0, 0)
-    assert np.isnan(tap.keys.value)
-    assert not tap.keys.known
-
-
-def test_a_state_outside_every_set_stops_the_runs() -> None:
-    far = vary(load("sustained"), {"plant.initial_state": [1e6, 0.0]})
-    with pytest.raises(SimulationError, match=r"step 0: the state .* is outside T_"):
-        run(far)
-
-
 # --- figures --------------------------------------------------------------------------------------
 
 
@@ -321,16 +255,6 @@ def test_figures_are_drawn_on_the_users_axes(system: System, runs: Simulated) ->
     assert axes[1, 0].lines[0].get_ydata().tolist() == runs.x[1, :, 0].tolist()
     draw_rate(runs, axes[1, 1], [2.0, 4.0, 8.0])
     assert axes[1, 1].lines[0].get_ydata()[-1] == pytest.approx(runs.rate.value)
-
-
-def test_sets_in_four_dimensions_cannot_be_drawn() -> None:
-    pytest.importorskip("matplotlib")
-    from matplotlib.figure import Figure
-
-    from wyner.drawing.axes import draw_sets
-
-    with pytest.raises(ValueError, match="T_0: got 4 states, expected 2 to draw"):
-        draw_sets(Figure().subplots(), {0: np.zeros((5, 4))})
 
 
 # --- runs of the services -------------------------------------------------------------------------

@@ -42,7 +42,7 @@ PRELOADED: Final = (
 PR_SET_PDEATHSIG: Final = 1
 """Of prctl(2): a service dies with the campaign."""
 
-TAPS: Final = ("--loss=0", "--eavesdropper=nearest-centre")
+TAPS: Final = ("--eavesdropper=nearest-centre",)
 """The capture is what counts here."""
 
 
@@ -190,7 +190,7 @@ class LiveLoop:
         self._add("tap", [*run, "--knowledge", str(knowledge), *ends["tap"], *TAPS])
         common = {side: [*run, "--scenario", str(file)] for side in ("plant", "controller")}
         self._add("plant", [*common["plant"], "--pace", pace, *ends["plant"]])
-        told = ["--message-file", str(folder / "message")]
+        told = ["--message", f"@{folder}/message"]
         self._add("controller", [*common["controller"], *told, *ends["controller"]])
 
     def _add(self, name: str, arguments: list[str]) -> None:

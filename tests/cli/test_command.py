@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import termios
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +19,6 @@ from runtime.addresses import free_endpoints
 from runtime.errors import UsageError
 from runtime.scenario_file import keep_scenario
 from runtime.services import BUSES, SERVICES
-from runtime.shipped import SCENARIOS
 from tests.support.patience import PATIENCE_S
 from wyner.cli.main import commands, main, overview
 
@@ -97,78 +95,13 @@ def test_a_service_is_a_module_of_its_own(service: str) -> None:
 # --- wrong use ------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("argv", "expected"),
-    [
-        (["--json"], "the following arguments are required: COMMAND"),
-        (["fly"], "invalid choice: 'fly'"),
-        (["up", "--fly"], "unrecognized arguments: --fly"),
-        (["up", "--steps", "many"], "--steps: invalid int value: 'many'"),
-        (["up", "--steps", "0"], "--steps: got 0, expected"),
-        (["up", "--seed", "-1"], "--seed: got -1, expected at least 0"),
-        (["up", "--run-dir", ""], "--run-dir: got '', expected a folder"),
-        (["up", "--eavesdropper", "eve"], "eavesdropper: got 'eve', expected set-membership"),
-        (["up", "--eavesdropper", ","], "--eavesdropper: got ',', expected at least one name"),
-        (["up", "--pace", "x0"], "--pace: got 'x0', expected realtime, fast, or xN"),
-        (["up", "--message", ""], "message: got 0 bytes, expected 1 to 65535"),
-        (["up", "--message-file", "none.txt"], "none.txt: cannot be read"),
-        (["up", "--message", "a", "--message-file", "b"], "not allowed with"),
-        (["up", "--scenario", "none.toml"], "none.toml: no such file"),
-        (["plant", "--seed", "-1"], "--seed: got -1"),
-        (["plant", "--loop", "a/b"], "--loop: got 'a/b'"),
-        (["plant", "--pace", "fast", "--listen", "field"], "--listen: got 'field', expected BUS="),
-        (["plant", "--listen", "field=foo"], "--listen field: got 'foo', expected tcp/"),
-        (["plant", "--listen", "adversary=tcp/127.0.0.1:1"], "with BUS one of field, management"),
-        (["plant", "--listen", "field=nowhere"], "got 'nowhere', expected tcp/HOST:PORT"),
-        (["controller", "--connect", "management=tcp/127.0.0.1:x"], "expected tcp/HOST:PORT"),
-        (["controller", "--check", "--listen", "field=foo"], "--listen field: got 'foo'"),
-        (["controller", "--check", "--metrics", "here"], "--metrics: got 'here', expected HOST:"),
-        (["plant", "--check", "--loop", "a/b"], "--loop: got 'a/b'"),
-        (["plant", "--check", "--loops", "2", "--metrics", "x:y"], "--metrics: got 'x:y'"),
-        (["tap", "--scenario", "paper", "--run-dir", "d", "--metrics", "x"], "--metrics: got 'x'"),
-        (["fit", "sustained", "-o", "."], "--output: got '.', expected a file in a folder"),
-        (["fit", "sustained", "-o", "none/f.toml"], "--output: got 'none/f.toml', expected"),
-        (["controller", "--client", "adversary"], "--client: got 'adversary'"),
-        (["controller", "--connect", "ops=tcp/127.0.0.1:1"], "with BUS one of field, management"),
-        (["dashboard", "--connect", "intel=tcp/127.0.0.1:1"], "one of management, adversary"),
-        (
-            ["router", "--listen", "ops=tcp/127.0.0.1:1"],
-            "with BUS one of field, management, adversary",
-        ),
-        (["send"], "expected TEXT or --file F"),
-        (["send", "text", "--file", "f"], "and one of them only"),
-        (["send", "text", "--timeout", "0"], "--timeout: got 0.0"),
-        (["send", "text", "--id", "a b"], "--id: got 'a b'"),
-        (["check"], "the following arguments are required: RUN_DIR"),
-        (["check", "no-such-run"], "no-such-run: no run here"),
-        (["design", "none"], "none: no such file, and no shipped scenario; shipped are"),
-        (["design", "mine"], "mine: no such file; did you mean mine.toml?"),
-        (["fit", "mine", "-o", "f.toml"], "mine: no such file; did you mean mine.toml?"),
-        (["sweep", "none"], "none: no such file, and no shipped sweep; shipped are disturbances,"),
-        (["sweep", "mine.toml"], "mine.toml: this is a scenario, expected a sweep"),
-        (["design", "none", "--knowledge"], "none: no such file"),
-    ],
-)
-def test_wrong_use_is_one_line(
-    argv: list[str],
-    expected: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    Path("mine.toml").write_text((SCENARIOS / "paper.toml").read_text())
-    (line,) = usage_error(capsys, *argv)
-    assert expected in line
-
-
 def test_without_a_command_the_help_is_shown(capsys: pytest.CaptureFixture[str]) -> None:
     assert main([]) == 2
     out, err = capsys.readouterr()
     assert (out, err) == ("", overview())
 
 
-@pytest.mark.parametrize("options", [(), ("--loops", "2")])
+@pytest.mark.parametrize("options", [(), ("--fleet", "2")])
 @pytest.mark.parametrize("service", ["plant", "controller", "tap"])
 def test_what_was_only_looked_at_is_said_to_be_fine(
     service: str, options: tuple[str, ...], capsys: pytest.CaptureFixture[str], tmp_path: Path
@@ -180,14 +113,6 @@ def test_what_was_only_looked_at_is_said_to_be_fine(
     told = "eavesdroppers nearest-centre" if service == "tap" else "scenario paper"
     assert out == f"{'2 loops' if options else told}: fine\n"
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("service", ["plant", "controller", "tap"])
-def test_a_run_folder_that_cannot_be_made_is_wrong_use(
-    service: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (line,) = usage_error(capsys, service, "--scenario", "paper", "--run-dir", "/proc/x")
-    assert line == "wyner: --run-dir: /proc/x: cannot be made: No such file or directory"
 
 
 @pytest.mark.parametrize("service", ["plant", "controller", "tap"])
@@ -256,59 +181,6 @@ def test_a_wrong_scenario_is_a_line_a_field(
     assert [line.split(":")[2].strip() for line in lines] == ["plant.period_s", "secrecy.alpha"]
 
 
-def test_an_initial_state_outside_the_sets_is_said_before_anything_starts(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
-    (tmp_path / "far.toml").write_text(text.replace("[4.0, -2.0]", "[1e6, 0.0]"))
-    (line,) = usage_error(capsys, "up", "--scenario", "far.toml")
-    assert "[1000000.0, 0.0] is outside T_250" in line
-    assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.parametrize("command", ["controller", "up"])
-def test_a_cost_without_weights_is_the_costs_fault(
-    command: str,
-    capsys: pytest.CaptureFixture[str],
-    monkeypatch: pytest.MonkeyPatch,
-    tmp_path: Path,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    text = (
-        (ROOT / "runtime" / "scenarios" / "paper.toml")
-        .read_text()
-        .replace("next_state = 1.0", "next_state = 0.0")
-    )
-    Path("flat.toml").write_text(text)
-    (line,) = usage_error(capsys, command, "--scenario", "flat.toml")
-    assert line.startswith("wyner: paper: control.costs.0: ")
-
-
-@pytest.mark.parametrize("left", ["manifest.json", "plant/journal.sqlite3", "tap/capture.jsonl"])
-def test_up_leaves_a_folder_with_a_run_alone(
-    left: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    (tmp_path / left).parent.mkdir(exist_ok=True)
-    (tmp_path / left).write_bytes(b"")
-    (line,) = usage_error(capsys, "up", "--run-dir", str(tmp_path))
-    assert "has a run already, expected a new folder" in line
-
-
-def test_a_scenario_that_names_no_eavesdropper_of_the_ladder_is_said_before_anything_starts(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    text = (ROOT / "runtime" / "scenarios" / "paper.toml").read_text()
-    (tmp_path / "mine.toml").write_text(text + '[tap]\neavesdroppers = ["eve", "oracle", "zip"]\n')
-    for command in (["up"], ["tap", "--run-dir", "runs"]):
-        lines = usage_error(capsys, *command, "--scenario", "mine.toml")
-        assert [line.partition(", expected")[0] for line in lines] == [
-            f"wyner: mine.toml: tap.eavesdroppers: got {name!r}" for name in ("eve", "zip")
-        ]
-        assert not (tmp_path / "runs").exists()
-
-
 def test_an_unexpected_error_is_one_line_too(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -349,112 +221,6 @@ def test_ctrl_c_while_the_command_is_loaded_is_quiet() -> None:
     )
     done = python("-c", code)
     assert (done.returncode, done.stderr) == (130, b"")
-
-
-@pytest.mark.parametrize("program", ["wyner", "plant_service", "controller_service", "tap_service"])
-def test_ctrl_c_while_a_program_is_loaded_ends_it_without_a_word(
-    program: str, tmp_path: Path
-) -> None:
-    (tmp_path / "sitecustomize.py").write_text(
-        "import os, signal, sys\n"
-        "class Interrupt:\n"
-        "    def find_spec(self, name, *_):\n"
-        "        if name == 'runtime.command': os.kill(os.getpid(), signal.SIGINT)\n"
-        "sys.meta_path.insert(0, Interrupt())\n"
-    )
-    done = python("-m", program, env={**os.environ, "PYTHONPATH": str(tmp_path)})
-    assert (done.returncode, done.stderr) == (-signal.SIGINT, b"")
-
-
-def test_the_command_sees_to_ctrl_c_before_it_loads_anything_else() -> None:
-    """As pip's script does: of two in 60 early ones a traceback was seen, of `typing`."""
-    code = (
-        "import sys\n"
-        "seen = []\n"
-        "class Note:\n"
-        "    def find_spec(self, name, *_):\n"
-        "        seen.append(name)\n"
-        "for name in ('typing', 'enum', 'functools'): sys.modules.pop(name, None)\n"
-        "sys.meta_path.insert(0, Note())\n"
-        "import wyner.__main__\n"
-        "print(*seen[: seen.index('runtime.early') + 1])\n"
-    )
-    done = python("-c", code)
-    assert done.stdout == b"wyner runtime runtime.early\n"
-
-
-def test_the_library_leaves_ctrl_c_to_whoever_imports_it() -> None:
-    code = "import signal, wyner; assert signal.getsignal(2) is signal.default_int_handler"
-    assert python("-c", code).returncode == 0
-
-
-@pytest.mark.parametrize("when", ["begins", "ends"])
-def test_a_signal_while_signals_are_taken_over_or_given_back_is_quiet(when: str) -> None:
-    code = (
-        "import os, signal, sys\n"
-        "from runtime import command\n"
-        "real, set_so_far = signal.signal, []\n"
-        "def told(number, handler):\n"
-        "    before = real(number, handler)\n"
-        "    set_so_far.append(number)\n"
-        f"    if len(set_so_far) == {2 if when == 'begins' else 4}:\n"
-        "        os.kill(os.getpid(), signal.SIGTERM)\n"
-        "    return before\n"
-        "signal.signal = told\n"
-        "sys.exit(command.entered(lambda: 7))\n"
-    )
-    done = python("-c", code)
-    assert (done.returncode, done.stderr) == (130 if when == "begins" else 7, b"")
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("command", "up"),
-    [
-        ("plant", b" INFO "),
-        ("controller", b" INFO "),
-        ("tap", b" INFO "),
-        ("dashboard", b"\x1b[?1049h"),
-    ],
-)
-def test_told_to_end_a_second_time_it_ends_at_once_and_quietly(
-    command: str, up: bytes, tmp_path: Path
-) -> None:
-    (free,) = free_endpoints(1)
-    args = [f"--connect={bus}={free}" for bus in SERVICES[command].ends]
-    if command != "dashboard":
-        args += ["--scenario=paper", f"--run-dir={tmp_path}"]
-    if command == "tap":
-        args += ["--eavesdropper=nearest-centre"]
-    leader, follower = pty.openpty()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "wyner", command, *args],
-        stdin=follower,
-        stdout=follower,
-        stderr=follower,
-        env={**os.environ, "TERM": "xterm"},
-        cwd=ROOT,
-        start_new_session=True,
-    )
-    os.close(follower)
-    seen = b""
-    try:
-        while up not in seen:
-            assert select.select([leader], [], [], 20)[0], seen
-            seen += os.read(leader, 65536)
-        # the second comes before the first was attended to
-        for number in (signal.SIGSTOP, signal.SIGINT, signal.SIGTERM, signal.SIGCONT):
-            process.send_signal(number)
-        with suppress(OSError):  # the end of a terminal that nobody holds any more
-            while select.select([leader], [], [], 20)[0]:
-                seen += os.read(leader, 65536)
-        assert process.wait(20) == 130
-        assert b"Traceback" not in seen
-        assert b"Error" not in seen
-    finally:
-        process.kill()
-        process.wait()
-        os.close(leader)
 
 
 @pytest.mark.slow
@@ -550,13 +316,6 @@ def test_a_reader_that_goes_away_is_no_traceback(unbuffered: str) -> None:
 
 
 # --- small things that are right ------------------------------------------------------------------
-
-
-def test_knowledge_is_json_without_a_secret(capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["design", "paper", "--knowledge"]) == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["alpha"] is None
-    assert told["disturbance_h"] == [0.96] * 4
 
 
 def test_defaults_listen_once_and_connect_to_what_is_listened_at() -> None:

@@ -22,7 +22,7 @@ def test_the_demo_comes_to_its_point(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert (code, told["as_it_must"]) == (0, True), told["verdict"]
     assert list(bare_figures(told)) == []
     points = [line.split()[1] for line in told["verdict"]]
-    assert points == ["Spoken:", "Keys:", "Control:", "Attacked:"]
+    assert points == ["Spoken:", "Keys:", "Compare:", "Attacked:"]
     spoken, keys, control, caught, unseen = told["runs"].values()
     # at the limit of the channel, and she has it at the very step at which the plant has it
     made = 1 - spoken["missed"] / spoken["steps"]  # a busy machine misses some steps

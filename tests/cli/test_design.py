@@ -9,6 +9,7 @@ import pytest
 
 from controller_service.laws import registry
 from controller_service.sets.design import SynthesisError
+from protocol.scenario import Scenario
 from wyner.advice import rate
 from wyner.cli.main import main
 
@@ -156,31 +157,6 @@ def test_the_second_time_is_from_the_cache(tmp_path: Path, capsys: Any) -> None:
     assert "read from the cache, computed once in" in capsys.readouterr().out
 
 
-def test_without_the_cache_nothing_is_read_or_stored(tmp_path: Path, capsys: Any) -> None:
-    for _ in range(2):
-        assert main(["design", scenario(tmp_path), "--no-cache", "--json"]) == 0
-        assert json.loads(capsys.readouterr().out)["cached"] is False
-    assert designs(tmp_path) == []
-    assert main(["design", scenario(tmp_path)]) == 0  # stores one
-    capsys.readouterr()
-    assert main(["design", scenario(tmp_path), "--no-cache", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["cached"] is False
-
-
-def test_one_state(tmp_path: Path, capsys: Any) -> None:
-    path = scenario(tmp_path, ONE_STATE)
-    assert main(["design", path]) == 0
-    out = capsys.readouterr().out
-    assert "T_0: the minimal invariant interval" in out
-    assert "  index  facets  interval" in out
-    assert "      0       2  -0.050005 to 0.050005" in out
-    assert main(["design", path, "--json"]) == 0
-    r = json.loads(capsys.readouterr().out)
-    assert (r["states"], r["cached"]) == (1, True)
-    assert r["sets"][0]["interval"] == pytest.approx([-0.050005, 0.050005])
-    assert 0 < r["rate"]["agreement_probability"] < 1
-
-
 def test_a_start_outside_every_set_is_said(tmp_path: Path, capsys: Any) -> None:
     path = scenario(tmp_path, start=[1e6, 0.0])
     assert main(["design", path]) == 1
@@ -191,44 +167,6 @@ def test_a_start_outside_every_set_is_said(tmp_path: Path, capsys: Any) -> None:
     r = json.loads(capsys.readouterr().out)
     assert r["rate"] is None
     assert "outside" in r["start"]
-
-
-@pytest.mark.parametrize("option", [[], ["--json"], ["--no-cache"]])
-@pytest.mark.parametrize(
-    ("gain", "words"),
-    [
-        ([[1.0, 0.0]], "control.gain: K does not stabilise"),
-        ([[-13.27]], "control.gain: got shape (1, 1), expected (1, 2)"),
-    ],
-)
-def test_a_scenario_without_sets_is_one_line(
-    tmp_path: Path, capsys: Any, gain: list[list[float]], words: str, option: list[str]
-) -> None:
-    path = scenario(tmp_path, gain=gain)
-    assert main(["design", path, *option]) == 2
-    out, err = capsys.readouterr()
-    assert out == ""
-    assert err.count("\n") == 1
-    assert err.startswith(f"wyner: {path}: {words}")
-    assert designs(tmp_path) == []
-
-
-def test_a_cost_without_an_answer_is_one_line(tmp_path: Path, capsys: Any) -> None:
-    path = scenario(tmp_path)
-    costs = "[[control.costs]]\nnext_state = 1.0\n[[control.costs]]\ninput = 0.0\n"
-    text = Path(path).read_text().replace("[control.inputs]", costs + "[control.inputs]")
-    Path(path).write_text(text)
-    assert main(["design", path]) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert "control.costs.1: expected weights under which the cost grows" in err
-
-
-def test_a_missing_file_is_one_line(capsys: Any) -> None:
-    assert main(["design", "nowhere.toml"]) == 2
-    out, err = capsys.readouterr()
-    assert (out, err.count("\n")) == ("", 1)
-    assert "nowhere.toml: no such file" in err
 
 
 @pytest.mark.parametrize("name", ["up", "controller"])
@@ -258,3 +196,29 @@ def test_a_message_under_distilled_keys_has_a_rate_and_no_settled_one(capsys: An
     out = capsys.readouterr().out
     assert "message rate: 20 bit/s at most, from step 48 on at the earliest" in out
     assert "settled rate" not in out
+
+
+# --- knowledge ------------------------------------------------------------------------------------
+
+
+def test_knowledge_is_the_eavesdroppers_and_not_the_defenders(
+    tmp_path: Path, sustained: Scenario, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "knowledge.json"
+    assert main(["design", "sustained", "--knowledge", str(path)]) == 0
+    assert main(["design", "sustained", "--knowledge"]) == 0
+    assert capsys.readouterr().out == path.read_text()
+    written = json.loads(path.read_text())
+    assert written["alpha"] is None
+    assert set(written["policy"]) == {
+        "law",
+        "costs",
+        "gain",
+        "together",
+        "certain",
+        "regulator",
+        "spacing",
+    }  # no set of the design
+    D_c, D_e = sustained.defender.disturbance.half_widths, written["disturbance_h"]
+    assert D_c is not None
+    assert D_e == [sustained.secrecy.alpha * w for w in D_c for _ in range(2)]

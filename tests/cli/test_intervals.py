@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
-from runtime.run_folder import BELIEFS, SUMMARY
+from runtime.run_folder import SUMMARY
 from tests.support.bare_figures import bare_figures
 from tests.support.checked_runs import keyed_run
-from tests.support.recorded_pair import RecordedPair
 from tests.support.rehearsal import Rehearsal
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
@@ -62,7 +61,7 @@ def said(capsys: pytest.CaptureFixture[str], *argv: str) -> Any:
         ("design", "packed"),
         ("design", "paper"),
         ("design", "network"),
-        ("design", "--list"),
+        ("design",),
     ],
     ids=" ".join,
 )
@@ -101,7 +100,6 @@ def test_of_a_live_run_and_of_what_looks_at_it(
         said(capsys, "score", *again),
         said(capsys, "check", run),
         said(capsys, "status", run),
-        said(capsys, "report", run),
     ):
         assert list(bare_figures(told)) == []
 
@@ -118,23 +116,9 @@ def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:
     told: list[str] = []
     for step, batch in enumerate(Rehearsal().arrivals(400)):
         state = reduce_all(state, batch)
-        lines, reporter = reporter.report(state, step * 1_000_000_000)
+        lines = reporter.report(state, step * 1_000_000_000)
         told += lines
     figures = [line for line in told if "bit/s" in line and line != COUNTED]
     assert len(figures) > 2
     assert told.count(COUNTED) == 1
     assert told.index(COUNTED) < told.index(figures[0])
-
-
-def test_of_the_summary_of_a_run_without_taps(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    small = RecordedPair(tmp_path / "run", b"hi")
-    small.steps(40)
-    small.stop()
-    assert not (tmp_path / "run" / BELIEFS).exists()
-    assert list(bare_figures(said(capsys, "check", str(tmp_path / "run")))) == []
-    from wyner.runs.run import Run
-    from wyner.runs.score.summary import summarise
-
-    assert list(bare_figures(summarise(Run.load(tmp_path / "run"), b"hi"))) == []

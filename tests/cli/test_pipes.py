@@ -1,84 +1,32 @@
 """A pipe in the place of a file: no command waits for somebody to write into it."""
 
 import os
-import shutil
 import signal
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
 
-from runtime.run_folder import (
-    ANALYSIS_GUESSES,
-    BELIEFS,
-    CAPTURE,
-    CONTROLLER_JOURNAL,
-    CONTROLLER_STATUS,
-    CONTROLLER_TRACE,
-    GUESSES,
-    KNOWLEDGE,
-    MANIFEST,
-    MESSAGE,
-    PLANT_JOURNAL,
-    PLANT_SAFE,
-    PLANT_STATUS,
-    PLANT_TRACE,
-    SCENARIO,
-    SUMMARY,
-    TAP_STATUS,
-)
 from runtime.shipped import SCENARIOS
-from tests.support.ended_run import ended_run
 from tests.support.patience import PATIENCE_S
 from wyner.cli.main import main
 
-OF_A_RUN = (
-    *(MANIFEST, SCENARIO, SUMMARY, MESSAGE, KNOWLEDGE, CAPTURE, GUESSES, ANALYSIS_GUESSES, BELIEFS),
-    *(CONTROLLER_TRACE, CONTROLLER_JOURNAL, CONTROLLER_STATUS, TAP_STATUS),
-    *(PLANT_TRACE, PLANT_JOURNAL, PLANT_STATUS, PLANT_SAFE),
-    *(Path(side) / name for side in ("plant", "controller", "tap") for name in ("lock",)),
-    *(path.with_name(f"{path.stem}.0001.jsonl") for path in (PLANT_TRACE, CAPTURE, GUESSES)),
-)
-LOOKING = (
-    ("check", "RUN"),
-    ("check", "RUN", "--json"),
-    ("score", "RUN"),
-    ("score", "RUN", "--decode"),
-    ("report", "RUN", "--output", "OUT"),
-    ("report", "RUN", "--to", "csv"),
-    ("report", "RUN", "--to", "csv", "--steps", "--truth"),
-    ("status", "RUN"),
-    ("status", "RUN", "--healthy", "plant"),
-    ("status", "RUN", "--healthy", "controller"),
-    ("status", "RUN", "--healthy", "tap"),
-    ("design", "RUN/scenario.toml"),
-    ("plant", "--run-dir", "RUN", "--scenario", "RUN/scenario.toml", "--check"),
-    ("controller", "--run-dir", "RUN", "--scenario", "RUN/scenario.toml", "--check"),
-)
 NAMED = (
     ("score", "PIPE"),
-    ("score", "PIPE", "--decode"),
     ("report", "PIPE", "--to", "csv"),
     ("design", "PIPE"),
     ("fit", "PIPE", "--output", "OUT"),
     ("sweep", "PIPE"),
     ("sweep", "PIPE", "--plot", "OUT.svg"),
     ("sweep", "fig7-paper-20", "--output", "PIPE", "--resume"),
-    ("send", "--file", "PIPE"),
-    ("up", "--message-file", "PIPE"),
+    ("send", "@PIPE"),
+    ("up", "--message", "@PIPE"),
     ("up", "--scenario", "PIPE"),
     ("tap", "--run-dir", "OUT", "--knowledge", "PIPE"),
     ("plant", "--run-dir", "OUT", "--fleet", "PIPE"),
     ("certs", "FOLDER", "--name", "plant"),
     ("up", "--scenario", "DELAYS", "--steps", "1"),
 )
-
-
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("kept") / "run"
-    ended_run(folder, (b"hi",))
-    return folder
 
 
 class Waited(BaseException):
@@ -112,24 +60,6 @@ def said(capsys: pytest.CaptureFixture[str], in_time: None) -> Callable[[list[st
     return told
 
 
-@pytest.mark.parametrize("file", OF_A_RUN, ids=str)
-def test_no_command_waits_at_a_pipe_in_a_run(
-    tmp_path: Path,
-    kept: Path,
-    said: Callable[[list[str]], str],
-    monkeypatch: pytest.MonkeyPatch,
-    file: Path,
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    run = tmp_path / "run"
-    shutil.copytree(kept, run)
-    (run / file).parent.mkdir(exist_ok=True)
-    (run / file).unlink(missing_ok=True)
-    os.mkfifo(run / file)
-    for command in LOOKING:
-        said([w.replace("RUN", str(run)).replace("OUT", str(tmp_path / "o")) for w in command])
-
-
 @pytest.mark.parametrize("command", NAMED, ids=" ".join)
 def test_no_command_waits_at_a_pipe_that_it_is_given(
     tmp_path: Path,
@@ -153,6 +83,8 @@ def test_no_command_waits_at_a_pipe_that_it_is_given(
         "FOLDER": str(certs),
         "DELAYS": str(tmp_path / "delays.toml"),
     }
-    told = said([words.get(w, w.replace("OUT", words["OUT"])) for w in command])
+    told = said(
+        [words.get(w, w.replace("OUT", words["OUT"]).replace("PIPE", str(pipe))) for w in command]
+    )
     assert len(told.splitlines()) == 1, told
     assert str(pipe) in told or str(certs) in told

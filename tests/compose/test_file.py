@@ -24,7 +24,7 @@ WRONG = {
     ),
     "WYNER_TAPS": ("nobody", "--eavesdropper: got 'nobody'"),
     "WYNER_MESSAGE": ("x" * 70_000, "message: got 70000 bytes"),
-    "WYNER_LOOPS": ("0", "--loops: got 0"),
+    "WYNER_LOOPS": ("0", "--fleet: got 0"),
 }
 
 

@@ -4,8 +4,9 @@ import sys
 
 import pytest
 
-from controller_service.progress import LINES_S, shown_progress
+from controller_service.progress import shown_progress
 from controller_service.sets.terminal import SynthesisError
+from runtime.progress import LINES_S, shown
 
 
 def test_a_design_that_takes_too_long_is_refused_with_what_would_do(
@@ -28,7 +29,7 @@ def test_in_a_pipe_a_line_comes_every_ten_seconds(capsys: pytest.CaptureFixture[
             advance(i, 99)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == pytest.approx(50 / LINES_S, abs=1)
-    assert lines[1] == "wyner: sets: 21 of 99 after 11 s"
+    assert lines[1] == "wyner: sets: 21 of 99 after 11 s, at least 41 s left"
 
 
 def test_on_a_terminal_a_line_changes_and_is_gone_in_the_end(
@@ -40,8 +41,11 @@ def test_on_a_terminal_a_line_changes_and_is_gone_in_the_end(
         for i in range(4):
             now += 0.6
             advance(i, 3)
-    *shown, last, empty = capsys.readouterr().err.split("\r")
-    assert shown == [f"wyner: sets: {i} of 3 after {t} s" for i, t in ((1, 1), (2, 2), (3, 2))]
+    *shown_lines, last, empty = capsys.readouterr().err.split("\r")
+    assert [text.strip() for text in shown_lines] == [
+        f"wyner: sets: {i} of 3 after {t} s, at least {left} s left"
+        for i, t, left in ((1, 1, 2), (2, 2, 1), (3, 2, 0))
+    ]
     assert last.strip() == empty == ""
 
 
@@ -53,3 +57,15 @@ def test_sets_that_are_all_made_are_not_refused() -> None:
             advance(i, 8)
         now = 76.0
         advance(8, 8)
+
+
+def test_work_that_is_resumed_is_estimated_by_its_own_pace(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Half of it was there: what is left takes as long as the pace since says."""
+    now = 0.0
+    with shown("runs", clock=lambda: now) as advance:
+        advance(500, 1000)
+        now = 10.0
+        advance(600, 1000)
+    assert capsys.readouterr().err == "wyner: runs: 600 of 1000 after 10 s, about 40 s left\n"

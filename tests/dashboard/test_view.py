@@ -19,31 +19,20 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.text import Text
 
-from protocol.messages import PlantModel
-from tests.dashboard.states import USUAL, plant_of, state_after
+from tests.dashboard.states import plant_of, state_after
 from tests.support.rehearsal import MESSAGE_TEXT, Rehearsal
 from tests.support.screens import to_text
 from tests.support.size import size
 from wyner.dashboard.headless import Reporter, progress, secrecy_line
-from wyner.dashboard.keymap import KEYS, Action, action_of
 from wyner.dashboard.model import Arrival, State, reduce
-from wyner.dashboard.parts import VALUE_AT, labelled
-from wyner.dashboard.score import course, rate_of, secrecy, time_left_s
-from wyner.dashboard.secrecy_panel import contradictions
+from wyner.dashboard.score import contradictions, rate_of, time_left_s
 from wyner.dashboard.text import (
-    MARKS,
-    component,
     count,
-    glyph,
-    letters,
-    number,
-    percent,
-    sparkline,
-    symbol_of,
 )
 from wyner.dashboard.view import (
     DROPPED_FIRST,
     HELP,
+    KEYS,
     SILENT_AFTER_NS,
     ViewState,
     screen,
@@ -154,43 +143,10 @@ WILD = st.text(
 )
 
 
-@settings(max_examples=size(25, 60), deadline=None)
-@given(st.integers(40, 130), st.integers(8, 45), WILD, WILD, WILD)
-def test_every_line_has_the_screens_width_whatever_the_texts(
-    width: int, height: int, sent: str, guess: str, other: str
-) -> None:
-    state = with_tap(state_after(700), "list-decoder", name=other, message=guess)
-    state = with_model(state, scenario=guess[:20])
-    state = with_plant(state, detail=other, partial=sent[:9])
-    state = with_controller(state, sending=sent, phase="refused", detail=guess)
-    for line in lines_of(state, width, height, PLAIN):
-        assert cell_len(line.plain) == width
-        assert all(c.isprintable() for c in line.plain)
-
-
-@settings(max_examples=size(25, 60), deadline=None)
-@given(
-    st.integers(40, 130),
-    st.integers(8, 45),
-    st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=2, max_size=2),
-    st.integers(0, 2**63),
-)
-def test_every_state_and_every_count_is_drawn(
-    width: int, height: int, x: list[float], many: int
-) -> None:
-    far = {"x": tuple(x), "pictured_x": tuple(x), "pictured_x_next": tuple(x[::-1])}
-    counts = dict.fromkeys(("k", "missed", "late", "symbol_errors", "agreements"), many)
-    state = with_plant(state_after(700), **far, **counts, pictured_gauges=(1e200, 0.5))
-    state = replace(state, pictured=state.plant, states={**state.states, 10**9: tuple(x)})
-    for line in lines_of(state, width, height):
-        assert cell_len(line.plain) == width
-
-
 PANELS = {
-    "picture": "Key test at step",
     "taps": "keys found",
-    "loop": "Control loop",
     "message": "plant has ",
+    "loop": "Control loop",
 }
 
 
@@ -198,12 +154,6 @@ def test_the_screen_is_whole_at_80x24_with_nothing_cut() -> None:
     text = shown(state_after(700), 80, 24)
     assert all(mark in text for mark in PANELS.values())
     assert "…" not in text
-
-
-@pytest.mark.parametrize(("width", "height"), [(60, 16), (72, 20), (100, 30), (120, 40), (200, 60)])
-def test_no_word_is_cut_at_usual_sizes(width: int, height: int) -> None:
-    for steps in (30, 700, 3000):
-        assert "…" not in shown(state_after(steps), width, height)
 
 
 @pytest.mark.parametrize("width", [60, 80, 120])
@@ -214,15 +164,6 @@ def test_panels_are_dropped_in_the_stated_order(width: int) -> None:
         there = [PANELS[panel] in text for panel in DROPPED_FIRST]
         assert there == sorted(there), f"{width}x{height}: {text}"
         assert "EXCEEDS TRUE" in text
-
-
-def test_more_rows_never_show_fewer_panels() -> None:
-    seen: set[str] = set()
-    for height in range(8, 60):
-        text = shown(state_after(700), 80, height)
-        now = {panel for panel, mark in PANELS.items() if mark in text}
-        assert seen <= now
-        seen = now
 
 
 # --- what it says ------------------------------------------------------------------------------
@@ -264,7 +205,7 @@ def test_a_claim_too_high_is_said_in_red_and_in_words() -> None:
     blind = replace(state, taps={"set-membership": state.taps["set-membership"]})
     assert "EXCEEDS" not in shown(blind, 80, 24)
     assert "(set-membership)" in shown(blind, 80, 24)
-    assert "nobody listens" in shown(replace(state, taps={}), 80, 24)
+    assert "(no tap)" in shown(replace(state, taps={}), 80, 24)
 
 
 def test_a_silent_service_is_named() -> None:
@@ -294,24 +235,6 @@ def test_a_long_reason_is_cut_before_anything_that_tells_more(of: str) -> None:
     assert REASON in shown(state, 200, 24).splitlines()[0]
 
 
-def test_what_the_plant_has_not_said_of_itself_yet_is_left_out() -> None:
-    state = replace(state_after(700), model=None)
-    for terminal in ((80, 24), (120, 40), (80, 20)):
-        text = shown(state, *terminal)
-        assert "rehearsal" not in text
-        assert "alpha" not in text.splitlines()[0]
-        assert "message - bit/s" in text
-        assert " of plant time" not in text
-    assert "the plant's model was not heard yet" in shown(state, 80, 24)
-    four = next(a.message for a in next(FOUR_STATES.arrivals(10)) if a.message.topic.endswith("el"))
-    assert isinstance(four, PlantModel)
-    assert "the plant's model was not heard yet" in shown(replace(state, model=four), 80, 24)
-    lines, reporter = Reporter().report(state, 0)
-    assert not any(line.startswith("session ") for line in lines)
-    lines, _ = reporter.report(state_after(700), 0)
-    assert lines[0] == "session 3f2a9c51d07be684: rehearsal, alpha 8, law sustained"
-
-
 def test_trouble_stands_in_the_first_line() -> None:
     state = state_after(700)
     assert state.plant is not None
@@ -329,59 +252,50 @@ def test_trouble_stands_in_the_first_line() -> None:
     assert "controller outside" in shown(trouble, 60, 16).splitlines()[0]
 
 
-@pytest.mark.parametrize(
-    ("value", "told"),
-    [
-        (0.186, "x1   +0.186 "),
-        (-123.4567, "x1 -123.457 "),
-        (12345.678, "x1 +12345.7 "),
-        (-123456789.0, "x1   -1.2e8 "),
-        (4e200, "x1 +4.0e200 "),
-    ],
-)
-@pytest.mark.parametrize("states", [2, 4])
-def test_a_large_state_loses_its_decimals_and_never_its_size(
-    value: float, told: str, states: int
-) -> None:
-    state = state_after(700, USUAL if states == 2 else FOUR_STATES)
-    x = (value, *plant_of(state).x[1:])
-    assert told in shown(with_plant(state, x=x), 80, 24)
-
-
-@pytest.mark.parametrize("states", range(3, 13))
-def test_states_that_find_no_room_are_counted(states: int) -> None:
-    x = tuple(100.5 + i for i in range(states))
-    text = shown(with_plant(state_after(700), x=x), 80, 24)
-    told = [i for i in range(states) if f" x{i + 1} +{x[i]:.3f}" in text]
-    assert told == list(range(states if states <= 6 else 5))
-    assert (f" {states - 5} more" in text) == (states > 6)
-
-
 @pytest.mark.parametrize("missed", [1, 999, 1234, 99_999, 10**8])
 def test_missed_steps_are_told_whatever_their_number(missed: int) -> None:
     """Once: beside them stood those whose input came after all, as if they were others."""
     state = with_plant(state_after(700), missed=missed, late=missed)
     for terminal in ((80, 24), (60, 24), (120, 40)):
         text = shown(state, *terminal)
-        assert re.search(rf" bit/s.*  missed {re.escape(count(missed))} steps?\b", text)
+        assert re.search(rf" steps/s.*  missed {re.escape(count(missed))}\b", text)
         assert "late" not in text
-
-
-def test_a_few_missed_steps_are_no_alarm() -> None:
-    for missed, red in ((0, False), (30, False), (60, True)):
-        state = with_plant(state_after(700), missed=missed)
-        lines = lines_of(state, 80, 24)
-        spans = [(line, span) for line in lines for span in line.spans if "red" in str(span.style)]
-        assert any("missed" in line.plain[s.start : s.end] for line, s in spans) is red
 
 
 def test_where_the_state_is_among_the_sets_is_told_in_words() -> None:
     state = state_after(700)
-    assert "control: inside the target set" in shown(state, 120, 40)
+    assert "state: inside the target set" in shown(state, 120, 40)
     far = with_controller(state, set_index=250)
-    assert "control: at most 250 steps to the target set" in shown(far, 120, 40)
+    assert "state: at most 250 steps to the target set" in shown(far, 120, 40)
     lost = with_controller(state, set_index=-1)
-    assert "control: outside of every set" in shown(lost, 120, 40)
+    assert "state: outside of every set" in shown(lost, 120, 40)
+
+
+def test_a_state_under_attack_is_told_as_reported_beside_the_true_one() -> None:
+    """The screen said "inside the target set" of a plant that was 29 away."""
+    state = replace(state_after(700), true_states={700: (-28.892, 1.0)})
+    for terminal in ((80, 24), (120, 40)):
+        text = shown(state, *terminal)
+        assert re.search(r"reported in\w* .*target set[;,] truly 28\.9 ", text)
+        assert "reported   +0.186, true  -28.892" in text
+    assert "x as reported, truly 28.892 away" in progress(state)
+
+
+def test_secrecy_stands_beside_the_rate_of_the_message() -> None:
+    text = shown(state_after(700), 80, 24)
+    assert re.search(r"4\.66 bit/s, at most 0\.\d+ secret", text)
+    assert "4.66 bit/s, secret: unknown" in shown(replace(state_after(700), taps={}), 80, 24)
+
+
+def test_guesses_that_lag_are_shown_at_the_steps_that_they_are_of() -> None:
+    """The panel showed the newest steps, for which there was no guess yet."""
+    state = state_after(700)
+    tap = state.taps["list-decoder"]
+    early = {k: guess for k, guess in tap.guesses.items() if k < 500}
+    slow = replace(state, taps={"list-decoder": replace(tap, guesses=early)})
+    text = shown(slow, 120, 40)
+    assert "200 steps behind" in text
+    assert re.search(r"^ 499 .*Eve says", text, re.MULTILINE)
 
 
 def test_an_alarm_is_a_red_line() -> None:
@@ -399,14 +313,6 @@ def test_an_alarm_is_a_red_line() -> None:
     assert "ALARMS" not in shown(state_after(700), 120, 40)
 
 
-def test_keys_that_are_wrong_at_the_plant_are_told_at_any_rate() -> None:
-    state = with_plant(state_after(700), rate_hz=12345.6, sessions=123, symbol_errors=54321)
-    assert "Control loop  wrong keys 54321 " in shown(state, 80, 24)
-    wide = shown(state, 120, 40)
-    assert " 12345.6 steps/s" in wide
-    assert "Control loop  wrong keys 54321  session 123" in wide
-
-
 def test_the_time_left_counts_the_symbols_that_are_missing() -> None:
     state = state_after(700)
     seen = plant_of(state)
@@ -420,66 +326,6 @@ def test_the_time_left_counts_the_symbols_that_are_missing() -> None:
     assert rate_of(state) == pytest.approx(seen.recovered_symbols / 70.0)
     assert time_left_s(State()) is None
     assert rate_of(State()) is None
-
-
-def test_the_course_of_claimed_and_true_ends_where_the_figures_stand() -> None:
-    state = state_after(700)
-    curve = course(state, 20)
-    assert len(curve) == 20
-    assert curve[-1] == (secrecy(state).claimed_bits, secrecy(state).left_bits)
-    assert [c for c, _ in curve] == sorted(c for c, _ in curve)
-    blind = replace(state, taps={"set-membership": state.taps["set-membership"]})
-    left = course(blind, 20)[-1][1]
-    assert left is not None
-    assert left == pytest.approx(secrecy(blind).left_bits)
-    assert course(State(), 20) == []
-
-
-@pytest.mark.parametrize("count_of", [2, 3, 5, 16])
-def test_every_number_of_candidates_has_its_bars(count_of: int) -> None:
-    gauges = tuple(0.5 + 2 * i for i in range(count_of))
-    state = state_after(700)
-    assert state.pictured is not None
-    pictured = state.pictured.model_copy(
-        update={
-            "pictured_gauges": gauges,
-            "pictured_candidates": tuple((0.3 * i,) for i in range(count_of)),
-        }
-    )
-    text = shown(replace(state, pictured=pictured), 120, 50)
-    drawn = [line for line in text.splitlines() if re.search(r"\d (in D_c|outside|beyond)", line)]
-    assert len(drawn) == count_of
-    small = shown(replace(state, pictured=pictured), 80, 24)
-    assert "0.50 in D_c" in small
-    if count_of > 5:
-        assert "more" in small
-
-
-def test_a_large_gauge_is_short() -> None:
-    state = state_after(700)
-    assert state.pictured is not None
-    pictured = state.pictured.model_copy(update={"pictured_gauges": (0.75, 4e200)})
-    assert "▶ 4e200 beyond" in shown(replace(state, pictured=pictured), 80, 24)
-
-
-@pytest.mark.parametrize(
-    ("width", "tail"),
-    [
-        (120, "357 messages, 5 malformed"),
-        (80, "357 messages, 5 malformed"),
-        (72, "357 messages, 5 malformed"),
-    ],
-)
-def test_a_malformed_message_is_told_at_every_width(width: int, tail: str) -> None:
-    text = shown(replace(state_after(700), unreadable=5), width, 24)
-    assert text.splitlines()[-1].endswith(tail)
-    many = replace(state_after(700), unreadable=12_345, received=9_876_543)
-    assert "12345 malformed" in shown(many, width, 24).splitlines()[-1]
-
-
-def test_nobody_heard_is_said_so() -> None:
-    assert shown(State(), 80, 24).count("no tap heard") == 2
-    assert "none heard" in shown(State(), 80, 24)
 
 
 @pytest.mark.parametrize(
@@ -501,18 +347,8 @@ def test_of_a_tap_that_is_far_behind_it_is_told_how_much_she_has_still_to_read()
     row = {
         name: next(x for x in lines if x.startswith(f" {name}") and "[" in x) for name in state.taps
     }
-    assert row["list-decoder"].endswith("12421 to read")
+    assert row["list-decoder"].endswith("12421 behind")
     assert row["nearest-centre"].endswith("not yet")
-
-
-def test_figures_of_the_table_keep_to_their_columns() -> None:
-    state = with_controller(state_after(700), sending="x" * 65_000)
-    state = with_tap(state, "list-decoder", message="x" * 2000, solved_k=1_234_567)
-    line = next(line for line in shown(state, 80, 24).splitlines() if " WRONG" in line)
-    assert line.endswith("           3 %  1234567 WRONG")
-    assert len(line) == len(
-        next(row for row in shown(state, 80, 24).splitlines() if " secret bit/key " in row)
-    )
 
 
 def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
@@ -528,25 +364,6 @@ def test_text_from_the_wire_moves_no_cursor_and_is_no_markup() -> None:
         assert all(c.isprintable() for c in line.plain)
 
 
-@pytest.mark.parametrize("keys_made", [0, 3])
-def test_no_text_of_any_status_moves_a_cursor(keys_made: int) -> None:
-    state = with_plant(state_after(700), keys_made=keys_made)
-    assert state.model is not None
-    state = replace(state, model=state.model.model_copy(update={"keys_claim": "a claim"}))
-    tap = state.taps["list-decoder"]
-    state = replace(state, taps={"list-decoder": tap})
-    boards = [
-        replace(state, **{part: said})
-        for part in ("model", "plant", "controller")
-        for said in hostile(getattr(state, part))
-    ] + [replace(state, taps={s.name: replace(tap, status=s)}) for s in hostile(tap.status)]
-    assert len(boards) > 12
-    for told in boards:
-        for terminal in ((80, 24), (200, 60)):
-            for line in lines_of(told, *terminal, PLAIN, told.plant_seen_ns):
-                assert line.plain.isprintable(), line.plain
-
-
 def hostile(status: Any) -> list[Any]:
     """The status with each of its texts replaced, as far as it is let in so."""
     found = []
@@ -558,13 +375,6 @@ def hostile(status: Any) -> list[Any]:
     return found
 
 
-def test_the_strongest_taps_name_moves_no_cursor_in_the_verdict() -> None:
-    state = with_tap(state_after(700), "list-decoder", name="\x1b[31m")
-    text = shown(replace(state, taps={"x": state.taps["list-decoder"]}), 80, 24)
-    assert re.search(r" \d+ bit \(·\[31m\)", text)
-    assert "\x1b" not in text
-
-
 WIDE = "第二の手紙 second ✓"
 
 
@@ -574,70 +384,6 @@ def under(state: State, label: str, width: int = 80) -> tuple[str, str]:
     start = next(i for i, line in enumerate(lines) if line.startswith(" sent"))
     at = next(i for i in range(start, len(lines)) if lines[i].startswith(f" {label}"))
     return lines[at][16:], lines[at + 1][16:]
-
-
-def test_characters_of_two_cells_are_shown_truth_beside_guess() -> None:
-    state = with_controller(state_after(700), sending=WIDE)
-    state = with_plant(state, partial="第二の手·")
-    state = with_tap(state, "list-decoder", message="第x紙手紙 secomd ✓")
-    state = replace(state, taps={"list-decoder": state.taps["list-decoder"]})
-    assert under(state, "sent")[0] == WIDE
-    assert under(state, "plant has")[0] == "第二の手·"
-    guess, marks = under(state, "list-decoder")
-    assert guess == "第x 紙手紙 secomd ✓"
-    assert marks == "  ^ ^          ^"
-    assert "3 wrong" in shown(state, 80, 24)
-    assert "of 14 characters" in shown(state, 80, 24)
-
-
-def test_a_wide_guess_of_a_narrow_character_moves_nothing() -> None:
-    state = with_controller(state_after(700), sending="abcd")
-    state = with_tap(state, "list-decoder", message="a手c手手")
-    state = replace(state, taps={"list-decoder": state.taps["list-decoder"]})
-    assert under(state, "sent")[0] == "abcd"
-    assert under(state, "list-decoder") == ("a·c·", " ^ ^")
-
-
-def test_combining_marks_stay_with_their_character() -> None:
-    state = with_controller(state_after(700), sending="e\u0301te\u0301 \u0301x")
-    state = with_tap(state, "list-decoder", message="ete\u0301 \u0301y")
-    state = replace(state, taps={"list-decoder": state.taps["list-decoder"]})
-    guess, marks = under(state, "list-decoder")
-    assert guess == "ete\u0301 \u0301y"
-    assert marks == "^   ^"
-
-
-def test_a_long_message_of_wide_characters_is_shown_where_it_grows() -> None:
-    sent = "".join(chr(0x4E00 + i) for i in range(100))
-    state = with_controller(state_after(700), sending=sent)
-    state = with_plant(state, partial=sent[:80])
-    text, recovered = under(state, "sent")
-    assert cell_len(text) == 64
-    assert sent.index(text[0]) == 56
-    assert recovered == sent[56:80]
-
-
-def test_characters_as_a_reader_counts_them() -> None:
-    assert letters("ab") == ("a", "b")
-    assert letters("e\u0301第\u0301x") == ("e\u0301", "第\u0301", "x")
-    assert letters("\u0301a") == ("\u0301", "a")
-    piled = letters("a" + "\u0301" * 40)
-    assert max(map(len, piled)) == 1 + MARKS
-    assert "".join(piled) == "a" + "\u0301" * 40
-    assert [glyph(c) for c in ("第", "✓", "\u0301", "\x1b", "\u200d", "e\u0301")] == [
-        *"第✓···",
-        "e\u0301",
-    ]
-    # Terminals do not agree on how wide these two make the character before them.
-    assert "".join(map(glyph, letters("👍🏽 ❤\ufe0f"))) == "👍 ❤"
-
-
-def test_a_label_is_cut_in_cells() -> None:
-    console = Console(file=io.StringIO(), width=40)
-    for name in ("第" * 9, "a" + "第" * 9, "tap", "a-name-that-is-long", "[bold]x"):
-        (cells,) = console.render_lines(labelled([(name, Text("value"))]))
-        text = "".join(segment.text for segment in cells)
-        assert cell_len(text.partition("value")[0]) == VALUE_AT
 
 
 def test_a_long_message_is_shown_where_it_grows() -> None:
@@ -662,28 +408,14 @@ def drawn(**options: object) -> str:
 COLOUR = re.compile(r"\x1b\[(?:[0-9;]*;)?(?:3[0-7]|4[0-7]|9[0-7]|10[0-7]|[34]8;)")
 
 
-def test_no_color_is_honoured(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("TERM", "xterm-256color")
-    assert COLOUR.search(drawn(_environ={"TERM": "xterm-256color"}))
-    quiet = drawn(_environ={"TERM": "xterm-256color", "NO_COLOR": "1"})
-    assert not COLOUR.search(quiet)
-    bare = re.sub(r"\x1b\[[0-9;]*m", "", quiet)
-    assert bare == re.sub(r"\x1b\[[0-9;]*m", "", drawn(_environ={"TERM": "xterm-256color"}))
-
-
 # --- help, figures, screenshots ----------------------------------------------------------------
 
 
-def test_help_is_made_from_the_key_table_and_covers_every_key_and_action() -> None:
+def test_help_covers_every_key_and_every_panel_that_may_go() -> None:
     text = shown(state_after(700), 80, 24, ViewState(help=True))
-    assert {key.action for key in KEYS} == set(Action)
-    for key in KEYS:
-        assert f" {key.label} " in text
-        assert key.meaning in text
-        assert action_of(key.character) is key.action
+    assert all(f" {key} " in text and meaning in text for key, _, meaning in KEYS)
     assert all(f"\n {line}\n" in text for line in HELP)
-    assert all(panel in " ".join(HELP) for panel in DROPPED_FIRST)
-    assert all(key.short in shown(state_after(700), 80, 24) for key in KEYS)
+    assert all(short in shown(state_after(700), 80, 24) for _, short, _ in KEYS)
 
 
 def test_the_end_of_a_run_keeps_its_lines_on_every_screen() -> None:
@@ -705,39 +437,6 @@ def test_a_long_line_at_the_end_of_a_run_is_broken_and_not_cut(width: int) -> No
     assert " ".join(told.split()).startswith(" ".join(f"{point} second line".split()))
     first, second = told.splitlines()[:2]  # what goes on stands below the text, not the label
     assert second.index(second.strip()) == first.index("16.9")
-
-
-@pytest.mark.parametrize("value", [0, 1e-9, 0.00123, 0.5, 12.345, 999.9, 1e5, -2.5e-7, 1e12])
-def test_figures_are_short(value: float) -> None:
-    assert len(number(value).lstrip("-")) <= 6
-    assert float(number(value)) == pytest.approx(value, rel=0.25)
-
-
-@given(st.floats(-1e308, 1e308))
-def test_components_of_the_state_fit_and_keep_their_size(value: float) -> None:
-    for sign in "-+":
-        text = component(value, sign)
-        assert len(text) <= 8
-        assert float(text) == pytest.approx(value, rel=0.06, abs=0.0005)
-
-
-def test_a_history_may_span_more_than_a_float_holds() -> None:
-    assert sparkline([-1.7e308, 1.7e308, 0], "abc") == "acb"
-    assert sparkline([0, 5e-324], "ab") == "ab"
-
-
-def test_counts_and_shares() -> None:
-    assert [count(v) for v in (0, 99_999, 123_456, 2**80)] == ["0", "99999", "123k", "2^80"]
-    assert percent(999, 1000) == "99 %"
-    assert percent(0, 0) == "-"
-    assert sparkline([1, 2, 3], "abc") == "abc"
-    assert sparkline([2, 2], "abc") == "bb"
-
-
-def test_a_symbol_has_one_character_up_to_thirty_six() -> None:
-    assert [symbol_of(v, 16) for v in (0, 9, 10, 15)] == ["0", "9", "a", "f"]
-    assert symbol_of(35, 36) == "z"
-    assert symbol_of(200, 256) == "c8"
 
 
 def test_keys_have_a_line_with_the_claim_they_rest_on() -> None:
@@ -842,7 +541,7 @@ def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
     assert worse.plant is not None
     none = replace(worse, plant=worse.plant.model_copy(update={"keys_made": 0}))
     assert "Eve would hold 512 bits of 7 blocks, missed 1 %" in shown(none, 120, 40)
-    assert "CLAIM REFUTED: she misses 0.021 of the offers at most" in text
+    assert "CLAIM REFUTED: Eve misses 0.021 of the offers at most" in text
     worst = with_attacker(
         state,
         key_bits_held=999,
@@ -850,14 +549,15 @@ def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
         misses_in_bursts=True,
     )
     text = shown(worst, 80, 24)
-    assert "CLAIM REFUTED: she misses 1 at most; MISSES IN BURSTS" in text
+    assert "CLAIM REFUTED: Eve misses 1 at most; MISSES IN BURSTS" in text
     away = with_attacker(state, copies=0, copies_missed=0, copies_absent=900)
     assert "Eve holds 0 bits of 7 blocks, was not there" in shown(away, 120, 40)
-    lines, _ = Reporter().report(worst, 0)
+    reporter = Reporter()
+    lines = reporter.report(worst, 0)
     assert "tap key-solver holds 999 bits of keys" in lines
     assert "MISSES IN BURSTS" in lines
     assert any("Eve holds 999 bits of 7 blocks" in line for line in lines)
-    again, _ = Reporter(before=worst).report(worst, 0)
+    again = reporter.report(worst, 0)
     assert not any("BURSTS" in line or "holds 999 bits of keys" in line for line in again)
 
 
@@ -868,7 +568,9 @@ def test_a_tap_that_failed_is_shown_to_have_failed_and_not_as_her_message() -> N
     for terminal in ((80, 24), (120, 40)):
         rows = shown(alone, *terminal).splitlines()
         assert any(row.startswith(" FAILED ") and why in row for row in rows)
-        assert any("unknown" in row and "FAILED: list-decoder" in row for row in rows)
+        assert any("unknown" in row and "FAILED: list-" in row for row in rows)
         assert any(row.startswith(" list-decoder") and " FAILED" in row for row in rows)
-    lines, _ = Reporter(state_after(700)).report(alone, 0)
+    reporter = Reporter()
+    reporter.report(state_after(700), 0)
+    lines = reporter.report(alone, 0)
     assert f"tap list-decoder FAILED: {why}" in lines

@@ -91,7 +91,7 @@ def test_the_file_is_the_scenario(cart: Fit) -> None:
 
 def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = folder / "fitted.toml"
-    plan = ["--excite-sessions=4", "--pilot=3", "--calibration=20", "--fresh=20", "--steps=30"]
+    plan = ["--sessions=20", "--steps=30"]
     assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *plan]) == 0
     told = capsys.readouterr()
     assert "of 20 fresh sessions did" in told.out
@@ -111,8 +111,11 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [
-        (["--violation=0.01"], "--calibration: got 100 sessions, expected at least 99"),
-        (["--violation=0.001"], "--calibration: got 100 sessions, expected at least 999"),
+        (
+            ["--violation=0.01", "--sessions=98"],
+            "--sessions: got 98 sessions, expected at least 99",
+        ),
+        (["--violation=0.001"], "--sessions: got 100 sessions, expected at least 999"),
         (["--steps=0"], "--steps: got 0, expected at least 1"),
         (["--amplitude=2"], "--amplitude: got 2, expected between 0 and 1"),
     ],
@@ -120,9 +123,6 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
 def test_wrong_numbers_are_named(
     folder: Path, arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    if arguments == ["--violation=0.01"]:
-        arguments = [*arguments, "--calibration=98"]
-        says = says.replace("got 100", "got 98")
     out = folder / "no.toml"
     assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *arguments]) == 2
     assert capsys.readouterr().err.startswith(f"wyner: {says}")

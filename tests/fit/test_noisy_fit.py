@@ -93,8 +93,8 @@ def test_the_command_says_what_the_promise_rests_on(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / "fitted.toml"
-    few = ["--pilot", "3", "--calibration", "20", "--fresh", "10", "--steps", "40"]
-    command = ["fit", str(folder / "cart.toml"), "-o", str(out), *few, "--excite-sessions", "8"]
+    few = ["--sessions", "20", "--steps", "40"]
+    command = ["fit", str(folder / "cart.toml"), "-o", str(out), *few]
     assert main([*command, "--noise", "2", "--excite-steps", "200"]) == 0
     said = capsys.readouterr().out
     assert "leaves W = D_c + N - A N with probability" in said

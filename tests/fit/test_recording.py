@@ -122,7 +122,11 @@ def test_residuals_that_depend_on_their_neighbours_are_told() -> None:
         ("position,position,speed,force\n1,2,3,4\n", [], "has two columns 'position'"),
         ("position,speed,force\n" + "1,2,3\n" * 4, [], "got 1 steps to identify A and B"),
         ("position,speed,force\n" + "1,2,3\n" * 40, [], "input force is 3 throughout"),
-        ("position,speed,force\n1,2,3\n", ["--pilot", "3"], "--pilot: is for a plant that is run"),
+        (
+            "position,speed,force\n1,2,3\n",
+            ["--sessions", "3"],
+            "--sessions: is for a plant that is run",
+        ),
         ("position,speed,force\n1,2,3\n", ["--violation", "2"], "--violation: got 2, expected"),
         ("position,speed,force\n1,2,3\n", ["--period", "-1"], "--period: got -1, expected more"),
         ("position,speed,force\n1,2,3\n", ["--inputs", "force,,"], "expected names of columns"),

@@ -262,7 +262,7 @@ def test_the_same_rows_from_two_dask_workers(tmp_path: Path) -> None:
     rows_of(path, tmp_path / "a.csv")
     output = tmp_path / "b.csv"
     done = subprocess.run(
-        command(str(path), "--executor", "dask", "--jobs", "2", "--output", str(output), "--json"),
+        command(str(path), "--dask", "--jobs", "2", "--output", str(output), "--json"),
         capture_output=True,
         text=True,
         timeout=PATIENCE_S,
@@ -451,7 +451,7 @@ def started(tmp_path: Path, output: Path, *options: str) -> subprocess.Popen[byt
     [
         ("--jobs", "1"),
         ("--jobs", "2"),
-        ("--jobs", "2", "--executor", "dask"),
+        ("--jobs", "2", "--dask"),
     ],
 )
 def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple[str, ...]) -> None:
@@ -524,10 +524,8 @@ def test_wrong_options_are_told_in_a_line(
 ) -> None:
     path = str(small(tmp_path))
     assert main(["sweep", path, "--jobs", "0"]) == 2
-    assert main(["sweep", path, "--scheduler", "tcp://127.0.0.1:1"]) == 2
     assert capsys.readouterr().err.splitlines() == [
         "wyner: --jobs: got 0, expected at least 1",
-        "wyner: --scheduler: expected together with --executor dask",
     ]
 
 

@@ -275,7 +275,7 @@ def test_bad_usage_is_one_line_and_code_2(
         ("plant", "--listen", "moon=tcp/127.0.0.1:1"),
         ("plant", "--listen", "field=tcp/127.0.0.1:notaport"),
         ("controller", "--scenario", str(scenario)),
-        ("controller", "--message-file", str(tmp_path / "absent")),
+        ("controller", "--message", f"@{tmp_path}/absent"),
         ("up", "--steps", "0"),
         ("send",),
     ):

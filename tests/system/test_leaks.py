@@ -32,33 +32,32 @@ from tests.system.test_integration import status
 SECRET = "q9"
 
 
-def read_from_stdin(arguments: list[str], given: bytes) -> bytes | None:
+def read_from_stdin(message: str, given: bytes) -> bytes | None:
     program = (
         "import sys; from runtime.options import message_of;"
-        "sys.stdout.buffer.write(message_of(*[a or None for a in sys.argv[1:]]))"
+        "sys.stdout.buffer.write(message_of(sys.argv[1]))"
     )
     done = subprocess.run(
-        [sys.executable, "-c", program, *arguments], input=given, capture_output=True, check=False
+        [sys.executable, "-c", program, message], input=given, capture_output=True, check=False
     )
     return None if done.returncode else done.stdout
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("arguments", [["-", ""], ["", "-"]])
-def test_a_message_can_be_read_from_standard_input(arguments: list[str]) -> None:
+def test_a_message_can_be_read_from_standard_input() -> None:
     """``echo hi | wyner send -`` sends two bytes."""
-    assert read_from_stdin(arguments, b"h\xffi\n") == b"h\xffi"
-    assert read_from_stdin(arguments, b"\nhi\n\n") == b"\nhi\n"
-    assert read_from_stdin(arguments, b"") is None
-    assert read_from_stdin(arguments, b"\n") is None
-    assert read_from_stdin(arguments, bytes(65_535) + b"\n") == bytes(65_535)
-    assert read_from_stdin(arguments, bytes(65_536)) is None
+    assert read_from_stdin("-", b"h\xffi\n") == b"h\xffi"
+    assert read_from_stdin("-", b"\nhi\n\n") == b"\nhi\n"
+    assert read_from_stdin("-", b"") is None
+    assert read_from_stdin("-", b"\n") is None
+    assert read_from_stdin("-", bytes(65_535) + b"\n") == bytes(65_535)
+    assert read_from_stdin("-", bytes(65_536)) is None
 
 
 def test_what_is_typed_ends_without_its_last_enter() -> None:
     leader, follower = pty.openpty()
     try:
-        program = "from runtime.options import message_of; print(repr(message_of('-', None)))"
+        program = "from runtime.options import message_of; print(repr(message_of('-')))"
         with subprocess.Popen(
             [sys.executable, "-c", program],
             stdin=follower, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
@@ -153,7 +152,7 @@ def test_no_secret_value_is_where_anybody_looks(tmp_path: Path) -> None:
     blind = shipped.replace("[tap]\n", '[tap]\neavesdroppers = ["set-membership"]\n', 1)
     assert blind != shipped
     scenario.write_text(blind)
-    arguments = ["--scenario", str(scenario), "--message-file", str(file)]
+    arguments = ["--scenario", str(scenario), "--message", f"@{file}"]
     arguments += ["--pace", "fast", "--run-dir", str(run)]
     process = subprocess.Popen(
         [sys.executable, "-m", "wyner", "up", *arguments, "--headless"],

@@ -420,8 +420,6 @@ def test_the_tap_as_a_process(run: Run, tmp_path: Path, how: signal.Signals) -> 
         f"field={field}",
         "--listen",
         f"adversary={adversary}",
-        "--free-bytes",
-        "0",
     ]
     statuses: list[TapStatus] = []
     arrived = threading.Event()

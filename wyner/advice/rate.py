@@ -147,8 +147,8 @@ class SettledRate:
             told = [
                 f"agreement p = {settled.agreed.text('.3f')} a tested step, settled ({how}; 95 % "
                 "intervals over runs)",
-                f"settled rate {settled.bits_per_second.text('.3g')} bit/s, ceiling "
-                f"{self.ceiling:.3g} bit/s",
+                f"settled rate {settled.bits_per_second.text('.3g')} bit/s, which is not secrecy; "
+                f"ceiling {self.ceiling:.3g} bit/s",
             ]
         if self.starts_otherwise:
             told.append(

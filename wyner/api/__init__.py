@@ -9,12 +9,14 @@ frames, draw on axes of one's own::
     runs = run(system, steps=1000, runs=20, seed=1, message=b"We sail at dawn.")
     print(runs.rate, runs.messages[0], eavesdrop(runs, ["nearest-centre"]))
 
-Errors are exceptions with one line that names the field, the value and what was expected.
+Wrong input raises a ValueError (a `WynerError`) with a line for each field, its value and what was
+expected.
 """
 
 from controller_service.laws.online import OutsideError, ProgramError
 from controller_service.sets.design import SynthesisError
 from plant_service.adapters import PlantAdapter, PlantError, Sample, Stepped
+from protocol.errors import WynerError
 from protocol.knowledge import Knowledge
 from protocol.scenario import Scenario, ScenarioError
 from protocol.statistics import Interval
@@ -51,6 +53,7 @@ __all__ = [
     "System",
     "TapScore",
     "Transition",
+    "WynerError",
     "build",
     "check",
     "design",

@@ -1,4 +1,4 @@
-"""``wyner score --decode``: feed a recorded capture to eavesdroppers, all on one transcript."""
+"""``wyner score CAPTURE``: feed a recorded capture to eavesdroppers, all on one transcript."""
 
 import argparse
 from pathlib import Path
@@ -15,9 +15,7 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     from tap_service.capture.reading import CaptureError, CaptureReader
     from tap_service.command import names_of
     from tap_service.eavesdroppers import DEFAULT, KnowledgeError
-    from wyner.runs.run import Run, RunError
     from wyner.runs.score.replay import Replay
-    from wyner.runs.score.score import RunScore, read_truth, score
 
     scenario = None if args.scenario is None else scenario_of(args.scenario)
     try:
@@ -34,13 +32,6 @@ def decode(args: argparse.Namespace, path: Path) -> int:
     except CaptureError as error:  # of a part that came later
         raise UsageError(str(error)) from None
     report = replay.report()
-    if path.is_dir() and (run := Run.load(path)).has("plant"):
-        try:
-            truth = read_truth(run)
-        except RunError as error:
-            raise UsageError(str(error)) from None
-        taps = tuple(score(truth, said) for said in replay.outputs())
-        report["score"] = RunScore(run.name, truth, taps).to_json()
     if args.json:
         print(json.dumps(report))
     else:
@@ -56,12 +47,10 @@ def _print(report: dict[str, Any]) -> None:
     from protocol.text import printable
     from tap_service.eavesdroppers.base import KeysHeld
     from wyner.runs.score.report import held_line, unused_in_words
-    from wyner.runs.score.score import ONE_RUN
     from wyner.runs.score.summary import in_short
 
     taps = report["taps"]
     assert isinstance(taps, dict)
-    scores = report.get("score")
     print(f"{report['transitions']} transitions, {report['holes']} with something missing")
     unused = {name: report[name] for name in ("foreign", "late", "jumped")}
     if told := unused_in_words(unused):
@@ -77,20 +66,3 @@ def _print(report: dict[str, Any]) -> None:
         print(f"  best message: {in_short(tap['message'])}")
         if tap["keys"] is not None:
             print(printable(f"  {held_line(KeysHeld.model_validate(tap['keys']))}"))
-        if isinstance(scores, dict):
-            print(f"  {describe(scores[name])}")
-    if isinstance(scores, dict):
-        print(ONE_RUN)
-
-
-def describe(score: dict[str, Any]) -> str:
-    """A score in words."""
-
-    def share(value: float | None) -> str:
-        return "no" if value is None else f"{100 * value:.1f} % of"
-
-    return (
-        f"{share(score['symbols_known'])} key symbols{' relabelled' if score['labels'] else ''}, "
-        f"{share(score['message_bit_accuracy'])} message symbols right, "
-        f"{score['messages_exact']} messages exact"
-    )

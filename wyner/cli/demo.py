@@ -15,16 +15,13 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from textwrap import wrap
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 from runtime.errors import DONE, FAILED, INTERRUPTED
 from runtime.options import run_dir_of
 from runtime.scenario_file import scenario_of
 from wyner.cli.session import Outcome, run_session
 from wyner.deployment.one_machine import RunOptions
-
-if TYPE_CHECKING:
-    from wyner.dashboard.app import Stage
 
 SPOKEN: Final = "The paper calls this secret. Watch the tap before you believe."
 PACE: Final = 5.0
@@ -37,14 +34,15 @@ SLOWEST: Final = 8
 is made again at half the pace, and those after it begin so."""
 
 TITLES: Final = {
-    "spoken": "1/4 spoken",
-    "keys": "2/4 keys",
-    "control": "3/4 control",
-    "caught": "4/4 attacked, secret key",
-    "unseen": "4/4 attacked, no key",
+    "spoken": "1/5 spoken",
+    "keys": "2/5 keys",
+    "control": "3/5 comparison",
+    "caught": "4/5 attacked, secret key",
+    "unseen": "5/5 attacked, no key",
 }
 ABOUT: Final = {
-    "spoken": "a message that the loop itself carries, beside a tap that hears all",
+    "spoken": "a message that the loop itself carries, a choice of four inputs a step, beside a "
+    "tap that hears all",
     "keys": "keys distilled from what a tap that loses 30 % misses",
     "control": "the same beside a tap that hears all: no key may come of it",
     "caught": "a spoofed sensor where Eve misses 30 %, under keys distilled from that",
@@ -80,13 +78,7 @@ def run_demo(args: argparse.Namespace) -> int:
     args : argparse.Namespace
         Of ``wyner up``: ``headless``, ``json`` and ``run_dir`` are used.
     """
-    from wyner.dashboard.app import has_screen, one_stage
-
-    if not args.headless and not args.json and has_screen():
-        with one_stage() as stage:
-            told = _acts(args, stage)
-    else:
-        told = _acts(args, None)
+    told = _acts(args)
     if told.interrupted:
         return INTERRUPTED
     if args.json:
@@ -108,7 +100,7 @@ class _Outcome:
     slower: int = 1
 
 
-def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
+def _acts(args: argparse.Namespace) -> _Outcome:
     """The runs, one after the other; what was left or interrupted is the last."""
     folder = run_dir_of(args.run_dir)
     told = _Outcome()
@@ -120,7 +112,7 @@ def _acts(args: argparse.Namespace, stage: "Stage | None") -> _Outcome:
         ("unseen", _unseen),
     )
     for name, act in acts:
-        outcome, line, as_it_must = _shown(act, args, folder / name, told, stage)
+        outcome, line, as_it_must = _shown(act, args, folder / name, told)
         if outcome.left:
             line = f"{TITLES[name]}: left before its end, so that nothing is shown by it."
         if name == "unseen" and not outcome.left:
@@ -142,17 +134,14 @@ def _shown(
     args: argparse.Namespace,
     folder: Path,
     told: _Outcome,
-    stage: "Stage | None",
 ) -> "Act":
     """A run that showed something, or the slowest of those that did not."""
     name = folder.name
     begins = "Controller, plant and tap start."
     while True:
-        if stage is not None:
-            stage.card(TITLES[name], ABOUT[name], "", begins)
-        elif not args.json:
+        if not args.json:
             print(f"{TITLES[name]}: {ABOUT[name]}. {begins}", file=sys.stderr, flush=True)
-        outcome, line, as_it_must = act(args, folder, told, stage)
+        outcome, line, as_it_must = act(args, folder, told)
         ended = outcome.left or outcome.interrupted or outcome.failure is not None
         if as_it_must is not None or ended or told.slower == SLOWEST:
             return outcome, line, as_it_must
@@ -188,10 +177,10 @@ Act = tuple[Outcome, str, bool | None]
 """A run, its line, and whether it came out as it must: None where it shows nothing."""
 
 
-def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
+def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
     """The packed law with the pipelined scheme: a symbol a step, and every one of them read."""
     options = _options(args, "packed", folder, told.slower)
-    outcome = run_session(options, stays=False, title=TITLES["spoken"], stage=stage)
+    outcome = run_session(options, stays=False, title=TITLES["spoken"])
     summary = outcome.summary
     had = [tap["solved_k"] for tap in summary["taps"].values() if tap["messages_exact"]]
     first = min((k for k in had if k >= 0), default=-1)
@@ -207,10 +196,10 @@ def _spoken(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
     return outcome, line, bool(had)
 
 
-def _keys(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
+def _keys(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
     """Keys from what the tap misses."""
     options = _options(args, "keys", folder, told.slower)
-    outcome = run_session(options, stays=False, title=TITLES["keys"], stage=stage)
+    outcome = run_session(options, stays=False, title=TITLES["keys"])
     keys = outcome.summary["keys"] or {}
     made, held = keys.get("made", 0), keys.get("held_by_tap_bits")
     if not made:
@@ -219,28 +208,28 @@ def _keys(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage 
     return outcome, line, bool(held == 0)
 
 
-def _control(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
+def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
     """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
     changes = {**HEARS_ALL, "keys.eps_E": 0.0}
     with _scenario("wired-tap", "keys", changes) as scenario:
         options = _options(args, scenario, folder, told.slower)
-        outcome = run_session(options, stays=False, title=TITLES["control"], stage=stage)
+        outcome = run_session(options, stays=False, title=TITLES["control"])
     summary = outcome.summary
     made = (summary["keys"] or {}).get("made", 0)
     if made:
-        line = f"3. Control: {made} keys beside a tap that hears all: that must not be."
+        line = f"3. Compare: {made} keys beside a tap that hears all: that must not be."
         return outcome, line, False
     if not summary["delivered"]:
-        return outcome, f"3. Control: nothing is shown, for {_missed(summary)}.", None
-    line = "3. Control: beside a tap that hears all no key is made, and none is promised."
+        return outcome, f"3. Compare: nothing is shown, for {_missed(summary)}.", None
+    line = "3. Compare: where the eavesdropper hears everything, no key is made."
     return outcome, line, True
 
 
-def _caught(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
+def _caught(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
     """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
     with _scenario("secret-key", "watched", LISTENED) as scenario:
         options = _attacked(args, scenario, folder, told.slower)
-        outcome = run_session(options, stays=False, title=TITLES["caught"], stage=stage)
+        outcome = run_session(options, stays=False, title=TITLES["caught"])
     found = outcome.summary["attack"] or {}
     delay, caught = found.get("delay", -1), found.get("alarm_k", -1) >= 0
     steps = f"{delay} step{'' if delay == 1 else 's'}"
@@ -254,7 +243,7 @@ def _caught(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
     return outcome, f"{line}, for no key was there in time ({_missed(outcome.summary)})", None
 
 
-def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stage | None") -> Act:
+def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
     """The same where Eve hears all: the claim is refuted, so that no key watches the sensor."""
     before = tuple(told.lines)
 
@@ -277,7 +266,6 @@ def _unseen(args: argparse.Namespace, folder: Path, told: _Outcome, stage: "Stag
             _attacked(args, scenario, folder, told.slower),
             epilogue=lambda summary: [*before[:-1], line_of(summary)],
             title=TITLES["unseen"],
-            stage=stage,
         )
     found = outcome.summary["attack"] or {}
     unseen = found.get("alarm_k", 0) < 0 and not (outcome.summary["keys"] or {}).get("made", 0)

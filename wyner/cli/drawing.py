@@ -7,7 +7,7 @@ from math import nan
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from runtime.errors import Failure, UsageError, needs
+from runtime.errors import UsageError, needs, writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -18,14 +18,17 @@ FILE: Final = "file"
 """The column of `wyner.sweeps.grid.FILE`, which takes long to load."""
 
 RATE: Final = "bits_per_second"
-LARGEST_INCHES: Final = 40.0
-"""Inches of a figure's side."""
+LOGARITHMIC_FROM: Final = 1000.0
+"""An x axis whose last value is so many times the first is logarithmic."""
 
 AIR: Final = 0.06
 """Share of the vertical axis beyond what is drawn, so that no curve lies on the frame."""
 
 WORDS: Final = {
-    RATE: "message rate (bit/s)",
+    RATE: "message rate (bit/s), which is not secrecy",
+    "secret_bits_per_second_at_most": "secret at most (bit/s)",
+    "state_cost": "state cost: mean of x'x a step",
+    "input_effort": "input effort: mean of u'u a step",
     "agreed": "agreements, share of tested steps",
     "secrecy.alpha": "alpha, size of D_e in D_c",
     "runs": "runs",
@@ -55,12 +58,8 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "--y",
         metavar="COLUMN",
         action="append",
-        help=f"default: {RATE}; or 'NAME keys known', 'NAME messages read' (repeatable)",
-    )
-    group.add_argument("--log", action="store_true", help="a logarithmic x axis")
-    group.add_argument("--title", default="", metavar="T", help="above the figure (default: none)")
-    group.add_argument(
-        "--size", default="6.4x4.2", metavar="WxH", help="in inches (default: 6.4x4.2)"
+        help=f"default: {RATE}; or state_cost, input_effort, 'NAME keys known', 'NAME messages "
+        "read' (repeatable)",
     )
 
 
@@ -73,26 +72,8 @@ def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
         if name not in rows[0]:
             known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
             raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
-    size = _size(args.size)
     output = args.plot or str(path.with_suffix(".png"))
-
-    def draw(figure: "Figure") -> str:
-        note = draw_rows(figure, rows, fields, x, ys, logarithmic=args.log)
-        figure.suptitle(args.title)
-        return note
-
-    return drawn_to("--plot", output, size, draw)
-
-
-def _size(text: str) -> tuple[float, float]:
-    try:
-        width, height = (float(part) for part in text.split("x"))
-    except ValueError:
-        width = height = 0.0
-    if not (1 <= width <= LARGEST_INCHES and 1 <= height <= LARGEST_INCHES):
-        wanted = f"expected WxH in inches, each from 1 to {LARGEST_INCHES:g}"
-        raise UsageError(f"--size: got {text!r}, {wanted}")
-    return width, height
+    return drawn_to("--plot", output, (6.4, 4.2), lambda f: draw_rows(f, rows, fields, x, ys))
 
 
 def in_words(column: str) -> str:
@@ -151,8 +132,6 @@ def draw_rows(
     fields: Sequence[str],
     x: str,
     ys: Sequence[str],
-    *,
-    logarithmic: bool,
 ) -> str:
     """A curve for each column and each setting of the other fields; returns the note."""
     from wyner.drawing.style import COLOURS, MARKERS
@@ -192,12 +171,14 @@ def draw_rows(
         axes.plot(columns[0], columns[1], color=colour, marker=marker, lw=1, label=label or None)
     if any(curves):
         axes.legend()
-    if logarithmic:
+    places = [point[0] for points in curves.values() for point in points]
+    if places and min(places) > 0 and max(places) >= LOGARITHMIC_FROM * min(places):
         axes.set_xscale("log")
     axes.set_xlabel(in_words(x))
     axes.set_ylabel(in_words(ys[0]) if len(ys) == 1 else "share")
     drawn = [v for points in curves.values() for point in points for v in point[1:]]
-    top = 1.0 if all(y != RATE for y in ys) else max(drawn, default=0.0)
+    shares = all(y == "agreed" or y.endswith((" keys known", " messages read")) for y in ys)
+    top = 1.0 if shares else max(drawn, default=0.0)
     top = max([top, *drawn]) or 1.0
     axes.set_ylim(-AIR * top, (1 + AIR) * top)
     runs = sorted({int(row["runs"]) for row in rows})
@@ -235,16 +216,13 @@ def drawn_to(
     ------
     UsageError
         When matplotlib is missing, or the file's kind is none that can be drawn.
-    Failure
-        When the file cannot be written.
+        When it cannot be written.
     """
     path = drawable(option, text)
     from wyner.drawing.style import drawing, save
 
     with drawing(size) as figure:
         figure.supxlabel(draw(figure), fontsize=6.5, color="0.35")
-        try:
+        with writing(f"{option}: {path}"):
             save(figure, path)
-        except OSError as error:
-            raise Failure(f"{path}: cannot be written: {error.strerror}") from None
     return path

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from runtime.errors import DONE, Failure, UsageError, needs
+from runtime.errors import DONE, Failure, UsageError, needs, writing
 from runtime.files import PUBLIC_FILE, replacing
 from tap_service.capture.export import BINARY, ExportError, is_part, to_csv
 from tap_service.capture.reading import CaptureError, CaptureReader
@@ -13,7 +13,7 @@ from wyner.runs.run import Run, RunError
 from wyner.runs.score.step_table import step_rows, truth_of, write_csv, write_parquet
 
 
-def export(capture: Path, kind: str, output: Path | None, *, steps: bool, truth: bool) -> int:
+def export(capture: Path, kind: str, output: Path | None, *, steps: bool) -> int:
     """Write a capture and say on standard error how much it holds; return the exit code.
 
     Parameters
@@ -24,8 +24,8 @@ def export(capture: Path, kind: str, output: Path | None, *, steps: bool, truth:
         "csv", "parquet" or "mcap".
     output : Path, optional
         CSV goes to standard output where no file is named.
-    steps, truth : bool
-        One row a step; with what the plant knows.
+    steps : bool
+        One row a step, of a run with what the plant knows beside it.
 
     Raises
     ------
@@ -34,29 +34,28 @@ def export(capture: Path, kind: str, output: Path | None, *, steps: bool, truth:
     Failure
         When the file cannot be written.
     """
-    if truth and not steps:
-        raise UsageError("--truth: expected together with --steps")
     if steps and kind == "mcap":
         raise UsageError("--steps: expected --to csv or --to parquet")
     if output is None and kind != "csv":
         output = Path(f"{'steps' if steps else 'capture'}.{kind}")
     try:
-        if steps:
-            said = f"{_write_steps(capture, kind, output, truth=truth)} steps"
-        else:
-            said = _write_messages(capture, kind, output)
+        with writing(f"--output: {output or kind}"):
+            said = _written(capture, kind, output, steps=steps)
     except (CaptureError, RunError) as error:
         raise UsageError(str(error)) from None
     except ExportError as error:
         raise Failure(str(error)) from None
     except ImportError:
         raise Failure(needs("parquet", "pyarrow")) from None
-    except OSError as error:
-        if isinstance(error, BrokenPipeError):
-            raise
-        raise Failure(f"{output or kind}: cannot be written: {error.strerror}") from None
     print(said, file=sys.stderr)
     return DONE
+
+
+def _written(capture: Path, kind: str, output: Path | None, *, steps: bool) -> str:
+    """Write the steps or the messages; return what is said of it."""
+    if steps:
+        return f"{_write_steps(capture, kind, output)} steps"
+    return _write_messages(capture, kind, output)
 
 
 def _write_messages(capture: Path, kind: str, output: Path | None) -> str:
@@ -77,9 +76,10 @@ def _write_messages(capture: Path, kind: str, output: Path | None) -> str:
     return f"{count} messages, {reader.malformed} undecodable left out, {reader.torn} torn lines"
 
 
-def _write_steps(capture: Path, kind: str, output: Path | None, *, truth: bool) -> int:
+def _write_steps(capture: Path, kind: str, output: Path | None) -> int:
     """Write one row a step; return how many."""
-    known = truth_of(Run.load(str(capture))) if truth else None
+    is_run = capture.is_dir() and (run := Run.load(str(capture))).has("plant")
+    known = truth_of(run) if is_run else None
 
     def rows() -> Iterator[dict[str, Any]]:
         return step_rows(CaptureReader(capture), known)

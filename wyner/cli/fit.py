@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.statistics import STATED
-from runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, Failure, UsageError, writing
 from runtime.files import write_atomically
 
 if TYPE_CHECKING:
@@ -21,11 +21,8 @@ RECORDED_VIOLATION: Final = 0.01
 CONFIDENCE: Final = 0.999
 
 OF_A_PLANT: Final = (
-    "excite_sessions",
+    "sessions",
     "excite_steps",
-    "pilot",
-    "calibration",
-    "fresh",
     "steps",
     "seed",
     "amplitude",
@@ -52,12 +49,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row")
     parser.add_argument("--json", action="store_true", help="one object on standard output")
     numbers: tuple[tuple[str, float, str], ...] = (
-        ("--excite-sessions", 20, "sessions with random inputs"),
-        ("--excite-steps", 100, "steps of each; few for an unstable plant without a stated gain"),
-        ("--pilot", 20, "sessions that give D_c its shape"),
-        ("--calibration", 100, "sessions that scale D_c"),
-        ("--fresh", 100, "sessions that certify it"),
+        ("--sessions", 100, "sessions that scale D_c, and as many that certify it"),
         ("--steps", 200, "steps of a session under the law"),
+        ("--excite-steps", 100, "steps of one with random inputs; few for an unstable plant"),
         ("--seed", 1, "seed of excitation, coins and disturbance"),
         ("--amplitude", 0.3, "of the random inputs, as a share of U"),
         ("--confidence", 0.999, "of what is said of D_c"),
@@ -121,6 +115,9 @@ def _fit_recording(args: argparse.Namespace) -> int:
     path = Path(args.scenario)
     try:
         recording = read_recording(path, states, inputs)
+    except FitError as error:
+        raise UsageError(str(error)) from None
+    try:
         found = fit_recording(recording, violation=violation, confidence=confidence)
     except FitError as error:
         raise Failure(str(error)) from None
@@ -143,10 +140,8 @@ def _fit_recording(args: argparse.Namespace) -> int:
         widths.tolist(),
         origin,
     ).text()
-    try:
+    with writing(f"--output: {args.output}"):
         write_atomically(args.output, text.encode())
-    except OSError as error:
-        raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
     warnings = found.warnings()
     if not starts:
         warnings.append(f"there is no terminal set yet: `wyner design {args.output}` says why")
@@ -226,10 +221,8 @@ def _fit_plant(args: argparse.Namespace) -> int:
     if N is not None:
         promise += f"; D_c itself rests on N, {'stated' if plan.noise is None else 'fitted'}"
     head = f"Written by wyner fit, seed {plan.seed}.\n{promise[0].upper()}{promise[1:]}."
-    try:
+    with writing(f"--output: {args.output}"):
         write_atomically(args.output, as_toml(found.tables, head).encode())
-    except OSError as error:
-        raise UsageError(f"--output: {args.output}: cannot be written: {error.strerror}") from None
     widths = found.scenario.defender.disturbance.half_widths
     assert widths is not None
     if args.json:
@@ -274,10 +267,15 @@ def _plan(args: argparse.Namespace) -> "Plan":
     from wyner.fit.conformal import rank
     from wyner.fit.fitting import Plan
 
-    given = {name: getattr(args, name) for name in Plan.__dataclass_fields__}
-    plan = Plan(**{name: value for name, value in given.items() if value is not None})
-    for name in ("excite_sessions", "excite_steps", "pilot", "calibration", "fresh", "steps"):
-        at_least(f"--{name.replace('_', '-')}", getattr(plan, name), 1)
+    for name in ("sessions", "excite_steps", "steps"):
+        at_least(f"--{name.replace('_', '-')}", getattr(args, name), 1)
+    own = {name: getattr(args, name, None) for name in Plan.__dataclass_fields__}
+    given = {name: value for name, value in own.items() if value is not None}
+    if args.sessions is not None:
+        few = max(1, args.sessions // 5)
+        given |= {"calibration": args.sessions, "fresh": args.sessions}
+        given |= {"pilot": few, "excite_sessions": few}
+    plan = Plan(**given)
     for name in ("amplitude", "violation", "confidence"):
         _check_share(name, getattr(plan, name))
     if args.noise is not None and not 0 < args.noise < float("inf"):
@@ -285,7 +283,7 @@ def _plan(args: argparse.Namespace) -> "Plan":
     try:
         rank(plan.calibration, plan.violation)
     except ValueError as error:
-        raise UsageError(f"--calibration: {error}") from None
+        raise UsageError(f"--sessions: {error}") from None
     return plan
 
 

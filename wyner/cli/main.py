@@ -59,6 +59,7 @@ def overview() -> str:
     lines = [
         "usage: wyner COMMAND ...          (wyner COMMAND --help says more; --version)",
         "Send a secret message inside a control loop; measure what an eavesdropper gets.",
+        "Exit codes: 0 done; 1 something was found, or it failed; 2 wrong use.",
         "",
     ]
     for group, its in groups().items():

@@ -6,7 +6,7 @@ from pathlib import Path
 from re import fullmatch
 from typing import Final
 
-from runtime.errors import DONE, Failure, UsageError
+from runtime.errors import DONE, UsageError, writing
 
 EXAMPLE: Final = ("[[0.0, 1.0], [0.0, 0.0]]", "[[0.0], [1.0]]", 0.1)
 """A mass that is pushed: A, B and the period where none are given; continuous."""
@@ -93,13 +93,10 @@ def run(args: argparse.Namespace) -> int:
         ).text()
     except ScenarioError as error:
         raise UsageError(error.problems) from None
-    try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
-    except FileExistsError:
-        raise UsageError(f"{path}: is there already, expected a new file (--output)") from None
-    except OSError as error:
-        raise Failure(f"{path}: cannot be written: {error.strerror}") from None
+    if path.exists():
+        raise UsageError(f"{path}: is there already, expected a new file (--output)")
+    with writing(f"--output: {path}"), path.open("x", encoding="utf-8") as file:
+        file.write(text)
     says = "says what it gives" if starts else "says why it has no terminal set yet"
     print(f"{path}: {_sizes(A, B)}; `wyner design {path}` {says}")
     return DONE

@@ -31,8 +31,7 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
 
 def is_told(buses: BusOptions) -> bool:
     """Whether an option says where the loop is, or which one is meant."""
-    where = buses.connect or buses.listen or buses.client or buses.scouting
-    return bool(where) or buses.loop != DEFAULT_LOOP
+    return bool(buses.connect or buses.client) or buses.loop != DEFAULT_LOOP
 
 
 def joined(

@@ -1,7 +1,6 @@
 """``wyner report``: a run on one page of HTML, or as data for other tools."""
 
 import argparse
-import json
 from pathlib import Path
 
 from runtime.errors import DONE, Failure, UsageError, needs, reading
@@ -27,12 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--steps",
         action="store_true",
-        help="one row a step, one column a number (CSV, Parquet), instead of a row a message",
-    )
-    parser.add_argument(
-        "--truth",
-        action="store_true",
-        help="with --steps of a run: what the plant knows beside it (coin, key, gauges)",
+        help="one row a step, one column a number (CSV, Parquet), instead of a row a message; of a "
+        "run with what the plant knows beside it (coin, key, gauges)",
     )
     parser.add_argument(
         "--output",
@@ -41,7 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="default: RUN/report.html; CSV to standard output; capture.mcap or .parquet here",
     )
-    parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -49,10 +43,9 @@ def run(args: argparse.Namespace) -> int:
     if args.to != "html":
         from wyner.cli.export import export
 
-        return export(args.run_dir, args.to, args.output, steps=args.steps, truth=args.truth)
-    if args.steps or args.truth:
-        option = "--steps" if args.steps else "--truth"
-        raise UsageError(f"{option}: expected together with --to csv or --to parquet")
+        return export(args.run_dir, args.to, args.output, steps=args.steps)
+    if args.steps:
+        raise UsageError("--steps: expected together with --to csv or --to parquet")
     from protocol.scenario import ScenarioError
     from runtime.recording import TraceError
     from wyner.runs.run import RunError
@@ -73,5 +66,5 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{where}: {error.strerror or error}") from None
     except (TraceError, RunError) as error:
         raise UsageError(str(error)) from None
-    print(json.dumps({"run_dir": str(args.run_dir), "page": str(page)}) if args.json else page)
+    print(page)
     return DONE

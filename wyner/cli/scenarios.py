@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from runtime.errors import DONE, Failure
+from runtime.errors import DONE, writing
 from runtime.files import PUBLIC_FILE, write_atomically
 from runtime.scenario_file import load_scenario, scenario_of
 from runtime.shipped import SCENARIOS
@@ -39,19 +39,11 @@ def list_scenarios(*, as_json: bool) -> int:
 
 
 def write_knowledge(scenario: str, file: str) -> int:
-    """Write as JSON what Eve is told of a scenario; to standard output where ``file`` is empty.
-
-    Raises
-    ------
-    Failure
-        When the file cannot be written.
-    """
+    """Write as JSON what Eve is told of a scenario; to standard output where ``file`` is empty."""
     text = scenario_of(scenario).knowledge().model_dump_json(indent=2) + "\n"
     if not file:
         print(text, end="")
         return DONE
-    try:
+    with writing(f"--knowledge: {file}"):
         write_atomically(Path(file), text.encode(), PUBLIC_FILE)
-    except OSError as error:
-        raise Failure(f"--knowledge: {file}: cannot be written: {error.strerror}") from None
     return DONE

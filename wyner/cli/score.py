@@ -1,15 +1,15 @@
 """``wyner score``: what each eavesdropper got, beside what the paper's rule counts."""
 
 import argparse
-from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from protocol.statistics import COUNTED
 
 if TYPE_CHECKING:
     from wyner.runs.run import Run
     from wyner.runs.score.keys import KeyAudit
+    from wyner.runs.score.report import Report
     from wyner.runs.score.score import RunScore
 
 
@@ -17,8 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
-        "of them failed: nobody knows what it would have had. Of a capture alone, or with "
-        "--decode, show what each makes of it."
+        "of them failed: nobody knows what it would have had. Of a capture "
+        "alone, show what each makes of it."
     )
     parser.add_argument(
         "runs", metavar="RUN", nargs="+", help="a run's folder, or one of several; or a capture"
@@ -34,23 +34,20 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scenario", metavar="S", help="tell the replayed ones this scenario's model"
     )
-    parser.add_argument("--plot", metavar="FILE", help="draw the report as SVG or PNG")
-    parser.add_argument(
-        "--decode", action="store_true", help="feed the capture to them, and show what they read"
-    )
+    parser.add_argument("--plot", metavar="F", help="draw the report, as F.png, F.pdf or F.svg")
     parser.add_argument("--json", action="store_true", help="one object on standard output")
 
 
 def run(args: argparse.Namespace) -> int:
     """Score, pool and print."""
-    from runtime.errors import reading
+    from runtime.errors import UsageError, reading
     from wyner.cli.decode import decode
 
     with reading(", ".join(args.runs)):
-        if args.decode:
-            return decode(args, Path(_only(args.runs, "--decode")))
         if any(Path(one).is_file() for one in args.runs):
-            return decode(args, Path(_only(args.runs, "a capture")))
+            if len(args.runs) > 1:
+                raise UsageError(f"RUN: got {len(args.runs)} of them, expected a capture alone")
+            return decode(args, Path(args.runs[0]))
         return _run(args)
 
 
@@ -59,9 +56,10 @@ def _run(args: argparse.Namespace) -> int:
     import sys
     from collections import Counter
 
-    from runtime.errors import DONE, FAILED, Failure, UsageError, needs
+    from runtime.errors import DONE, FAILED, UsageError
     from runtime.run_folder import loops_below
     from tap_service.command import names_of
+    from wyner.cli.drawing import drawn_to
     from wyner.runs.run import Run, RunError
     from wyner.runs.score import report as reporting
     from wyner.runs.score.counts import cost_of
@@ -82,6 +80,8 @@ def _run(args: argparse.Namespace) -> int:
     for run_dir in run_dirs:
         try:
             run = Run.load(run_dir)
+            if not run.has("plant"):
+                raise UsageError(f"{run_dir}: no run here, expected a run's folder")
             if names:
                 scores.append(_replayed(run, names, args.scenario))
             else:
@@ -97,21 +97,7 @@ def _run(args: argparse.Namespace) -> int:
         runs.append(run)
     report = reporting.report(scores)
     if args.plot is not None:
-        if Path(args.plot).suffix not in (".svg", ".png"):
-            raise UsageError(f"--plot: got {args.plot!r}, expected a name in .svg or .png")
-        try:
-            from wyner.drawing.secrecy import draw_report
-            from wyner.drawing.style import drawing, save
-
-            with drawing((7.0, 3.6)) as figure:
-                axes = figure.subplots()
-                draw_report(axes, report)
-                axes.set_title(report.verdict(), fontsize=9, loc="left")
-                save(figure, Path(args.plot))
-        except ImportError:
-            raise Failure(needs("--plot", "matplotlib")) from None
-        except OSError as error:
-            raise Failure(f"{args.plot}: cannot be written: {error.strerror}") from None
+        drawn_to("--plot", args.plot, (7.0, 3.6), lambda figure: _draw(figure, report))
     audits = _audits(runs)
     ending = FAILED if any(tap.failed for score in scores for tap in score.taps) else DONE
     if args.json:
@@ -131,12 +117,13 @@ def _run(args: argparse.Namespace) -> int:
     return ending
 
 
-def _only(runs: Sequence[str], option: str) -> str:
-    from runtime.errors import UsageError
+def _draw(figure: Any, report: "Report") -> str:
+    from wyner.drawing.secrecy import draw_report
 
-    if len(runs) > 1:
-        raise UsageError(f"RUN: got {len(runs)} of them, expected one with {option}")
-    return runs[0]
+    axes = figure.subplots()
+    draw_report(axes, report)
+    axes.set_title(report.verdict(), fontsize=9, loc="left")
+    return ""
 
 
 def _audits(runs: "list[Run]") -> "dict[str, KeyAudit]":

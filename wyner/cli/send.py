@@ -34,15 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "text",
-        nargs="?",
         metavar="TEXT",
-        help="the message; - reads standard input, without its last newline",
-    )
-    parser.add_argument(
-        "--file",
-        metavar="F",
-        help="a file that holds the message, byte for byte (/dev/stdin: all of standard input); "
-        "- as above",
+        help="the message; - reads it from standard input, @FILE from a file",
     )
     parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
     parser.add_argument(
@@ -64,11 +57,9 @@ def run(args: argparse.Namespace) -> int:
     from runtime.bus import TransportError
     from runtime.zenoh_bus import open_bus
 
-    if (args.text is None) == (args.file is None):
-        raise UsageError("expected TEXT or --file F, and one of them only")
     if not args.timeout > 0:
         raise UsageError(f"--timeout: got {args.timeout}, expected more than 0")
-    payload = message_of(args.text, args.file)
+    payload = message_of(args.text)
     assert payload is not None
     try:
         command = SendCommand(id=args.id or new_id(), payload=payload)

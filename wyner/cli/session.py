@@ -32,7 +32,6 @@ from wyner.deployment.one_machine import RunOptions, lay_out, text_of
 if TYPE_CHECKING:
     from protocol.link.events import AttackBegan
     from protocol.scenario import Scenario
-    from wyner.dashboard.app import Stage
     from wyner.deployment.supervisor import Supervisor
 
 DEFAULT_MESSAGE: Final = "The paper calls this secret. Watch the tap before you believe."
@@ -61,7 +60,6 @@ def run_session(
     *,
     stays: bool = True,
     title: str = "",
-    stage: "Stage | None" = None,
 ) -> Outcome:
     """Run the three services, watch them, stop them and sum up.
 
@@ -74,8 +72,6 @@ def run_session(
         Whether a last screen stays until a key is pressed.
     title : str, optional
         What the screen's first line begins with.
-    stage : Stage, optional
-        A full screen that is open already.
     """
     from runtime.zenoh_bus import ZenohBus
     from wyner.dashboard.app import Ending, has_screen, run_dashboard
@@ -90,7 +86,7 @@ def run_session(
     pace_of(options.pace)
     scenario = scenario_in(text_of(options), options.scenario)
     _check_steps(options.steps, scenario)
-    payload = message_of(options.message, options.message_file) or DEFAULT_MESSAGE.encode()
+    payload = message_of(options.message) or DEFAULT_MESSAGE.encode()
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
     attack = _attack(options, scenario)
@@ -139,7 +135,6 @@ def run_session(
                     story=options.story,
                     conclude=conclude if stays else None,
                     title=title,
-                    stage=stage,
                 )
             else:
                 out = sys.stderr if options.json else sys.stdout

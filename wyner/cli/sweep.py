@@ -4,18 +4,17 @@ import argparse
 import json
 import os
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError
+from protocol.statistics import STATED
+from runtime.errors import DONE, FAILED, INTERRUPTED, Failure, UsageError, writing
+from runtime.progress import shown
 from wyner.cli.drawing import add_options, draw_sweep, drawable
 from wyner.sweeps import SWEEPS
 
 if TYPE_CHECKING:
     from wyner.sweeps.results import Summary
-    from wyner.sweeps.running import Progress
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,37 +30,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--jobs", type=int, metavar="N", help="processes or Dask workers (default: one a core)"
     )
-    parser.add_argument("--executor", choices=("process", "dask"), default="process")
     parser.add_argument(
-        "--scheduler", metavar="ADDRESS", help="a running Dask scheduler instead of a local one"
+        "--dask",
+        nargs="?",
+        const="",
+        metavar="ADDRESS",
+        help="run on Dask workers: those of the scheduler at ADDRESS, or local ones",
     )
     parser.add_argument("--resume", action="store_true", help="go on with the rows that are there")
     parser.add_argument("--quick", action="store_true", help="few runs of each point, to look")
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
     add_options(parser)
-
-
-@contextmanager
-def _progress(name: str) -> "Iterator[Progress | None]":
-    """A bar with the time left, on a terminal's standard error."""
-    if not sys.stderr.isatty():
-        yield None
-        return
-    from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        Progress,
-        TextColumn,
-        TimeRemainingColumn,
-    )
-
-    columns = (TextColumn(name), BarColumn(), MofNCompleteColumn(), TextColumn("runs"))
-    console = Console(stderr=True)
-    with Progress(*columns, TimeRemainingColumn(), console=console, transient=True) as bar:
-        task = bar.add_task(name, total=None)
-        yield lambda done, foreseen: bar.update(task, completed=done, total=foreseen)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -83,8 +63,6 @@ def run(args: argparse.Namespace) -> int:
     at_least("--jobs", jobs, 1)
     if args.plot is not None:
         drawable("--plot", args.plot or "rows.png")
-    if args.scheduler is not None and args.executor != "dask":
-        raise UsageError("--scheduler: expected together with --executor dask")
     shipped = SWEEPS / f"{args.file}.toml"
     path = shipped if not Path(args.file).is_file() and shipped.is_file() else Path(args.file)
     try:
@@ -99,16 +77,15 @@ def run(args: argparse.Namespace) -> int:
         name = sweep.name + ("-quick" if args.quick else "")
         output = Path(args.output or f"runs/sweeps/{name}.csv")
         taps = [name_of(e) for e in sweep.eavesdroppers]
-        results = Results(output, sweep.columns, args.resume, taps)
+        with writing(f"--output: {output}"):
+            results = Results(output, sweep.columns, args.resume, taps)
     except SweepError as error:
         raise UsageError(error.problems) from None
-    except OSError as error:
-        raise UsageError(f"--output: {output}: cannot be written: {error.strerror}") from None
     before = len(results.rows)
     try:
         with (
-            workers(args.executor, jobs, args.scheduler) as executor,
-            _progress(sweep.name) as progress,
+            workers(jobs, args.dask) as executor,
+            shown(f"{sweep.name}, runs") as progress,
         ):
             failures = run_sweep(sweep, points, results, executor, progress)
     except KeyboardInterrupt:
@@ -166,6 +143,11 @@ def _as_object(
                 "bits_per_second": rate["value"],
                 "interval_95": [rate["low"], rate["high"]],
                 **({"no_interval": rate["no_interval"]} if "no_interval" in rate else {}),
+                "secret": {
+                    "bits_per_second_at_most": s.secret,
+                    "no_interval": {"bits_per_second_at_most": STATED},
+                },
+                "costs": {name: cost.as_json() for name, cost in s.costs.items()},
                 "shares": {name: share.as_json() for name, share in s.shares.items()},
                 **s.counts,
             }
@@ -183,7 +165,8 @@ def _render(grid: list[str], summaries: "list[Summary]", *, stopped: bool) -> st
     """A table: the fields of each point, its runs, its rate with the interval."""
     taps = list(summaries[0].taps) if summaries else []
     interval = "95 % at every look" if stopped else "95 % interval"
-    head = ["scenario", "variant", *grid, "runs", "bit/s", interval, "mistaken"]
+    head = ["scenario", "variant", *grid, "runs", "bit/s", interval, "secret at most"]
+    head += ["x'x", "u'u", "mistaken"]
     head += [f"{name} keys, messages" for name in taps]
     rows = [head]
     for s in summaries:
@@ -196,6 +179,8 @@ def _render(grid: list[str], summaries: "list[Summary]", *, stopped: bool) -> st
                 str(s.runs),
                 f"{rate.value:.4g}",
                 f"[{rate.low:.4g}, {rate.high:.4g}]" if rate.known else "none",
+                "no eavesdropper" if s.secret is None else f"{s.secret:.2g}",
+                *(f"{cost.value:.3g}" for cost in s.costs.values()),
                 str(s.counts["mistaken"]),
                 *(_share(s, name) for name in taps),
             ]

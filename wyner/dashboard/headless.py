@@ -2,60 +2,123 @@
 
 import sys
 import time
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import replace
 from typing import IO, Final
 
-from protocol.messages import PlantModel, PlantStatus
 from protocol.text import printable
+from runtime.progress import duration
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import State, TapState, reduce_all
 from wyner.dashboard.score import (
+    attacker,
     characters_right,
+    contradictions,
     rate_in_words,
     score,
     secrecy,
     time_left_s,
     truth_for,
 )
-from wyner.dashboard.secrecy_panel import attacker, contradictions, held, keys_right
+from wyner.dashboard.secrecy_panel import held, keys_right
 from wyner.dashboard.source import Source
 from wyner.dashboard.story import next_moment
-from wyner.dashboard.text import component, duration, in_words, letters
+from wyner.dashboard.text import component, in_words, letters
 
 PROGRESS_NS: Final = 2_000_000_000
 """Time between two lines of progress."""
 
 COUNTED: Final = (
-    "bit/s and % are counts of this run; [low,high] are 95 % limits, however often one looks"
+    "bit/s and % are counts of this run; [low, high] are 95 % limits, however often one looks"
 )
 """Said once, before the first figure."""
 
 LINES_AT_ONCE: Final = 12
 """Lines printed for one look at the messages; what is beyond is counted in a line."""
 
+Fact = tuple[str, Hashable, str]
+"""What it is about, its value, and the line that tells it; it is told when the value changes."""
 
-@dataclass(frozen=True, slots=True)
+
 class Reporter:
-    """What was said already; `report` gives the next lines and the next reporter.
+    """Lines for what is new since the last call."""
 
-    ``told`` is the session and the step k that the last line of progress was about.
-    """
+    def __init__(self) -> None:
+        self._told: dict[str, Hashable] = {}
+        self._next_ns = 0
+        self._at: tuple[str, int] | None = None
 
-    before: State = field(default_factory=State)
-    next_progress_ns: int = 0
-    told: tuple[str, int] | None = None
-
-    def report(self, state: State, now_ns: int) -> tuple[list[str], "Reporter"]:
-        """Lines for what is new since the last call, at most `LINES_AT_ONCE` and one more."""
-        lines = list(_events(self.before, state))
+    def report(self, state: State, now_ns: int) -> list[str]:
+        """At most `LINES_AT_ONCE` lines of events and one more, then progress if it is due."""
+        lines = []
+        for about, value, line in facts(state):
+            if self._told.get(about) != value:
+                self._told[about] = value
+                lines.append(line)
         if len(lines) > LINES_AT_ONCE:
             more = len(lines) - LINES_AT_ONCE
             lines = [*lines[:LINES_AT_ONCE], f"... and {more} events more"]
         now = (state.plant.session, state.plant.k) if state.plant is not None else None
-        if now is None or now == self.told or now_ns < self.next_progress_ns:
-            return lines, replace(self, before=state)
-        return [*lines, progress(state)], Reporter(state, now_ns + PROGRESS_NS, now)
+        if now is None or now == self._at or now_ns < self._next_ns:
+            return lines
+        self._at, self._next_ns = now, now_ns + PROGRESS_NS
+        return [*lines, progress(state)]
+
+
+def facts(state: State) -> Iterator[Fact]:
+    """Everything that is worth a line when it changes."""
+    plant, model, controller = state.plant, state.model, state.controller
+    if plant is not None and model is not None:
+        what = f"{printable(model.scenario)}, alpha {model.alpha:g}, law {printable(model.law)}"
+        yield "session", plant.session, f"session {plant.session}: {what}"
+        yield "counted", True, COUNTED
+        if model.seeded:
+            seeded = "random choices are seeded: an experiment, nothing here is secret"
+            yield "seeded", True, seeded
+    for name, end in (("plant", plant), ("controller", controller)):
+        if end is not None:
+            why = f": {printable(end.detail)}" if end.detail else ""
+            yield name, end.phase, f"{in_words(name, end.phase)}{why}"
+    if plant is not None:
+        if plant.attack:
+            yield "attack", plant.attack, f"attack: {plant.attack}"
+        if n := plant.symbol_errors:
+            why = " (its sensor is being attacked)" if plant.attack else ""
+            keys = f"{n} {'key' if n == 1 else 'keys'}"
+            yield "wrong", n, f"step {plant.k}: {keys} so far not the plant's input{why}"
+        if n := plant.frames_refused:
+            yield "refused", n, f"step {plant.k}: {n} frames so far refused by their check"
+        if n := plant.messages:
+            at = f" at step {plant.message_k}" if plant.message_k >= 0 else ""
+            yield "message", n, f"message {n} recovered{at}: {_quoted(plant.last_message)}"
+    for name, tap in state.taps.items():
+        yield from _of_tap(printable(name), tap, state)
+    if (hers := attacker(state)) is not None:
+        if hers.key_bits_held:
+            bits = f"tap {printable(hers.name)} holds {hers.key_bits_held} bits of keys"
+            yield "bits held", True, bits
+        for text in contradictions(state):
+            yield text.partition(":")[0], True, printable(text)
+    if state.malformed:
+        yield "malformed", state.malformed, f"{state.malformed} messages so far were malformed"
+
+
+def _of_tap(name: str, tap: TapState, state: State) -> Iterator[Fact]:
+    yield f"tap {name}", True, f"tap {name} listens"
+    failed, solved = tap.status.failed, tap.status.solved_k
+    if failed:
+        yield f"{name} failed", failed, f"tap {name} FAILED: {printable(failed)}"
+    if tap.exact:
+        unsure = "" if solved >= 0 else ", and is not sure yet"
+        line = f"tap {name} holds the true message{unsure}: {_quoted(tap.status.message)}"
+        yield f"{name} exact", True, line
+    if solved >= 0:
+        judged = "and it is the true one" if tap.exact else "but it is not a true one"
+        if not state.texts:  # a replay: nobody here knows the truth
+            judged = _quoted(tap.status.message)
+        known = tap.watched or not state.texts
+        line = f"tap {name} was sure of a message at step {solved}"
+        yield f"{name} sure", solved, f"{line}, {judged}" if known else line
 
 
 def progress(state: State) -> str:
@@ -76,6 +139,8 @@ def progress(state: State) -> str:
     ]
     if distilled:
         parts.append(f"distilled keys {plant.keys_made}, {held(state, 99)[0]}")
+    if state.attacked:
+        parts.append(f"x as reported, truly {component(state.away)} away")
     if state.alarms:
         parts.append(state.alarms)
     left = time_left_s(state)
@@ -117,12 +182,12 @@ def run_headless(
 ) -> Ending:
     """Print lines until ``until()`` or Ctrl-C; as `wyner.dashboard.app.run_dashboard` draws.
 
-    Lines carry no control codes. Whoever reads them may go away: a broken pipe is the caller's.
+    Lines carry no control codes. A broken pipe is the caller's.
     """
     stream = out or sys.stdout
     state, reporter = State(), Reporter()
     told: set[int] = set()
-    said: list[str] = []
+    last = ""
 
     def say(lines: list[str]) -> None:
         encoding = getattr(stream, "encoding", None) or "utf-8"
@@ -136,12 +201,12 @@ def run_headless(
         while True:
             finished = until()
             state = replace(reduce_all(state, source.drain()), unreadable=source.malformed)
-            lines, reporter = reporter.report(state, source.now_ns())
+            lines = reporter.report(state, source.now_ns())
             say(lines)
-            said = lines[-1:] or said
+            last = lines[-1] if lines else last
             while story and (found := next_moment(state, told)) is not None:
                 told.add(found[0])
-                title, *captions = found[1].caption
+                title, *captions = found[1]
                 say([f"* {title}", *(f"  {line}" for line in captions)])
             if finished:
                 break
@@ -149,108 +214,11 @@ def run_headless(
     except KeyboardInterrupt:
         ending = Ending.INTERRUPTED
     if state.plant is not None:
-        last = progress(state)
-        say([*([] if said == [last] else [last]), secrecy_line(state)])
+        now = progress(state)
+        say([*([] if last == now else [now]), secrecy_line(state)])
     for line in source.problems():
         print(line, file=sys.stderr)
     return ending
-
-
-def _events(before: State, state: State) -> Iterator[str]:
-    plant, was = state.plant, before.plant
-    if plant is not None:
-        yield from _session(before, plant, state.model)
-        if was is None or was.phase != plant.phase:
-            yield f"{in_words('plant', plant.phase)}{_because(plant.detail)}"
-        if plant.attack and (was is None or was.attack != plant.attack):
-            yield f"attack: {plant.attack}"
-        if was is not None and plant.symbol_errors > was.symbol_errors:
-            more = plant.symbol_errors - was.symbol_errors
-            keys = "key" if more == 1 else "keys"
-            yield f"{more} wrong {keys} at step {plant.k}: not the input that the plant applied"
-        if was is not None and plant.frames_refused > was.frames_refused:
-            more = plant.frames_refused - was.frames_refused
-            frames = "frame" if more == 1 else "frames"
-            yield f"{more} {frames} refused by the check at step {plant.k}"
-        if plant.messages > (was.messages if was is not None else 0):
-            how = (
-                "is the last recovered" if was is None else f"recovered at step {_whole_at(plant)}"
-            )
-            yield f"message {plant.messages} {how}: {_quoted(plant.last_message)}"
-    controller, was_controller = state.controller, before.controller
-    if controller is not None and (
-        was_controller is None or was_controller.phase != controller.phase
-    ):
-        yield f"{in_words('controller', controller.phase)}{_because(controller.detail)}"
-    for name, tap in state.taps.items():
-        yield from _tap_events(printable(name), before, tap, state)
-    yield from _key_events(before, state)
-    if state.malformed > before.malformed:
-        yield f"{state.malformed - before.malformed} messages were malformed"
-
-
-def _session(before: State, plant: PlantStatus, model: PlantModel | None) -> Iterator[str]:
-    """Which session this is, of which plant: as soon as both are known."""
-    if model is None:
-        return
-    first = before.plant is None or before.model is None
-    if not first and before.plant is not None and before.plant.session == plant.session:
-        return
-    law = printable(model.law)
-    what = f"{printable(model.scenario)}, alpha {model.alpha:g}, law {law}"
-    yield f"session {plant.session}{'' if first else ' began'}: {what}"
-    if first:
-        yield COUNTED
-    if model.seeded:
-        yield "random choices are seeded: an experiment, nothing here is secret"
-
-
-def _whole_at(plant: PlantStatus) -> int:
-    """The step of the last message, or where the plant does not know any more, the step now."""
-    return plant.message_k if plant.message_k >= 0 else plant.k
-
-
-def _tap_events(name: str, before: State, tap: TapState, state: State) -> Iterator[str]:
-    was, text = before.taps.get(tap.status.name), tap.status.message
-    if was is None:
-        yield f"tap {name} listens"
-    failed, before_it = tap.status.failed, "" if was is None else was.status.failed
-    if failed and failed != before_it:
-        yield f"tap {name} FAILED: {printable(failed)}"
-    elif before_it and not failed:
-        yield f"tap {name} guesses again"
-    solved = tap.status.solved_k
-    newly_sure = solved >= 0 and (was is None or was.status.solved_k != solved)
-    if tap.exact and (was is None or not (was.exact or newly_sure)):
-        # Where the truth is what came last, she may have held the message for long.
-        new = state.plant is not None and was is not None and text in before.texts
-        at = f" by step {state.plant.k}" if state.plant is not None and new else ""
-        unsure = ", and is not sure yet" if at and solved < 0 else ""
-        yield f"tap {name} holds the true message{at}{unsure}: {_quoted(text)}"
-    if newly_sure:
-        judged = ", and it is the true one" if tap.exact else ", but it is not a true one"
-        if not state.texts:  # a replay: nobody here knows the truth
-            judged = f": {_quoted(text)}"
-        elif not tap.watched:  # it may have been another message than the one that she holds now
-            judged = ""
-        yield f"tap {name} was sure of a message at step {solved}{judged}"
-
-
-def _key_events(before: State, state: State) -> Iterator[str]:
-    """The first bits that she holds, and what has come up against the claim."""
-    was, now = attacker(before), attacker(state)
-    if now is None:
-        return
-    if now.key_bits_held and not (was is not None and was.key_bits_held):
-        yield f"tap {printable(now.name)} holds {now.key_bits_held} bits of keys"
-    known = {text.split()[1] for text in contradictions(before)}
-    for text in contradictions(state):
-        if text.split()[1] not in known:
-            yield printable(text)
-
-
-def _because(detail: str) -> str:
-    return f": {printable(detail)}" if detail else ""
 
 
 def _quoted(text: str, room: int = 72) -> str:

@@ -24,9 +24,6 @@ STATES_KEPT: Final = 240
 TEXTS_KEPT: Final = 8
 """True messages remembered, so that a tap still on an earlier one is judged against that one."""
 
-PICTURES_KEPT: Final = 128
-"""Pictured steps that can be gone back to while the view is frozen."""
-
 PICTURE_NS: Final = 500_000_000
 """How long a pictured step stays: at many steps a second the eye needs time, and an agreement that
 came meanwhile is preferred to what came after it."""
@@ -63,13 +60,12 @@ class ShownGuess:
 
 @dataclass(frozen=True, slots=True)
 class TapState:
-    """One eavesdropper as the dashboard sees her.
+    """One eavesdropper, from its statuses.
 
-    ``exact`` and ``watched`` are set by the dashboard, never by the tap: her message was, at least
-    once, a true one; she was heard before she was sure of any, beside somebody who knows the truth.
-    ``pairs`` counts the agreed steps on which she was compared and that are held no more, by what
-    she named and what was true: what is looked at again and again counts all that there was, in
-    every session.
+    ``exact`` and ``watched`` are set by the dashboard, never by the tap. ``exact``: its message was
+    a true one, at least once. ``watched``: its statuses were received before it was sure of any
+    message, while the truth was known. ``pairs`` counts the agreed steps whose guess and truth are
+    held no more, by both, over all sessions.
     """
 
     status: TapStatus
@@ -81,27 +77,11 @@ class TapState:
 
 
 @dataclass(frozen=True, slots=True)
-class Automata:
-    """The states of sender and receiver after the same number of transitions."""
-
-    transitions: int
-    sender: int
-    receiver: int
-
-    @property
-    def in_step(self) -> bool:
-        """Whether they are the same, as they must always be."""
-        return self.sender == self.receiver
-
-
-@dataclass(frozen=True, slots=True)
 class State:
     """All that the screen and the plain lines are made from.
 
-    ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn,
-    ``pictures`` holds those of the last steps by k; ``automata`` is the last moment at which both
-    automata were known, None before the first one of a session; ``states`` are those that the
-    plant reports, ``true_states`` what they are where it is attacked.
+    ``model`` is what the plant says of itself; ``pictured`` is its status whose step is drawn;
+    ``states`` are those that the plant reports, ``true_states`` what they are where it is attacked.
     """
 
     model: PlantModel | None = None
@@ -111,8 +91,6 @@ class State:
     controller_seen_ns: int = -1
     pictured: PlantStatus | None = None
     pictured_ns: int = -1
-    pictures: Mapping[int, PlantStatus] = field(default_factory=dict)
-    automata: Automata | None = None
     taps: Mapping[str, TapState] = field(default_factory=dict)
     truths: Mapping[int, ShownTruth] = field(default_factory=dict)
     states: Mapping[int, tuple[float, ...]] = field(default_factory=dict)
@@ -123,6 +101,22 @@ class State:
     def alarms(self) -> str:
         """The last alarm, in words; empty where there is none."""
         return "" if self.controller is None else self.controller.alarm_sentence()
+
+    @property
+    def complete(self) -> bool:
+        """Whether both ends, the plant's model and a tap were received."""
+        return None not in (self.model, self.plant, self.controller) and bool(self.taps)
+
+    @property
+    def attacked(self) -> bool:
+        """Whether the plant's true state is known to differ from the reported one."""
+        return bool(self.true_states)
+
+    @property
+    def away(self) -> float:
+        """The largest component of the true state, for an attacked plant."""
+        true = self.true_states[max(self.true_states)] if self.true_states else ()
+        return max(map(abs, true), default=0.0)
 
     received: int = 0
     refused: int = 0
@@ -135,13 +129,13 @@ class State:
 
     @property
     def last_seen_ns(self) -> int:
-        """When anybody was heard last."""
+        """When the last status was received."""
         taps = (tap.seen_ns for tap in self.taps.values())
         return max(self.plant_seen_ns, self.controller_seen_ns, *taps)
 
     @property
     def candidates(self) -> int:
-        """M, the number of candidates in an offer; 2 until a transition was pictured."""
+        """M, the number of candidates in an offer; 2 before the first pictured transition."""
         pictured = len(self.plant.pictured_candidates) if self.plant is not None else 0
         return max(2, pictured)
 
@@ -158,7 +152,7 @@ class State:
 
     @property
     def sent(self) -> str:
-        """The text on its way, or where no controller was heard, what the plant has."""
+        """The text on its way, or, without a controller, what the plant has."""
         return self.controller.sending if self.controller is not None else self.recovered
 
 
@@ -185,24 +179,6 @@ def reduce_all(state: State, arrivals: Iterable[Arrival]) -> State:
     return state
 
 
-def compare_automata(state: State) -> Automata | None:
-    """Both automata's states after the transitions that the controller had counted.
-
-    The two statuses are snapshots of different moments, so the plant's state is read back from its
-    tail. None: not comparable at the moment.
-    """
-    plant, controller = state.plant, state.controller
-    if plant is None or controller is None or plant.session != controller.session:
-        return None
-    behind = plant.transitions - controller.transitions
-    if behind == 0:
-        return Automata(plant.transitions, controller.automaton, plant.automaton)
-    if not 0 < behind < len(plant.tail_automaton):
-        return None
-    receiver = plant.tail_automaton[-1 - behind]
-    return Automata(controller.transitions, controller.automaton, receiver)
-
-
 def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
     if state.plant is not None and _stale(state.plant, status):
         return state
@@ -210,9 +186,7 @@ def _plant(state: State, status: PlantStatus, t_ns: int) -> State:
         # Steps may be counted afresh in a new session: what was known by step is void.
         state = replace(
             state,
-            automata=None,
             pictured=None,
-            pictures={},
             truths={},
             states={},
             true_states={},
@@ -259,8 +233,6 @@ def _picture(state: State, status: PlantStatus, t_ns: int) -> State:
     """Draw another step when the last one has been seen long enough, an agreement at once."""
     if status.pictured_k < 0:
         return state
-    kept = {**state.pictures, status.pictured_k: status}
-    state = replace(state, pictures=_newest(kept, PICTURES_KEPT))
     shown = state.pictured
     over = t_ns - state.pictured_ns >= PICTURE_NS
     better = shown is None or (status.pictured_symbol >= 0 > shown.pictured_symbol)
@@ -342,8 +314,7 @@ def _forgotten(state: State, steps: Collection[int]) -> dict[str, TapState]:
 
 
 def _judge(state: State) -> State:
-    """Compare the automata, and mark the taps whose message is a true one now."""
-    state = replace(state, automata=compare_automata(state) or state.automata)
+    """Mark the taps whose message is a true one now."""
     found = {
         name: replace(tap, exact=True)
         for name, tap in state.taps.items()

@@ -1,14 +1,10 @@
-"""What the panels are put together from, all of it rich's: titled rules, labelled rows, tables."""
+"""What the panels are put together from: every panel is a list of lines of rich's Text."""
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Final, Generic, TypeVar
 
 from rich.cells import cell_len
-from rich.console import Group, RenderableType
-from rich.padding import Padding
-from rich.rule import Rule
-from rich.table import Table
 from rich.text import Text
 
 from wyner.dashboard.text import STYLES, drawn, longest
@@ -16,16 +12,10 @@ from wyner.dashboard.text import STYLES, drawn, longest
 LABEL: Final = 14
 """Cells of the labels at the left."""
 
-WIDE: Final = 40
-"""Cells from which on a column is a sentence: it begins at its left, and is as long as it is."""
+VALUE_AT: Final = LABEL + 2
+"""The cell at which a labelled value begins."""
 
 Of = TypeVar("Of")
-
-VALUE_AT: Final = LABEL + 2
-"""The cell at which what a label is of begins."""
-
-Row = tuple[str, RenderableType]
-"""A label, and what it is of."""
 
 
 def line(text: str = "", style: str = "") -> Text:
@@ -33,28 +23,28 @@ def line(text: str = "", style: str = "") -> Text:
     return Text(text, style=style, no_wrap=True, overflow="ellipsis")
 
 
-def rule(title: str, width: int, *notes: str, style: str = "") -> Rule:
+def rule(title: str, width: int, *notes: str, style: str = "") -> Text:
     """A titled rule, with the longest of the notes that there is room for."""
     note = longest(width - cell_len(title) - 4, *notes)
-    text = Text.assemble(
-        (title, STYLES["title"]), ("  " + note if note else "", style or "default")
-    )
-    return Rule(text, align="left", style="cyan")
+    text = line(title, STYLES["title"]).append(f"  {note}" if note else "", style or "default")
+    return text.append(" " + "─" * max(0, width - text.cell_len - 1), "cyan")
 
 
-def labelled(rows: Iterable[Row]) -> Padding:
-    """Rows of a label and what it is of."""
-    grid = Table.grid(padding=(0, 1, 0, 0), expand=True)
-    grid.add_column(width=LABEL, no_wrap=True, overflow="ellipsis", style=STYLES["label"])
-    grid.add_column(ratio=1, no_wrap=True, overflow="ellipsis")
-    for label, value in rows:
-        grid.add_row(line(drawn(label)), value)
-    return Padding(grid, (0, 0, 0, 1))
+def labelled(label: str, value: Text) -> Text:
+    """A label in its column, and its value."""
+    name = line(drawn(label), STYLES["label"])
+    name.truncate(LABEL, overflow="ellipsis", pad=True)
+    return line(" ").append(name).append(" ").append(value)
 
 
-def titled(title: Rule, *body: RenderableType) -> Group:
-    """A panel: its rule, and below it what it shows."""
-    return Group(title, *body)
+def beside(left: Sequence[Text], right: Sequence[Text], width: int) -> list[Text]:
+    """Two panels side by side, the left one ``width`` cells wide."""
+    lines = []
+    for i in range(max(len(left), len(right))):
+        whole = left[i].copy() if i < len(left) else line()
+        whole.truncate(width, overflow="ellipsis", pad=True)
+        lines.append(whole.append(" ").append(right[i] if i < len(right) else ""))
+    return lines
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,15 +68,13 @@ def fitting(columns: Sequence[Column[Of]], room: int) -> list[Column[Of]]:
     return sorted(kept, key=columns.index)
 
 
-def table(
-    first: str, width: int, columns: Sequence[Column[Of]], rows: Iterable[tuple[str, Of]]
-) -> Table:
-    """A table: names of ``width`` cells below ``first``, then the columns."""
-    drawn_table = Table(box=None, padding=(0, 1, 0, 0), pad_edge=False, header_style="dim")
-    drawn_table.add_column(first, width=width, no_wrap=True, overflow="ellipsis")
-    for column in columns:
-        where = {"justify": "right", "width": column.width} if column.width < WIDE else {}
-        drawn_table.add_column(column.title, no_wrap=True, **where)  # type: ignore[arg-type]
+def table(first: str, columns: Sequence[Column[Of]], rows: Iterable[tuple[str, Of]]) -> list[Text]:
+    """A heading, and a line a row: its name below ``first``, then the columns."""
+    head = "".join(f" {column.title:>{column.width}}" for column in columns)
+    lines = [line(f" {first:<{LABEL}}{head}", STYLES["label"])]
     for name, of in rows:
-        drawn_table.add_row(line(drawn(name)), *(line(column.value(of)) for column in columns))
-    return drawn_table
+        label = line(drawn(name))
+        label.truncate(LABEL, overflow="ellipsis", pad=True)
+        values = "".join(f" {column.value(of):>{column.width}}" for column in columns)
+        lines.append(line(" ").append(label).append(values))
+    return lines

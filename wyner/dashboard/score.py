@@ -5,18 +5,16 @@ nowhere else.
 """
 
 import math
-from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from protocol.agreement import Gauge
-from protocol.messages import PlantModel
+from protocol.messages import TapStatus
 from protocol.messages.adversary import deaf_share
 from protocol.relabelling import Labels, known
 from protocol.statistics import CONFIDENCE, Interval, bits_left, stated_left
 from wyner.dashboard.model import TAPS_KEPT, State, TapState, compared
-from wyner.dashboard.text import letters, number
+from wyner.dashboard.text import drawn, letters, number
 
 ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
 """Chance of a false alarm because of one tap, however long one watches: all of them share 5 %."""
@@ -24,12 +22,12 @@ ALARM: Final = (1 - CONFIDENCE) / TAPS_KEPT
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One tap's guesses on the agreed steps that both she and the plant reported.
+    """One tap's guesses on the agreed steps that both Eve and the plant reported.
 
     Parameters
     ----------
     scored, right : int
-        Agreed steps compared, and those where her likeliest symbol was the key symbol, up to one
+        Agreed steps compared, and those where Eve's likeliest symbol was the key symbol, up to one
         relabelling of the symbols for all steps (:mod:`protocol.relabelling`).
     guessed : Interval
         The share that was right, with 95 % limits that hold at every look together: it is looked
@@ -37,9 +35,9 @@ class Score:
     size : int
         M.
     labels : tuple of int
-        That relabelling; empty where her symbols count as she names them.
+        That relabelling; empty where Eve's symbols count as named.
     leads : bool
-        Whether she is shown to do better than chance.
+        Whether Eve is shown to do better than chance.
     """
 
     scored: int
@@ -51,7 +49,7 @@ class Score:
 
     @property
     def bits_per_key(self) -> float | None:
-        """What one key symbol hides from her at most, -log2 P_g in bits; None: she guessed none."""
+        """What one key symbol hides from Eve at most, -log2 P_g in bits; None: no guess yet."""
         return bits_left(1, self.size, self.guessed).high if self.scored else None
 
 
@@ -64,31 +62,27 @@ class SecrecyScore:
     claimed_bits : float
         What the paper's rule counts, of whichever law: every agreed symbol as log2 M secret bits.
     left : Interval or None
-        Bits that the strongest running tap leaves of it, of the steps that she could use; None
+        Bits that the strongest running tap leaves of it, of the steps that it could use; None
         while nobody is scored.
     strongest : str
         Name of that tap, or "".
     exceeds : bool
-        Whether that is shown to be too much: a tap holds a true message, or her guesses are better
+        Whether that is shown to be too much: a tap holds a true message, or its guesses are better
         than blind ones. Of taps that are blind it is ever so with a chance of 5 % at most.
-    when_bits : float
-        Upper bound on what may stay hidden of *when* keys were agreed in N steps, from one who
-        knows D_e: f log2(2N + 1), f = 1 width of D_c where D_e = alpha D_c.
     scored : int
         Agreed steps on which that tap was scored.
     why : str
-        Why nobody is scored, or what the figure rests on where it is not her guesses.
+        Why nobody is scored, or what the figure rests on besides guesses.
     failed : tuple of str
         Taps that do not guess any more.
     silent_bits : float
-        Bits of the agreed steps that this tap could not use: what she leaves of them is not known.
+        Bits of the agreed steps that this tap could not use: what it leaves of them is not known.
     """
 
     claimed_bits: float
     left: Interval | None
     strongest: str
     exceeds: bool
-    when_bits: float
     scored: int
     why: str = ""
     failed: tuple[str, ...] = ()
@@ -127,7 +121,7 @@ def ranked(state: State) -> list[tuple[TapState, Score]]:
 
 
 def _carried(state: State) -> int:
-    """Agreed keys that can be used: of the newest transition nobody has been told the result."""
+    """Agreed keys that can be used: the result of the newest transition is not published yet."""
     if state.plant is None:
         return 0
     newest = max(state.truths, default=None)
@@ -137,16 +131,16 @@ def _carried(state: State) -> int:
 
 @dataclass(frozen=True, slots=True)
 class Left:
-    """Bits that one tap leaves of the agreed keys, of the steps that she could use.
+    """Bits that one tap leaves of the agreed keys, of the steps that it could use.
 
     Parameters
     ----------
     by_keys : Interval, optional
-        What guessing one by one leaves; None where she was compared on none.
+        What guessing one by one leaves; None where it was compared on none.
     stated : Interval, optional
-        By her own account, but no more than was agreed; None where she gives none.
+        By its own account, but no more than was agreed; None where it gives none.
     silent : float
-        Bits of the steps that she could not use.
+        Bits of the steps that it could not use.
     """
 
     by_keys: Interval | None
@@ -161,7 +155,7 @@ class Left:
 
 
 def left_by(state: State, tap: TapState, its: Score) -> Left:
-    """What one tap leaves of the agreed keys: nothing where she holds a true message."""
+    """What one tap leaves of the agreed keys: nothing where it holds a true message."""
     if tap.exact:
         return Left(Interval(0.0, 0.0, 0.0), None)
     if tap.status.failed:
@@ -176,25 +170,13 @@ def left_by(state: State, tap: TapState, its: Score) -> Left:
     return Left(by_keys, stated, silent * bit)
 
 
-def _hidden_widths(model: PlantModel | None) -> int:
-    """Widths of D_c that she does not know, who knows D_e."""
-    if model is None or not model.eavesdropper_H:
-        return 1
-    box = Gauge.from_rows(model.defender_H, model.defender_h).half_widths
-    return len(box or model.defender_h)
-
-
 def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) -> SecrecyScore:
     """What the paper's rule counts against the truth, from all taps.
 
     ``taps`` are those of `ranked` where it was called.
     """
     symbols = _carried(state)
-    transitions = state.plant.transitions if state.plant is not None else 0
     claimed = symbols * math.log2(state.candidates)
-    widths = _hidden_widths(state.model)
-    cuts = state.candidates if widths > 1 else 2
-    when = widths * math.log2(cuts * transitions + 1)
     taps = ranked(state) if taps is None else taps
     failed = tuple(tap.status.name for tap, _ in taps if tap.status.failed)
     exceeds = symbols > 0 and any(tap.exact or its.leads for tap, its in taps)
@@ -203,19 +185,18 @@ def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) 
         left = left_by(state, tap, its)
         if (least := left.least) is None:
             continue
-        unknown = least.high + left.silent  # one that could not use many steps is no strong one
+        unknown = least.high + left.silent  # deaf taps are not the strongest
         if best is None or unknown < best[0]:
             best = unknown, left, tap, its
     if best is None:
-        why = "she failed" if failed else "nobody guessed" if taps else "nobody listens"
-        return SecrecyScore(claimed, None, "", exceeds, when, 0, why, failed)
+        why = "Eve failed" if failed else "no guess yet" if taps else "no tap"
+        return SecrecyScore(claimed, None, "", exceeds, 0, why, failed)
     _, left, tap, its = best
     return SecrecyScore(
         claimed,
         left.least,
         tap.status.name,
         exceeds,
-        when,
         its.scored,
         _rests_on(tap, its, left),
         failed,
@@ -224,7 +205,7 @@ def secrecy(state: State, taps: Sequence[tuple[TapState, Score]] | None = None) 
 
 
 def _rests_on(tap: TapState, its: Score, left: Left) -> str:
-    """What the figure of the strongest tap rests on; empty where it is her guesses as named."""
+    """What the figure of the strongest tap rests on; empty where it is its guesses as named."""
     if tap.exact:
         return "a true message"
     found = []
@@ -237,49 +218,12 @@ def _rests_on(tap: TapState, its: Score, left: Left) -> str:
             )
         found.append(account)
         if tap.status.solved_k < 0:
-            found.append("she has no whole message yet")
+            found.append("Eve has no whole message yet")
     if its.labels:
         found.append("its symbols relabelled")
     if left.silent:
         found.append(f"of {left.silent:.0f} bit more nobody knows: Eve could not use their steps")
     return "; ".join(found)
-
-
-def course(state: State, points: int) -> list[tuple[float, float | None]]:
-    """Bits by the paper's rule, and bits left at most by the strongest tap, over the steps held.
-
-    Of her guesses up to each of ``points`` moments, evenly spread; None while there were none, and
-    where the figure is her own account, which is known of the last moment alone. From the step on
-    at which she was sure of a true message, nothing is left.
-    """
-    agreed = [k for k in sorted(state.truths)[:-1] if state.truths[k].symbol >= 0]
-    its = secrecy(state)
-    if not agreed or points < 1 or state.plant is None:
-        return []
-    tap = state.taps.get(its.strongest)
-    size = state.candidates
-    bits = math.log2(size)
-    before = max(0, _carried(state) - len(agreed))
-    first, last = min(state.truths), max(state.truths)
-    found: list[tuple[float, float | None]] = []
-    pairs = Counter(tap.pairs) if tap is not None else Counter[tuple[int, int]]()
-    at = 0
-    for i in range(points):
-        until = first + (last - first) * (i + 1) / points
-        while at < len(agreed) and agreed[at] <= until:
-            guess = tap.guesses.get(agreed[at]) if tap is not None else None
-            if guess is not None:
-                pairs[guess.symbol, state.truths[agreed[at]].symbol] += 1
-            at += 1
-        left: float | None = None
-        if tap is not None and tap.status.bits_left is not None:
-            left = its.left_bits if i == points - 1 else None
-        elif pairs:
-            left = bits_left(before + at, size, known([pairs], size).share).high
-        if tap is not None and tap.exact and 0 <= tap.status.solved_k <= until:
-            left = 0.0
-        found.append(((before + at) * bits, left))
-    return found
 
 
 def rate_of(state: State) -> float | None:
@@ -296,9 +240,36 @@ def rate_of(state: State) -> float | None:
 
 
 def rate_in_words(state: State) -> str:
-    """The same with its unit."""
+    """The rate with its unit, and how much of it may be secret at most."""
     rate = rate_of(state)
-    return f"{'-' if rate is None else number(rate)} bit/s"
+    if rate is None:
+        return "- bit/s"
+    its, hers = secrecy(state), attacker(state)
+    if state.plant is not None and state.plant.keys_made and not its.claimed_bits:
+        broken = hers is not None and (hers.key_bits_held or hers.claim_refuted)
+        return f"{number(rate)} bit/s, {'not secret' if broken else 'secret if the claim holds'}"
+    if its.left_bits is None or not its.claimed_bits:
+        return f"{number(rate)} bit/s, secret: unknown"
+    secret = rate * its.left_bits / its.claimed_bits
+    return f"{number(rate)} bit/s, at most {number(secret)} secret"
+
+
+def attacker(state: State) -> TapStatus | None:
+    """The tap that holds most of the keys, of those that go for them."""
+    trying = [tap.status for tap in state.taps.values() if tap.status.key_bits_held >= 0]
+    return max(trying, key=lambda its: its.key_bits_held, default=None)
+
+
+def contradictions(state: State) -> Iterator[str]:
+    """What the tap found against the claim."""
+    hers = attacker(state)
+    if hers is None:
+        return
+    if hers.claim_refuted:
+        of = f" of the {drawn(hers.missed_direction)}" if hers.missed_direction else ""
+        yield f"CLAIM REFUTED: Eve misses {hers.missed_at_most:.2g}{of} at most"
+    if hers.misses_in_bursts:
+        yield "MISSES IN BURSTS"
 
 
 SETTLED: Final = 20
@@ -337,7 +308,7 @@ def characters_right(state: State, tap: TapState) -> tuple[int, int]:
 
 
 def model_error(state: State, tap: TapState) -> float | None:
-    """Distance of her [A B] from the plant's, relative, Frobenius norm; None: she has no model."""
+    """Distance of Eve's [A B] from the plant's, relative, Frobenius norm; None: no model."""
     model, status = state.model, tap.status
     if model is None or not status.A or not status.B:
         return None

@@ -14,9 +14,6 @@ SYMBOLS: Final = "0123456789abcdefghijklmnopqrstuvwxyz"
 FIGURE: Final = 8
 """Cells of a component of the state, its sign included."""
 
-MARKS: Final = 4
-"""Combining marks that a character keeps; those beyond stand by themselves."""
-
 STYLES: Final[dict[str, str]] = {
     "title": "bold cyan",
     "label": "dim",
@@ -60,50 +57,21 @@ def longest(room: int, *texts: str) -> str:
 
 
 def drawn(text: str) -> str:
-    """Text from elsewhere, for the screen, where every character has its cells."""
-    return "".join(map(glyph, letters(text)))
+    """Text from elsewhere, for the screen: a cell a character, ``·`` for those of another width."""
+    return "".join(c if c.isprintable() and cell_len(c) == 1 else "·" for c in letters(text))
 
 
 @lru_cache(maxsize=128)
-def letters(text: str) -> tuple[str, ...]:
-    """The characters as a reader counts them, each with the combining marks that follow it."""
-    if text.isascii():
-        return tuple(text)
-    found: list[str] = []
-    for c in text:
-        if _is_mark(c) and found and len(found[-1]) <= MARKS:
-            found[-1] += c
-        else:
-            found.append(c)
-    return tuple(found)
+def letters(text: str) -> str:
+    """The text with accents joined to their characters, as a reader counts them."""
+    return unicodedata.normalize("NFC", text)
 
 
-@lru_cache(maxsize=4096)
-def glyph(letter: str) -> str:
-    """One of the `letters` in one cell or two; ``·`` where it has none of its own.
-
-    What would change the width of the character before it, as an emoji's skin tone, is left out:
-    terminals do not agree on it.
-    """
-    base, marks = letter[0], letter[1:]
-    if not base.isprintable() or not 1 <= cell_len(base) <= 2:
-        return "·"
-    return base + "".join(c for c in marks if not _changes_width(c))
-
-
-def _is_mark(c: str) -> bool:
-    return unicodedata.category(c) in ("Mn", "Me") or _changes_width(c)
-
-
-def _changes_width(c: str) -> bool:
-    return "\ufe00" <= c <= "\ufe0f" or "\U0001f3fb" <= c <= "\U0001f3ff"
-
-
-def sparkline(values: Sequence[float], levels: str, among: Sequence[float] = ()) -> str:
-    """Values as bars between the smallest and the largest of them, or of those ``among`` which."""
+def sparkline(values: Sequence[float], levels: str) -> str:
+    """Values as bars between the smallest and the largest of them."""
     if not values:
         return ""
-    low, high = min(among or values), max(among or values)
+    low, high = min(values), max(values)
     if high == low:
         return levels[len(levels) // 2] * len(values)
     top = len(levels) - 1
@@ -153,21 +121,3 @@ def percent(right: int, scored: int) -> str:
 def figure(value: float | None) -> str:
     """A figure with two decimals, or a dash where there is none."""
     return "-" if value is None else f"{value:.2f}"
-
-
-def duration(seconds: float) -> str:
-    """A time to wait, to two figures that matter."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 360_000 else "days"
-
-
-def bars_of(values: Sequence[float | None], top: float, levels: str) -> str:
-    """Values as bars from 0 to ``top``; a blank where there is none."""
-    last = len(levels) - 1
-    return "".join(
-        " " if v is None else levels[min(last, round(v / top * last)) if top > 0 else 0]
-        for v in values
-    )

@@ -21,6 +21,7 @@ from runtime.run_folder import (
     MESSAGE,
     PLANT_TRACE,
     SCENARIO,
+    VIEW,
 )
 from runtime.scenario_file import scenario_of
 from runtime.shipped import scenario_file_of
@@ -109,10 +110,13 @@ def lay_out(
     scenario_file = run_dir / SCENARIO
     message_file = run_dir / MESSAGE
     knowledge_file = run_dir / KNOWLEDGE
+    view_file = run_dir / VIEW
     write_atomically(scenario_file, text_of(options).encode())
     write_atomically(message_file, payload)
     knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
     write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())
+    view = scenario.tap.model_dump_json(exclude={"eavesdroppers"}, exclude_none=True)
+    write_atomically(view_file, view.encode())
     manifest = {
         "wyner": version("wyner"),
         "zenoh": version("eclipse-zenoh"),
@@ -136,9 +140,6 @@ def lay_out(
     steps = [] if options.steps is None else [said("steps", options.steps)]
     attacked = [] if options.attack is None else [said("attack", options.attack)]
     tap = [said("eavesdropper", ",".join(eavesdroppers))] if eavesdroppers else []
-    knobs = scenario.tap.model_dump(exclude={"eavesdroppers"}, exclude_none=True)
-    for name, value in knobs.items():
-        tap.append(said(name.replace("_", "-"), value))
     scenario_folder = scenario_file_of(options.scenario).parent.resolve()
     children = [
         Child(
@@ -150,7 +151,7 @@ def lay_out(
                 *attacked,
                 said("scenario", scenario_file),
                 said("pace", options.pace),
-                said("plant-folder", scenario_folder),
+                said("folder", scenario_folder),
                 said("listen", f"field={plant_field}"),
                 said("connect", f"field={tap_field}"),
                 *([said("connect", f"field={plant_side}")] if on_bus else []),
@@ -166,8 +167,8 @@ def lay_out(
                 *seed,
                 said("scenario", scenario_file),
                 said("pace", options.pace),
-                said("message-file", message_file),
-                said("model-folder", scenario_folder),
+                said("message", f"@{message_file}"),
+                said("folder", scenario_folder),
                 said("listen", f"field={controller_field}"),
                 said("connect", f"field={controller_side if on_bus else plant_field}"),
                 said("connect", f"field={tap_field}"),
@@ -183,6 +184,7 @@ def lay_out(
                 *common,
                 *tap,
                 said("knowledge", knowledge_file),
+                said("view", view_file),
                 said("listen", f"adversary={adversary}"),
                 said("listen", f"field={tap_field}"),
             ],

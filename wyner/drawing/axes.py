@@ -89,6 +89,6 @@ def draw_rate(axes: Axes, alphas: Array, rates: Sequence[Interval], label: str) 
         alphas, [r.low for r in rates], [r.high for r in rates], color=line.get_color(), alpha=0.2
     )
     axes.set_xlabel(r"$\alpha$")
-    axes.set_ylabel("message rate (bit/s)")
+    axes.set_ylabel("message rate (bit/s), which is not secrecy")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize="small")

@@ -8,6 +8,7 @@ certified, and D_c is what N leaves of it: larger than the disturbance where N i
 and too small where N is taken too large.
 """
 
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +20,7 @@ from controller_service.sets.design import SynthesisError
 from protocol.arrays import Array
 from protocol.scenario import ConvexSet, NoiseSet, Scenario, ScenarioError, parse_scenario
 from protocol.scenario.noise import widened
+from runtime.progress import duration
 from wyner.fit.conformal import conformal_scale, session_score, template, violation_bound
 from wyner.fit.identification import (
     ROUNDED,
@@ -158,6 +160,7 @@ def fit(
     defender = dict(tables.get("defender", {}))
     defender.pop("calibration", None)
     noisy = fits_noise or blank.defender.noise is not None
+    began = time.monotonic()
     seen = excite(
         blank,
         open_plant,
@@ -165,6 +168,12 @@ def fit(
         steps=plan.excite_steps,
         amplitude=plan.amplitude,
         seed=plan.seed,
+    )
+    pace = (time.monotonic() - began) / (plan.excite_sessions * plan.excite_steps)
+    follow = plan.pilot + plan.calibration + plan.fresh
+    tell(
+        f"{follow} sessions or more of {plan.steps} steps follow, about "
+        f"{duration(follow * plan.steps * pace)}"
     )
     if "A" in defender and "B" in defender:
         errors = seen.x_next - seen.x @ np.array(blank.A).T - seen.u @ np.array(blank.B).T

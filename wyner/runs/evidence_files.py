@@ -44,6 +44,7 @@ KINDS: Final = (
     FileKind("tap/status.json", True, "whole: its count of the capture; the seal"),
     FileKind("tap/beliefs.json", True, SEAL),
     FileKind("tap/knowledge.json", True, SEAL),
+    FileKind("tap/view.json", True, SEAL),
     FileKind("controller/message", True, SEAL),
     FileKind("summary.json", True, SEAL),
     FileKind("plant/status.json", True, SEAL),

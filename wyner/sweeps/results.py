@@ -13,9 +13,12 @@ from typing import IO, Final
 
 from protocol.statistics import (
     Interval,
+    bits_left,
     mean_over_runs,
     mean_sequence,
+    normal_mean,
     share_over_runs,
+    wilson,
 )
 from runtime.files import PUBLIC_FILE, read_regular, refuse_irregular, write_atomically
 from wyner.sweeps.code import loop_version
@@ -273,6 +276,26 @@ class Summary:
         return mean_sequence(self.histogram).scaled(self._scale)
 
     @property
+    def costs(self) -> dict[str, Interval]:
+        """Mean squares a step of the state and of the input, over runs: what control costs."""
+        return {
+            name: normal_mean(self.sums[name], self.sums[f"{name}_squares"], self.runs)
+            for name in ("state_cost", "input_effort")
+        }
+
+    @property
+    def secret(self) -> float | None:
+        """Bits a second that the strongest eavesdropper leaves at most; None: none was run."""
+        size, rate = self.first["candidates"], self.rate
+        most = rate.high if rate.known else rate.value
+        left = [
+            bits_left(1, size, wilson(counts["known"], counts["agreed"])).high
+            for counts in self.taps.values()
+            if counts["agreed"]
+        ]
+        return most * min(left) / float(log2(size)) if left else None
+
+    @property
     def shares(self) -> dict[str, Interval]:
         """Steps that agreed, and of each eavesdropper keys known and messages read, over runs."""
         return {name: share_over_runs(Counter(p).elements()) for name, p in self.pairs.items()}
@@ -374,7 +397,12 @@ def ready_rows(
             "bits_per_second": rate.value,
             "bits_per_second_low": cell(rate.low),
             "bits_per_second_high": cell(rate.high),
+            "secret_bits_per_second_at_most": "" if s.secret is None else s.secret,
         }
+        for name, cost in s.costs.items():
+            row[name] = cell(cost.value)
+            row[f"{name}_low"] = cell(cost.low)
+            row[f"{name}_high"] = cell(cost.high)
         for name, share in s.shares.items():
             row[name] = cell(share.value)
             row[f"{name} low"] = cell(share.low)

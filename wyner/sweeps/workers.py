@@ -70,16 +70,15 @@ def _end_after(parent: BaseProcess) -> None:
 
 
 @contextmanager
-def workers(kind: str, jobs: int, scheduler: str | None = None) -> Iterator[Executor]:
-    """Whoever works off the tasks; what is not yet running is dropped when it closes early.
+def workers(jobs: int, dask: str | None = None) -> Iterator[Executor]:
+    """An executor of the tasks; tasks not yet running are dropped when it closes early.
 
     Parameters
     ----------
-    kind : {"process", "dask"}
     jobs : int
         Processes; with one, it is this process.
-    scheduler : str, optional
-        The address of a running Dask scheduler, in place of a local cluster.
+    dask : str, optional
+        The address of a running Dask scheduler; empty for a local cluster of ``jobs`` workers.
 
     Raises
     ------
@@ -89,8 +88,8 @@ def workers(kind: str, jobs: int, scheduler: str | None = None) -> Iterator[Exec
         When there is no such scheduler.
     """
     executor: Executor
-    if kind == "dask":
-        with _dask_executor(jobs, scheduler) as executor:
+    if dask is not None:
+        with _dask_executor(jobs, dask) as executor:
             yield executor
         return
     if jobs == 1:
@@ -109,15 +108,15 @@ def workers(kind: str, jobs: int, scheduler: str | None = None) -> Iterator[Exec
 
 
 @contextmanager
-def _dask_executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
+def _dask_executor(jobs: int, scheduler: str) -> Iterator[Executor]:
     """Workers of a running scheduler, or ``jobs`` processes of a local cluster."""
 
     try:
         distributed: Any = importlib.import_module("distributed")
     except ImportError:
-        raise UsageError(needs("--executor dask", "distributed")) from None
+        raise UsageError(needs("--dask", "distributed")) from None
     with ExitStack() as stack:
-        if scheduler is None:
+        if not scheduler:
             # Worker processes take over that Ctrl-C is ignored, and leave it to this one.
             before = signal.signal(signal.SIGINT, signal.SIG_IGN)
             try:
@@ -137,7 +136,7 @@ def _dask_executor(jobs: int, scheduler: str | None) -> Iterator[Executor]:
                 client = distributed.Client(scheduler, timeout="10s")
             except (OSError, ValueError) as error:
                 reason = str(error).splitlines()[0]
-                raise Failure(f"--scheduler: {scheduler}: {reason}") from None
+                raise Failure(f"--dask: {scheduler}: {reason}") from None
         stack.enter_context(client)
         executor = client.get_executor()
         try:

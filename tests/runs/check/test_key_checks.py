@@ -42,10 +42,10 @@ def test_who_goes_for_the_keys_of_the_run_has_nothing_live_and_in_replay(
     audit = audit_keys(Run.load(run), read_evidence(run).scenario)
     assert audit is not None
     live = json.loads((run / "tap" / "beliefs.json").read_text())["key-solver"]["keys"]
-    again = ["score", str(run), "--decode", "--eavesdropper", "key-solver", "--json"]
+    again = ["score", str(run), "--eavesdropper", "key-solver", "--json"]
     assert main(again) == 0
     told = json.loads(capsys.readouterr().out)
-    assert told["taps"]["key-solver"]["keys"] == live == told["score"]["key-solver"]["keys"]
+    assert told["taps"]["key-solver"]["keys"] == [live]
     exact = {(block.session, block.number): block for block in audit.blocks}
     assert live["newest"]  # how many there are by then is a matter of how fast the machine is
     for hers in live["newest"]:

@@ -11,7 +11,7 @@ from tap_service.status import absent_record
 from tests.support.recorded_pair import RecordedPair
 from wyner.runs.run import Run
 from wyner.runs.score.score import SILENT, UNFINISHED
-from wyner.runs.score.summary import render, summarise
+from wyner.runs.score.summary import AGAIN, render, summarise
 
 PAYLOAD = b"two by two"
 
@@ -55,8 +55,8 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     summary["taps"]["nearest-centre"]["stray_steps"] = 1
     assert "100.0 % of bits, 1 stray symbol\n" in render(summary)
     assert any(line.endswith(f"not scored: {SILENT}") for line in lines)
-    assert any(line.endswith(f"not scored: {UNFINISHED}: wyner score --decode") for line in lines)
-    assert any(line.endswith("17 steps were not looked at: wyner score --decode") for line in lines)
+    assert any(line.endswith(f"not scored: {UNFINISHED}: {AGAIN}") for line in lines)
+    assert any(line.endswith(f"17 steps not looked at: {AGAIN}") for line in lines)
     early = render(summary | {"messages": 0}).splitlines()
     assert any(line.endswith("100.0 % of bits, none was whole yet") for line in early)
     step = summary["delivered_k"]
@@ -149,10 +149,7 @@ def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:
     assert summary["unguessed"] == 1234
     summary |= {"true_bits": 9.0, "strongest": "nearest-centre"}
     lines = render(summary).splitlines()
-    assert (
-        "Eve        1234 messages waited too long to be guessed at live: wyner score --decode"
-        in lines
-    )
+    assert f"Eve        1234 messages were not guessed at live: {AGAIN}" in lines
     assert lines[-1].endswith("True: at most 9 (nearest-centre).")
 
 

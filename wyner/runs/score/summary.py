@@ -39,6 +39,9 @@ GUESS_LENGTH: Final = 72
 
 NAME_WIDTH: Final = 16
 
+AGAIN: Final = "wyner score --eavesdropper"
+"""The command that reads the recording of a run again, at leisure."""
+
 MOST_PAIRS: Final = 1000
 """Messages, the last, of which a summary tells one by one."""
 
@@ -215,13 +218,13 @@ def render(summary: dict[str, Any]) -> str:
         if told := unused_in_words(tap["unused"]):
             lines += _folded(f"Eve        {name:<{NAME_WIDTH}}", f"not used: {told}")
         if tap["steps_not_looked_at"]:
-            late = f"{tap['steps_not_looked_at']} steps were not looked at: wyner score --decode"
+            late = f"{tap['steps_not_looked_at']} steps not looked at: {AGAIN}"
             lines.append(f"Eve        {name:<{NAME_WIDTH}}{late}")
     if summary["taps"]:
         lines.append(f"           {ONE_RUN}")
     if summary["unguessed"]:
-        left = f"{summary['unguessed']} messages waited too long to be guessed at live"
-        lines.append(f"Eve        {left}: wyner score --decode")
+        left = f"{summary['unguessed']} messages were not guessed at live"
+        lines.append(f"Eve        {left}: {AGAIN}")
     lines.append(f"run        {summary['run_dir']}")
     return "\n".join([*lines, *verdict_lines(summary)])
 
@@ -340,7 +343,7 @@ def _got(tap: dict[str, Any], recovered: int) -> str:
     if tap["failed"]:
         return "FAILED: not scored" + (", had a message whole" if tap["messages_exact"] else "")
     if tap["unscored"]:
-        on = ": wyner score --decode" if tap["unscored"] == UNFINISHED else ""
+        on = f": {AGAIN}" if tap["unscored"] == UNFINISHED else ""
         return f"not scored: {tap['unscored']}{on}"
     whole = "whole" if tap["messages_exact"] else "not whole"
     if not recovered:

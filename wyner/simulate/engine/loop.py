@@ -31,6 +31,7 @@ from protocol.agreement import INSIDE, NO_SYMBOL, Gauge, predict, spread
 from protocol.arrays import Array, Flags, Indices, Symbols
 from protocol.box_observer import Box, Estimate
 from protocol.brief import Brief
+from protocol.errors import WynerError
 from protocol.link.fallback import Fallback
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario
@@ -47,7 +48,7 @@ CHUNK_RUNS: Final = 4096
 Places = NDArray[np.intp]
 
 
-class SimulationError(Exception):
+class SimulationError(WynerError):
     """A run that cannot go on; the message names run, step and reason."""
 
 

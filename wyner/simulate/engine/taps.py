@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from random import Random
 
 from protocol.agreement import NO_SYMBOL
+from protocol.errors import WynerError
 from protocol.messages import FieldMessage, Measurement, Offer
 from protocol.relabelling import known
 from protocol.secret.nonces import NONCE_BYTES
@@ -115,7 +116,7 @@ def copies(t: Transition, draw: Random, loss: float) -> Iterator[FieldMessage]:
     return (message for message in both if draw.random() >= loss)
 
 
-class EavesdropperError(Failure):
+class EavesdropperError(Failure, WynerError):
     """An eavesdropper raised, or gave an answer that is none; one line that names it."""
 
 

@@ -1,0 +1,261 @@
+"""What the services of a run last said of themselves, and what is wrong with it."""
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+from protocol.messages import ControllerStatus, PlantStatus
+from protocol.messages.adversary import deaf_share
+from protocol.scenario import ScenarioError
+from protocol.statistics import COUNTED, PROVED
+from protocol.text import printable
+from runtime.errors import UsageError
+from runtime.health import Look, look_at_status, read_status
+from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
+from runtime.scenario_file import load_scenario
+from runtime.services import SERVICES
+from wyner.runs.run import Run, RunError
+from wyner.runs.score.report import unused_in_words
+
+OLD_S: Final = 5.0
+"""A report older than this is of a service that is frozen or gone: it writes one each second (the
+tap each two)."""
+
+
+@dataclass(frozen=True)
+class RunStatus:
+    """The last statuses of one run.
+
+    Parameters
+    ----------
+    run_dir : Path
+    plant : PlantStatus or None
+    controller : ControllerStatus or None
+        None where the folder has none: each end may write into a folder of its own.
+    others : dict of str to Look
+        The other services that write into the folder, by name.
+    claim : str
+        The claim under which the run's keys are secret; empty where it makes none.
+    distance : float
+        Bound on how far all blocks begun are from perfect keys together.
+    warnings : tuple of str
+    """
+
+    run_dir: Path
+    plant: PlantStatus | None
+    controller: ControllerStatus | None
+    others: dict[str, Look]
+    claim: str
+    distance: float
+    warnings: tuple[str, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """The statuses as they were published, and the warnings."""
+        return {
+            "plant": None if self.plant is None else self.plant.model_dump(),
+            "controller": None if self.controller is None else self.controller.model_dump(),
+            "others": {name: look.text for name, look in self.others.items()},
+            "claim": self.claim,
+            "distance": self.distance,
+            "no_interval": {"rate_hz": COUNTED, "distance": PROVED, "alarm_gauge": COUNTED},
+            "warnings": list(self.warnings),
+        }
+
+    def __str__(self) -> str:
+        """One line for each topic, then one for each warning."""
+        lines = [*_of_plant(self), *_of_controller(self)]
+        lines += [f"{name:<12}{look.text}" for name, look in self.others.items()]
+        lines += [f"warning: {text}" for text in self.warnings]
+        return "\n".join(map(printable, lines))
+
+
+@dataclass(frozen=True)
+class FleetStatus:
+    """The last statuses of all loops of a fleet, by name."""
+
+    loops: dict[str, RunStatus]
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """The warnings of all loops, each behind the loop's name."""
+        return tuple(f"{name}: {w}" for name, one in self.loops.items() for w in one.warnings)
+
+    def to_json(self) -> dict[str, Any]:
+        """Every loop's status."""
+        return {"loops": {name: one.to_json() for name, one in self.loops.items()}}
+
+    def __str__(self) -> str:
+        """How many loops are well, and each warning."""
+        well = sum(not one.warnings for one in self.loops.values())
+        lines = [f"{well} of {len(self.loops)} loops without a warning"]
+        return "\n".join(map(printable, [*lines, *(f"warning: {w}" for w in self.warnings)]))
+
+
+def status_of(run_dir: Path) -> RunStatus | FleetStatus:
+    """Read the statuses below a run's folder, or below that of a fleet.
+
+    Raises
+    ------
+    UsageError
+        When there is none, or one cannot be read.
+    """
+    if loops := loops_below(run_dir):
+        return FleetStatus({folder.name: _status_of(folder) for folder in loops})
+    return _status_of(run_dir)
+
+
+def _status_of(run_dir: Path) -> RunStatus:
+    reporting = [name for name in SERVICES if SERVICES[name].reports]
+    there = [name for name in reporting if (run_dir / name / "status.json").exists()]
+    if not there:
+        expected = f"expected a run's folder, with {PLANT_STATUS} or {CONTROLLER_STATUS}"
+        raise UsageError(f"{run_dir}: no service has reported there; {expected}")
+    now_s = time.time()
+    looks = {name: look_at_status(run_dir / name, now_s) for name in there}
+    plant = controller = None
+    try:
+        if "plant" in there:
+            plant = read_status(run_dir / PLANT_STATUS, PlantStatus)
+        if "controller" in there:
+            controller = read_status(run_dir / CONTROLLER_STATUS, ControllerStatus)
+    except OSError as error:
+        raise UsageError(f"{error.filename}: cannot be read: {error.strerror}") from None
+    except ValidationError as error:
+        raise UsageError(f"{run_dir}: {error.error_count()} fields of a status are wrong") from None
+    claim, distance = _claim(run_dir)
+    distance *= 0 if plant is None else plant.key_blocks_begun
+    over = all(end is None or end.phase == "stopped" for end in (plant, controller))
+    warnings = [] if over else list(_silences(looks, {"plant": plant, "controller": controller}))
+    warnings += _warnings_of_plant(plant)
+    warnings += _warnings_of_controller(controller, plant)
+    warnings += _warnings_of_taps(run_dir)
+    others = {name: look for name, look in looks.items() if name not in ("plant", "controller")}
+    return RunStatus(run_dir, plant, controller, others, claim, distance, tuple(warnings))
+
+
+def _silences(
+    looks: dict[str, Look], ends: dict[str, PlantStatus | ControllerStatus | None]
+) -> Iterator[str]:
+    """The services that do not report any more, and those that say that they are not well."""
+    for name, look in looks.items():
+        end = ends.get(name)
+        if end is not None and end.phase == "stopped":
+            continue
+        if look.age_s > OLD_S:
+            yield f"{name} last reported {look.age_s:.0f} s ago"
+        elif look.health.startswith("bad"):
+            yield f"{name}: {look.health.removeprefix('bad: ')}"
+
+
+def _claim(run_dir: Path) -> tuple[str, float]:
+    """The claim of the run's keys, and the distance from perfect keys of one block."""
+    path = run_dir / SCENARIO
+    try:
+        keys = load_scenario(path).keys if path.exists() else None
+    except ScenarioError as error:
+        raise UsageError(error.problems[0]) from None
+    return ("", 0.0) if keys is None else (keys.assumption().sentence(), keys.eps_sec)
+
+
+def _of_plant(status: RunStatus) -> list[str]:
+    plant = status.plant
+    if plant is None:
+        return []
+    late = max(plant.sampled_late_s, default=0.0)
+    acted = max(plant.actuated_after_s, default=0.0)
+    lost = f", blocks lost: {plant.key_blocks_lost}" if plant.key_blocks_lost else ""
+    why = plant.keys_refused or status.claim
+    lines = [
+        f"plant       {plant.phase}, step {plant.k}, {plant.missed} missed, {plant.messages} "
+        f"messages, {plant.agreements} keys agreed",
+        f"timing      sampled {1e3 * late:.1f} ms late, actuated {1e3 * acted:.1f} ms after the "
+        f"measurement at most, {plant.overruns} overruns",
+        f"keys        {plant.keys_made} distilled{lost}{f'; {why}' if why else ''}",
+    ]
+    if plant.key_blocks_begun and not plant.keys_refused:
+        lines.append(
+            f"blocks      {plant.key_blocks_begun} begun, void and aborted ones too: together "
+            f"{status.distance:.2g} from perfect keys at most"
+        )
+    if status.claim:
+        lines.append(f"copies      each measurement is published {plant.appearances} times")
+    return lines
+
+
+def _of_controller(status: RunStatus) -> list[str]:
+    controller = status.controller
+    if controller is None:
+        return []
+    lines = [
+        f"controller  {controller.phase}, {controller.transitions} transitions counted, "
+        f"{controller.delivered} delivered, {controller.queue} queued, "
+        f"{controller.keys_made} keys distilled"
+    ]
+    if controller.watched + controller.unwatched:
+        lines.append(
+            f"keyed coin  {controller.watched} steps watched, {controller.unwatched} not, "
+            f"{controller.digits_left} digits left"
+        )
+    if status.claim:
+        lines.append(f"copies      each offer is published {controller.appearances} times")
+    return lines
+
+
+def _warnings_of_plant(plant: PlantStatus | None) -> list[str]:
+    if plant is None:
+        return []
+    found = [plant.detail] if plant.detail else []
+    if plant.outside:
+        found.append(f"d was outside D_c in {plant.outside} steps")
+    if plant.symbol_errors:
+        found.append(f"{plant.symbol_errors} agreed keys are not the input that was applied")
+    if plant.keys_stopped:
+        found.append(f"keys stopped: {plant.keys_stopped}")
+    if plant.keys_refused:
+        found.append(f"keys: {plant.keys_refused}")
+    return found
+
+
+def _warnings_of_controller(
+    controller: ControllerStatus | None, plant: PlantStatus | None
+) -> list[str]:
+    if controller is None:
+        return []
+    alarms = controller.alarm_sentence()
+    found = [alarms] if alarms else []
+    if controller.unexplained:
+        found.append(f"{controller.unexplained} transitions that no candidate explains")
+    if controller.keys_stopped and (plant is None or not plant.keys_stopped):
+        found.append(f"keys stopped at the controller: {controller.keys_stopped}")
+    return found
+
+
+def _warnings_of_taps(run_dir: Path) -> list[str]:
+    """The eavesdroppers that failed or could not use what they heard, and refuted claims."""
+    try:
+        told = Run.load(run_dir).beliefs()
+        found = [
+            f"eavesdropper {name} failed: {one['failed']}"
+            for name, one in told.items()
+            if one.get("failed")
+        ]
+        found += [
+            f"eavesdropper {name}: not used of what the tap heard: {unused_in_words(one['unused'])}"
+            for name, one in told.items()
+            if "unused" in one and deaf_share(one["unused"], one["steps"])
+        ]
+        keys = [one["keys"] for one in told.values() if one.get("keys")]
+        found += [f"the tap holds {k['bits']} bits of keys" for k in keys if k["bits"]]
+        found += [
+            f"the tap misses {k['at_most']:.2g} of the {k['direction']} at most: "
+            "the operator's claim is refuted"
+            for k in keys
+            if k["refuted"]
+        ]
+        return found + ["the tap's misses come in bursts" for k in keys if k["bursts"]]
+    except (RunError, OSError, ValueError, LookupError, TypeError, AttributeError):
+        return []  # no tap here
