@@ -33,10 +33,10 @@ from runtime.errors import UsageError
 from runtime.logs import logger
 
 HEARD: Final = 4096
-"""Messages that may wait for her; the oldest go first."""
+"""Messages that may wait for Eve; the oldest go first."""
 
 KEPT: Final = 512
-"""Messages of the bus that she remembers as she rewrote them."""
+"""Messages of the bus of which Eve remembers how they were rewritten."""
 
 
 class Attacker(Filter):
@@ -168,7 +168,7 @@ class Attacker(Filter):
         if self._coins is not None:
             try:
                 self._coins.hear(message)
-            except Exception as error:  # her eavesdropper's: it is no reason to stop the plant
+            except Exception as error:  # of Eve's: it stops no plant
                 self._over(k, _line_of(error))
 
     def _observation(self, attack: SensorAttack, k: int, true: Array, shown: Array) -> Observation:

@@ -1,4 +1,4 @@
-"""What every attack is: told what she holds, it says what is put in place of the truth.
+"""What every attack is: told what Eve holds, it says what is put in place of the truth.
 
 All of it is NumPy by element: the leading axes ``...`` are runs, none in a live run. An attack
 does no input or output, draws from the generator that it is handed, and keeps what it needs.
@@ -18,7 +18,7 @@ from protocol.scenario.attack import Known, Place
 from protocol.wrong_fields import expected_of
 
 UNKNOWN: Final = -1
-"""In place of a coin that she does not know."""
+"""In place of a coin that Eve does not know."""
 
 
 class AttackError(Exception):
@@ -73,7 +73,7 @@ class Model:
 
 @dataclass(frozen=True, slots=True)
 class Observation:
-    """What she has at the reading x(k).
+    """What Eve has at the reading x(k).
 
     Parameters
     ----------
@@ -81,11 +81,11 @@ class Observation:
     shown : ndarray, shape (..., n)
         What was reported as x(k-1); the truth, up to the onset.
     candidates : ndarray, shape (..., M, m), optional
-        The inputs offered in step k-1; None where she does not hear the bus, or no offer was made.
+        The inputs offered in step k-1; None where Eve does not hear the bus, or no offer was made.
     coins : ndarray of int, shape (...,), optional
-        The candidate that she believes applied in step k-1; :data:`UNKNOWN` where she has no key.
+        The candidate that Eve believes applied in step k-1; :data:`UNKNOWN` where Eve has no key.
     seen : ndarray, shape (..., n), optional
-        x(k) with her noise; None where she does not see the plant.
+        x(k) with Eve's noise; None where Eve does not see the plant.
     """
 
     k: int
@@ -101,7 +101,7 @@ class Options(BaseModel):
     Parameters
     ----------
     sees : float, optional
-        Standard deviation of the noise with which she sees each state; None: she does not see them.
+        Standard deviation of the noise with which Eve sees each state; None: Eve does not see them.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -125,7 +125,7 @@ class Attack(ABC):
     Parameters
     ----------
     model : Model or None
-        None where she does not know it.
+        None where Eve does not know it.
     options : mapping
     rng : numpy.random.Generator
 

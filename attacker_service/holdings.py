@@ -1,4 +1,4 @@
-"""What she holds: the public offers, and the keys that this run's eavesdropper computed."""
+"""What Eve holds: the public offers, and the keys that this run's eavesdropper computed."""
 
 from collections.abc import Mapping
 from typing import Any, Final
@@ -58,7 +58,7 @@ class Coins:
             self._solver = None  # no keys are made here
 
     def hear(self, message: FieldMessage) -> None:
-        """Let the eavesdropper hear a message, as far as her channel lets it through."""
+        """Let the eavesdropper hear a message, as far as Eve's channel lets it through."""
         if self._solver is None:
             return
         for _, heard in self._channel.hear(0, message):
@@ -68,7 +68,7 @@ class Coins:
                 self._solver.observe(transition)
 
     def of(self, offer: Offer) -> int:
-        """The candidate that she knows to be applied of an offer; :data:`UNKNOWN` without the key.
+        """The candidate that Eve knows to be applied of an offer; :data:`UNKNOWN` without the key.
 
         Which digit of the key stream chooses it stands in the offer.
         """

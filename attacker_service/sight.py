@@ -1,4 +1,4 @@
-"""Which candidate was applied, told from what she sees of the plant."""
+"""Which candidate was applied, told from what Eve sees of the plant."""
 
 from typing import Final
 
@@ -12,16 +12,16 @@ ROUNDS: Final = 200
 
 
 class Sight:
-    """Follows the true plant through her noise, and says which candidate moved it.
+    """Follows the true plant through Eve's noise, and says which candidate moved it.
 
-    A Kalman filter whose disturbance has the variance of a uniform one on D_c's axes. Where she
+    A Kalman filter whose disturbance has the variance of a uniform one on D_c's axes. Where Eve
     sees without noise the candidate is the one that D_c explains: there is no other (equation 20).
 
     Parameters
     ----------
     model : Model
     noise : float
-        Standard deviation of her noise on each state.
+        Standard deviation of Eve's noise on each state.
     """
 
     def __init__(self, model: Model, noise: float) -> None:

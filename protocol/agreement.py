@@ -151,7 +151,7 @@ class AgreementRule:
         Where D_e has a shape of its own: the gauge of D_e over alpha.
     apart : Gauge, optional
         Where sensors are noisy and ``gauge`` is that of W: the gauge of D_c. All candidates are
-        then possible for her where their centres are at most alpha - 1 apart in it, whatever x_next
+        then possible for Eve where their centres are at most alpha - 1 apart in it, whatever x_next
         is: d + B (u_b - u_i) is in D_e for every d in D_c, and gives the same readings for ever.
     deviations : tuple of float, shape (n,), optional
         Of a Gaussian d, a state each. The symbol is then the likeliest candidate, in every
@@ -174,7 +174,7 @@ class AgreementRule:
         return self.verdict_at([predict(A, B, x, u) for u in candidates], x_next)
 
     def widest(self, predictions: Iterable[Sequence[float]], x_next: Sequence[float]) -> float:
-        """The largest gauge of D_e over alpha: up to alpha she finds every candidate possible."""
+        """The largest gauge of D_e over alpha: up to alpha Eve finds every candidate possible."""
         gauge = self.gauge if self.reach is None else self.reach
         if self.apart is not None:
             return 1.0 + spread(self.apart, list(predictions))

@@ -7,9 +7,9 @@ are widened by what such a sum may round (:data:`ROUNDING`), and the box holds t
 The box advances once a transition, from y(k+1) and the offer alone, so that a process that begins
 again from the box that it kept goes on with the very same numbers.
 
-She has it too. What is possible for her is decided by the offer
-(:attr:`protocol.agreement.AgreementRule.apart`): a test of her own box would promise too much, for
-she may wait some steps before she names a symbol.
+Eve has it too. What is possible for Eve is decided by the offer
+(:attr:`protocol.agreement.AgreementRule.apart`): a test of Eve's own box would promise too much, as
+Eve may wait some steps before naming a symbol.
 """
 
 from collections.abc import Sequence

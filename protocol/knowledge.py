@@ -1,7 +1,7 @@
 """What an eavesdropper may know: a value that is handed to it.
 
 The tap imports this and never :mod:`protocol.scenario`, so that nothing in it can look up D_c, the
-message or a key. Every optional field left out is something she does not know.
+message or a key. Every optional field left out is something Eve does not know.
 """
 
 from typing import Annotated, Literal
@@ -35,7 +35,7 @@ class PolicyCost(BaseModel):
 
 
 class Policy(BaseModel):
-    """The control policy (15), which the paper's section 4.2 grants her after Kerckhoffs.
+    """The control policy (15), which the paper's section 4.2 grants Eve after Kerckhoffs.
 
     Neither D_c nor the sets T_i, which depend on it, are part of it.
 
@@ -83,7 +83,7 @@ class Knowledge(Brief, BaseModel):
     scheme : str
         Which scheme both ends follow: an algorithm, and so public.
     A, B : tuple of tuple of float, shapes (n, n) and (n, m), optional
-        Her nominal model; None when she has none.
+        Eve's nominal model; None when Eve has none.
     disturbance_H, disturbance_h : tuple, shapes (rows, n) and (rows,), optional
         D_e = { d : H d <= h }.
     policy : Policy, optional
@@ -105,7 +105,7 @@ class Knowledge(Brief, BaseModel):
     digits : int
         Digits of the key stream that an offer takes, which is public.
     noise, quantise : float
-        Of her own receiver: standard deviation of its noise, and the step to which it rounds.
+        Of Eve's own receiver: standard deviation of its noise, and the step to which it rounds.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -135,7 +135,7 @@ class Knowledge(Brief, BaseModel):
         return self.model_copy(update={"alpha": None, "defender_H": None, "defender_h": None})
 
     def brief(self) -> dict[str, object]:
-        """Of which system it is, and what of it she knows."""
+        """Of which system it is, and what of it Eve knows."""
         told = ("A", "B", "disturbance_H", "policy", "alpha", "keys")
         return {
             "scenario": self.scenario,

@@ -1,16 +1,16 @@
-"""What somebody knows of symbols, whatever she calls them: right up to one fixed relabelling.
+"""What Eve knows of symbols, whatever they are called: right up to one fixed relabelling.
 
-A tap whose model is mirrored names every symbol wrong, and knows every one: to read 0 for her 1
-is enough. So what counts is the share of steps at which she is right under the one permutation of
-the M symbols, the same for all steps of a run, that suits her best.
+A tap whose model is mirrored names every symbol wrong, and knows every one: to read 0 for Eve's 1
+is enough. So what counts is the share of steps at which Eve is right under the one permutation of
+the M symbols, the same for all steps of a run, that suits Eve best.
 
 Choosing the best of M! permutations makes a blind guess look better than it is, and the figures
-here pay for the choice. Nine tenths of the level are for the symbols as she names them, the rest is
+here pay for the choice. Nine tenths of the level are for the symbols as Eve names them, the rest is
 shared equally among all other labellings, M! - 1 of one run; of R runs, each with a labelling of
 its own, (M!)^R - 1. Each labelling by itself has the evidence and the limits of
 :mod:`protocol.statistics`, which hold at every look; by the union bound they hold for all
 labellings together, so also for the one that was chosen after looking. It costs 0.1 nats of
-evidence as named, and ln 10 + ln(M! - 1) otherwise: 33 nats for M = 16, where each symbol that she
+evidence as named, and ln 10 + ln(M! - 1) otherwise: 33 nats for M = 16, where each symbol that Eve
 knows brings up to 2.8.
 """
 
@@ -23,37 +23,37 @@ from typing import Final, NamedTuple
 from protocol.statistics import CONFIDENCE, Interval, log_evidence, sequence_limits
 
 Pairs = Mapping[tuple[int, int], int]
-"""Steps by what she named and what was true: a confusion matrix."""
+"""Steps by what Eve named and what was true: a confusion matrix."""
 
 Labels = tuple[int, ...]
-"""The true symbol that each of hers stands for."""
+"""The true symbol that each of Eve's stands for."""
 
 ENUMERATED: Final = 4
 """M up to which all permutations are tried; beyond it the best one is an assignment problem."""
 
 
 AS_NAMED: Final = 0.9
-"""Share of the level that is for the symbols as she names them."""
+"""Share of the level that is for the symbols as Eve names them."""
 
 
 class Known(NamedTuple):
-    """What she knows of symbols, over one run or more.
+    """What Eve knows of symbols, over one run or more.
 
     Parameters
     ----------
     of : int
         Steps.
     named : int
-        Those at which she named the true symbol.
+        Those at which Eve named the true symbol.
     right : int
-        Those at which she is right under the labellings that count: as named, unless others are
-        shown to suit her better.
+        Those at which Eve is right under the labellings that count: as named, unless others are
+        shown to suit Eve better.
     share : Interval
         P_g, that share, with limits that pay for the choice.
     labels : tuple of tuple of int
         By run; empty where the symbols count as named.
     evidence : float
-        Natural logarithm of the evidence that she does better than chance, the choice paid for.
+        Natural logarithm of the evidence that Eve does better than chance, the choice paid for.
     """
 
     of: int
@@ -69,7 +69,7 @@ class Known(NamedTuple):
 
 
 def pairs_of(guesses: Iterable[tuple[int, int]]) -> Counter[tuple[int, int]]:
-    """Steps by what she named and what was true."""
+    """Steps by what Eve named and what was true."""
     return Counter(guesses)
 
 
@@ -90,17 +90,17 @@ def best_labels(pairs: Pairs, size: int) -> Labels:
 
 
 def right_under(pairs: Pairs, labels: Labels) -> int:
-    """Steps at which she is right where her symbols stand for these."""
+    """Steps at which Eve is right where Eve's symbols stand for these."""
     return sum(pairs.get((guess, key), 0) for guess, key in enumerate(labels))
 
 
 def known(runs: Sequence[Pairs], size: int, confidence: float = CONFIDENCE) -> Known:
-    """What she knows of the symbols of some runs, each with one labelling for all its steps.
+    """What Eve knows of the symbols of some runs, each with one labelling for all its steps.
 
     Parameters
     ----------
     runs : sequence of mapping
-        Of each run steps by what she named and what was true.
+        Of each run steps by what Eve named and what was true.
     size : int
         M.
     confidence : float

@@ -389,7 +389,7 @@ def sequence_limits(successes: float, trials: int, most: float) -> Interval:
 def better_than(chance: float, successes: float, trials: int, alpha: float) -> bool:
     """Whether somebody is shown to succeed more often than by ``chance``.
 
-    Where she does not, this is ever true with probability ``alpha`` at most, however often one
+    Where Eve does not, this is ever true with probability ``alpha`` at most, however often one
     looks.
     """
     if successes <= chance * trials:
@@ -439,13 +439,13 @@ MISSTATED: Final = 0.04
 def stated_left(bits: float, most: float) -> Interval:
     """Bits that one leaves who says herself how many, with limits.
 
-    Her account is right but for a share :data:`MISSTATED` of messages; of those all may be left.
+    Eve's account is right but for a share :data:`MISSTATED` of messages; of those all may be left.
     Nothing says that a stronger one would not leave less: the lower limit is 0.
 
     Parameters
     ----------
     bits : float
-        By her account: the entropy of the message, given all that she heard.
+        By Eve's account: the entropy of the message, given all that Eve heard.
     most : float
         Bits that there are.
     """
@@ -455,7 +455,7 @@ def stated_left(bits: float, most: float) -> Interval:
 
 
 def bits_left(keys: int, size: int, guessed: Interval) -> Interval:
-    """Bits that one leaves of ``keys`` symbols whom she guesses right with that probability.
+    """Bits that one leaves of ``keys`` symbols whom Eve guesses right with that probability.
 
     -log2 P_g each, with P_g never below 1 / size. The upper limit comes of the lower one of P_g:
     whoever is not shown to be better than chance leaves all that there may be.

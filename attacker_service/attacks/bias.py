@@ -1,4 +1,4 @@
-"""`bias`: the limit. She sees the plant as it is, and says that D_c did less than it does."""
+"""`bias`: the limit. Eve sees the plant as it is, and says that D_c did less than it does."""
 
 from typing import Annotated, ClassVar
 
@@ -8,7 +8,7 @@ from attacker_service.attacks.ghost import Ghost
 
 
 class Bias(Ghost):
-    """A ghost that tells the coin from the plant itself, so that no key helps against her.
+    """A ghost that tells the coin from the plant itself, so that no key helps against Eve.
 
     The actuator is honest, the report is one that an honest plant could have made, and the
     controller, which steers the report, lets the true state drift by d - d' a step.

@@ -16,7 +16,7 @@ class Covert(BusAttack):
 
     Where a candidate would leave U, which the plant refuses, as much of u_a is added as fits to all
     of them. A step whose offer was not applied moves e by A alone, as where the fallback is zero.
-    Under another one she shows a part of what she did. No alarm comes of it: the controller tests
+    Under another one a part of the attack shows. No alarm comes of it: the controller tests
     no such step, and each step that it tests moves e by the model, whatever e was.
     """
 
@@ -53,7 +53,7 @@ class Covert(BusAttack):
         return rewritten
 
     def toward_controller(self, k: int, x: Array, applied: Flags) -> Array:
-        """x(k) without what she has done to it."""
+        """x(k) without what Eve has done to it."""
         if self._off is None:
             self._off = k - 1, np.zeros_like(x)
         at, e = self._off

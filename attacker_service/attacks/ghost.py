@@ -1,4 +1,4 @@
-"""`ghost`: reports a quiet plant of its own, moved by what she believes was applied."""
+"""`ghost`: reports a quiet plant of its own, moved by what Eve believes was applied."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar
@@ -17,7 +17,7 @@ class Ghost(SensorAttack):
     """x'(k+1) = A x'(k) + B u_b' + d', with d' within D_c.
 
     The controller answers a constant part of d', so that the true plant runs off the other way. b'
-    is the coin that she holds, else the one that fits to what she sees of the plant, else a
+    is the coin that Eve holds, else the one that fits to what Eve sees of the plant, else a
     guess, evenly among the candidates. Without an offer no input moved it.
     """
 
@@ -66,7 +66,7 @@ class Ghost(SensorAttack):
         return self.model.predict(observed.shown, u) + d
 
     def _coins(self, observed: Observation, candidates: Array) -> Integers:
-        """What she takes for applied in each run."""
+        """What Eve takes for applied in each run."""
         runs, size = candidates.shape[:-2], candidates.shape[-2]
         if self._sight is not None and observed.seen is not None:
             guess: Integers = self._sight.coins(candidates, observed.seen)

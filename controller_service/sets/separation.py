@@ -16,7 +16,7 @@ APART = 1e-6
 1 + 1e-9 as inside, and the plant's sum rounds."""
 
 TINY = 1e-12
-"""Room, in gauges, below which she has none along a row."""
+"""Room, in gauges, below which Eve has none along a row."""
 
 TOGETHER = 1e-9
 """Candidates are this fraction closer together than alpha allows: alpha is compared sharply."""
@@ -89,7 +89,7 @@ class Separation:
         return float((alpha - self.taken).min())
 
     def together_at(self, alpha: float) -> Array:
-        """Rows of the norm up to 1 of which both candidates are possible for her, for every d."""
+        """Rows of the norm up to 1 of which both candidates are possible for Eve, for every d."""
         out: Array = self.together / np.maximum(alpha - self.taken, TINY)[:, None]
         return out
 
@@ -98,7 +98,7 @@ class Separation:
         return _reciprocal(float(np.abs(self.apart).max()))
 
     def omega(self, alpha: float) -> float:
-        """One input: the largest difference of two candidates that are both possible for her."""
+        """One input: the largest difference of two candidates that are both possible for Eve."""
         moved = np.abs(self.together).max(axis=1)
         if not moved.any():
             return math.inf

@@ -66,7 +66,7 @@ def alarm_rule(
     """The quickest rule that keeps to a rate of false alarms: fewest failures, longest window.
 
     A fabricator fails a test with probability 1 - 1/M, so the window holds twice the tests in which
-    she fails r times in the mean: 2 r M / (M - 1), or as many as the rate allows, but r M / (M - 1)
+    Eve fails r times in the mean: 2 r M / (M - 1), or as many as the rate allows, but r M / (M - 1)
     at the least.
 
     Parameters

@@ -25,7 +25,7 @@ class OutputRule:
     """The agreement test on readings y = C x + n, and the state that the controller reckons with.
 
     A symbol is agreed where exactly one candidate explains the reading, and every B (u_i - u_j) is
-    in (alpha - 1) D_c: then she finds all of them possible, whatever she remembers.
+    in (alpha - 1) D_c: then Eve finds all of them possible, whatever Eve remembers.
 
     Parameters
     ----------

@@ -19,11 +19,11 @@ class TapStatus(Message):
     name : str
         The eavesdropper's.
     steps, lost : int
-        Transitions that she looked at, and those of which the tap lacks a message.
+        Transitions that Eve looked at, and those of which the tap lacks a message.
     mirrored, dropped, malformed : int
         Messages that the tap has recorded, has heard and lost, and could not read.
     behind : int
-        Captured steps that she has not looked at.
+        Captured steps that Eve has not looked at.
     foreign, late : int
         Messages that the tap heard and could not use: those of other sessions or of steps far
         ahead, and those that came after their step was given out without them.
@@ -32,41 +32,41 @@ class TapStatus(Message):
     restarts : int
         Times that the eavesdropper's process was started again.
     message : str
-        Her best message so far; unprintable bytes are shown as ``·``.
+        Eve's best message so far; unprintable bytes are shown as ``·``.
     confidence : float
-        How sure she is of it, 0 to 1.
+        How sure Eve is of it, 0 to 1.
     candidates_left : int
-        Messages that are still possible to her; 0: this kind does not count them.
+        Messages that are still possible to Eve; 0: this kind does not count them.
     solved_k : int
-        Step at which she first was sure of a whole message; -1: not yet.
+        Step at which Eve first was sure of a whole message; -1: not yet.
     bits_left : float or None
-        Entropy of the message given all that she heard, in bits, by her own account. None: this
+        Entropy of the message given all that Eve heard, in bits, by Eve's own account. None: this
         kind does not compute it.
     given : str
-        Which kind of text she takes the message for, as ``German``: that entropy is given it too.
+        Which kind of text Eve takes the message for, as ``German``: that entropy is given it too.
     failed : str
-        Why she does not guess at present; empty: she does. The other fields then keep her last
+        Why Eve does not guess at present; empty: Eve does. The other fields then keep Eve's last
         words.
     A, B : tuple of tuple of float
-        The model that she has learned or was given; empty: none.
+        The model that Eve has learned or was given; empty: none.
     key_blocks, key_bits_held : int
-        Key blocks that she attacked, and bits of their rows that she can compute; -1 bits: she
+        Key blocks that Eve attacked, and bits of their rows that Eve can compute; -1 bits: Eve
         attacks no keys. The fields up to ``misses_in_bursts`` are those of one who does.
     copies, copies_missed : int
-        Copies 0 that were sent while she was there, and those of them that she missed.
+        Copies 0 that were sent while Eve was there, and those of them that Eve missed.
     copies_absent : int
-        Copies 0 that were sent while she was not there.
+        Copies 0 that were sent while Eve was not there.
     missed_direction, missed_at_most : str, float
         The direction that speaks most against the operator's claim, and the upper bound of the
-        share of its copies that she misses.
+        share of its copies that Eve misses.
     key_steps_unplaced : int
-        Transitions that she could place in no block: nothing is known of their keys.
+        Transitions that Eve could place in no block: nothing is known of their keys.
     claim_refuted, misses_in_bursts : bool
-        She misses less than the operator claims; her misses come in bursts.
+        Eve misses less than the operator claims; Eve's misses come in bursts.
     tail_k, tail_symbol : tuple of int
-        Of the last transitions, oldest first: the step k, and the symbol that she holds likeliest.
+        Of the last transitions, oldest first: the step k, and the symbol that Eve holds likeliest.
     tail_probability, tail_agreed : tuple of float
-        Probability of that symbol, and that a key was agreed on there, by her account. All four
+        Probability of that symbol, and that a key was agreed on there, by Eve's account. All four
         tails have one length.
     """
 
@@ -97,13 +97,13 @@ class TapStatus(Message):
         Count, Metric("keys_blocks_attacked", "key blocks that the eavesdropper went for")
     ] = 0
     key_bits_held: Annotated[
-        int, Field(ge=-1), Metric("keys_bits_held", "bits of their rows that she can compute")
+        int, Field(ge=-1), Metric("keys_bits_held", "bits of their rows that Eve can compute")
     ] = -1
     copies: Annotated[
-        Count, Metric("keys_copies", "first copies that were sent, as far as she can tell")
+        Count, Metric("keys_copies", "first copies that were sent, as far as Eve can tell")
     ] = 0
     copies_missed: Annotated[
-        Count, Metric("keys_copies_missed", "first copies that she missed")
+        Count, Metric("keys_copies_missed", "first copies that Eve missed")
     ] = 0
     missed_at_most: float = 1.0
     missed_direction: str = ""
@@ -113,12 +113,12 @@ class TapStatus(Message):
         bool,
         Metric(
             "keys_claim_refuted",
-            "whether she misses less than the operator claims (eps_E)",
+            "whether Eve misses less than the operator claims (eps_E)",
             now=True,
         ),
     ] = False
     misses_in_bursts: Annotated[
-        bool, Metric("keys_misses_in_bursts", "whether her misses come in bursts", now=True)
+        bool, Metric("keys_misses_in_bursts", "whether Eve's misses come in bursts", now=True)
     ] = False
     tail_k: tuple[int, ...] = ()
     tail_symbol: tuple[int, ...] = ()

@@ -85,7 +85,7 @@ class Assumption:
     directions : {"both", "offers", "measurements"}
         Directions in which the tap misses copies. Nonces of the other one do not count.
     unheard_bits : int
-        Bits of a missed copy's nonce that stay unheard, in whole words of 16. Below 256 she may
+        Bits of a missed copy's nonce that stay unheard, in whole words of 16. Below 256 Eve may
         hear a part of a message.
     appearances : int
         How often a copy 0 leaves an end at most. ``eps_E`` is claimed of each appearance, given
@@ -100,12 +100,12 @@ class Assumption:
 
     @property
     def eps_copy(self) -> float:
-        """Least probability that she misses all appearances of a copy 0."""
+        """Least probability that Eve misses all appearances of a copy 0."""
         return self.eps_E**self.appearances
 
     @property
     def by_words(self) -> bool:
-        """Whether keys are made of words of 16 bits, since she may hear a part of a nonce."""
+        """Whether keys are made of words of 16 bits, since Eve may hear a part of a nonce."""
         return self.unheard_bits < NONCE_BITS
 
     @property
@@ -118,7 +118,7 @@ class Assumption:
         return counts & {"both": 3, "offers": 1, "measurements": 2}[self.directions]
 
     def misses(self, n: int) -> int:
-        """Copies of ``n`` that she misses at least, except with probability eps_sec."""
+        """Copies of ``n`` that Eve misses at least, except with probability eps_sec."""
         if self.eps_E == 0:
             return 0
         return quantile(n, self.eps_copy, self.eps_sec)

@@ -1,13 +1,13 @@
 """From counted nonces to keys: a Cauchy matrix, any square part of which can be inverted.
 
 If the tap missed at least as many counted nonces as there are rows, every row is exactly uniform
-given all that she has. No seed is needed, and she may choose what to miss (wiretap channel II).
+given all that Eve has. No seed is needed, and Eve may choose what to miss (wiretap channel II).
 
 Row i and column j hold 1 / ((65535 - i) + j) in GF(2^16), where plus is exclusive or.
 
-A column is a nonce; its 16 words are worked on side by side. If she hears half of each missed nonce
-she knows half of every row. Where that may be, a column is a word of 16 bits and a key is 16 rows:
-then the words that she missed count, wherever they are.
+A column is a nonce; its 16 words are worked on side by side. If Eve hears half of each missed nonce
+Eve knows half of every row. Where that may be, a column is a word of 16 bits and a key is 16 rows:
+then the words that Eve missed count, wherever they are.
 """
 
 from collections.abc import Sequence

@@ -17,7 +17,7 @@ from typing import Final, Literal, NamedTuple
 Copy = Literal[0, 1]
 
 NONCE_BYTES: Final = 32
-"""256 bits. A copy that she misses makes one row, and a row is one key of 256 bits."""
+"""256 bits. A copy that Eve misses makes one row, and a row is one key of 256 bits."""
 
 FIRST: Final = 0
 """Number of the copy that may count."""

@@ -23,6 +23,7 @@ from wyner import (
     Simulated,
     System,
     Transition,
+    WynerError,
     build,
     design,
     eavesdrop,
@@ -272,3 +273,16 @@ def test_a_runs_folder_is_checked(tmp_path: Path) -> None:
     assert {finding.rule for finding in wyner.check(tmp_path / "run")} >= {"whole"}
     with pytest.raises(FileNotFoundError, match="no run here"):
         wyner.check(tmp_path)
+
+
+def test_wrong_input_is_a_value_error_with_a_line() -> None:
+    """Each of these was an exception of a room of its own, from deep inside."""
+    for wrong in (
+        lambda: design("nosuch"),
+        lambda: vary(load("sustained"), {"secrecy.alpa": 2}),
+        lambda: eavesdrop(run(design("sustained"), steps=20, runs=1, seed=1), ["nearest"]),
+    ):
+        with pytest.raises(WynerError, match=r"expected|no such") as raised:
+            wrong()
+        assert isinstance(raised.value, ValueError)
+        assert len(str(raised.value).splitlines()) == 1

@@ -2,6 +2,7 @@
 
 import fcntl
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
@@ -51,17 +52,22 @@ def made_once(factory: pytest.TempPathFactory, name: str, make: Callable[[Path],
 
 
 def _run_with_keys(folder: Path) -> None:
+    """On a machine that is busy no block is extracted in eight seconds; then it gets forty."""
     scenario = folder.with_suffix(".toml")
     keys = (SCENARIOS / "keys.toml").read_text(encoding="utf-8")
     scenario.write_text(keys.replace("[tap]\n", f"[tap]\neavesdroppers = {EAVESDROPPERS}\n", 1))
-    options = RunOptions(
-        scenario=str(scenario),
-        message="hi",
-        pace="x5",
-        steps=STEPS,
-        headless=True,
-        json=True,
-        run_dir=str(folder),
-    )
-    outcome = run_session(options, stays=False)
-    assert outcome.failure is None
+    for pace in ("x5", "realtime"):
+        shutil.rmtree(folder, ignore_errors=True)
+        options = RunOptions(
+            scenario=str(scenario),
+            message="hi",
+            pace=pace,
+            steps=STEPS,
+            headless=True,
+            json=True,
+            run_dir=str(folder),
+        )
+        outcome = run_session(options, stays=False)
+        assert outcome.failure is None
+        if outcome.summary["keys"]["made"]:
+            return

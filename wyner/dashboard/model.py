@@ -289,7 +289,7 @@ def _tap(state: State, status: TapStatus, t_ns: int) -> State:
 def _compared(
     state: State, guesses: Mapping[int, ShownGuess], steps: Iterable[int]
 ) -> Counter[tuple[int, int]]:
-    """Of these steps the agreed ones that a tap has guessed, by what she named and the truth."""
+    """Of these steps the agreed ones that a tap has guessed, by its guess and the truth."""
     found: Counter[tuple[int, int]] = Counter()
     for k in steps:
         guess, truth = guesses.get(k), state.truths.get(k)
@@ -299,7 +299,7 @@ def _compared(
 
 
 def compared(state: State, tap: TapState) -> Counter[tuple[int, int]]:
-    """The agreed steps that a tap has guessed so far, by what she named and what was true."""
+    """The agreed steps that a tap has guessed so far, by its guess and the truth."""
     return _compared(state, tap.guesses, tap.guesses) + Counter(tap.pairs)
 
 
