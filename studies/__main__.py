@@ -26,6 +26,10 @@ def build_parser() -> argparse.ArgumentParser:
         one.add_argument("--jobs", type=int, default=1, metavar="N", help="workers (1)")
         one.add_argument("--dask", nargs="?", const="", metavar="ADDRESS", help="Dask workers")
     commands.add_parser("stale", help="list files with rows of other code")
+    scheme = commands.add_parser("scheme", help="the table of schemes, with one of your own")
+    scheme.add_argument("scheme", metavar="FILE.py:NAME")
+    scheme.add_argument("--scenario", default="packed", help="what it runs on (packed)")
+    scheme.add_argument("--seed", type=int, default=1, help="of its runs (1)")
     own = commands.add_parser("defence", help="try a defence of your own against every attack")
     own.add_argument("defence", metavar="FILE.py:NAME")
     return parser
@@ -48,6 +52,8 @@ def run(args: argparse.Namespace) -> int:
             lines = list(stale())
             print(*lines, f"{len(lines)} files have rows of other code", sep="\n")
             return FAILED if lines else DONE
+        case "scheme":
+            _scheme(args.scheme, args.scenario, args.seed)
         case "defence":
             _defence(args.defence)
     return DONE
@@ -94,6 +100,17 @@ def _figures(args: argparse.Namespace, data: Path) -> None:
         raise Failure(str(error)) from None
     except OSError as error:
         raise Failure(f"{error.filename}: cannot be written: {error.strerror}") from None
+
+
+def _scheme(name: str, scenario: str, seed: int) -> None:
+    from protocol.plugins import UnknownError
+    from protocol.scenario import ScenarioError
+    from studies.schemes import with_own
+
+    try:
+        print(with_own(name, scenario, seed))
+    except (UnknownError, ScenarioError) as error:
+        raise UsageError(f"scheme: {error}") from None
 
 
 def _defence(name: str) -> None:

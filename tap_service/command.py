@@ -198,7 +198,7 @@ def run_with_knowledge(
             run_dir=folder,
             knowledge=told.knowledge.without_secrets(),
             oracle_knowledge=told.oracle,
-            names=names or default_names(told.knowledge, clear=view.clear),
+            names=names or default_names(told.knowledge),
             view=view,
             loop=loop,
             limits=limits,

@@ -29,7 +29,7 @@ MESSAGES: Final = 20
 LOSSES: Final = (0.3, 0.5)
 """Shares of the datagrams that Eve misses, in turn."""
 
-FIRST_SEED: Final = 3000
+FIRST_SEED: Final = 5000
 
 KEPT_BACK: Final = ("code", "passwords")
 

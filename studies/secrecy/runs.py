@@ -93,11 +93,6 @@ def text_of(rng: random.Random) -> bytes:
     return rng.choice(SENTENCES).encode("ascii")
 
 
-def raw_symbols(text: bytes) -> bytes:
-    """Text as bits without a frame, most significant first."""
-    return bytes(byte >> place & 1 for byte in text for place in range(7, -1, -1))
-
-
 class _Chance(Between):
     """All that a run draws, from one generator: a cover where nothing is carried, the coin, d.
 
@@ -135,7 +130,6 @@ def simulate(
     name: str = "sustained",
     alpha: float = 8.0,
     payloads: Sequence[bytes] | None = None,
-    raw: bool = False,
     corrupt: int | None = None,
 ) -> Run:
     """One run of the loop.
@@ -147,8 +141,6 @@ def simulate(
     seed : int
     payloads : sequence of bytes, optional
         Messages, one after the other; one drawn from :data:`SENTENCES` by default.
-    raw : bool
-        Send the text's bits without frames, and idle symbols after it.
     corrupt : int, optional
         Encrypt the message symbol of this index under a wrong key: a negative control.
     """
@@ -158,8 +150,6 @@ def simulate(
         payloads = (text_of(rng),)
     size = scenario.secrecy.candidates
     stream = b"".join(encode_frame(p, size) for p in payloads)
-    if raw:
-        stream = raw_symbols(b" ".join(payloads))
     session = f"{rng.getrandbits(64):016x}"
     chance = _Chance(scenario, rng)
     runs = simulate_runs(
@@ -179,7 +169,7 @@ def simulate(
     keys = {(session, k): key for k, key in enumerate(link.agreed[:, 0].tolist()) if key >= 0}
     sent = {(session, k): v for k, v in enumerate(link.message_symbol[:, 0].tolist()) if v >= 0}
     whole: list[tuple[int, bytes]] = []
-    if not raw and corrupt is None:
+    if corrupt is None:
         at = [k for _, k in sent]
         ends = accumulate(frame_length(len(payload), size) for payload in payloads)
         whole = [(at[end - 1], p) for end, p in zip(ends, payloads, strict=True) if end <= len(at)]

@@ -1,7 +1,6 @@
 """The secrecy study: which eavesdropper is measured under which condition, a row a run."""
 
 import hashlib
-import random
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -10,12 +9,11 @@ from typing import Any, Final
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
 from studies.registry import study
-from studies.secrecy.runs import Run, simulate, text_of
+from studies.secrecy.runs import Run, simulate
 from tap_service.capture.channel import View, WiretapChannel
 from tap_service.capture.transcript import Transcript, Transition
 from tap_service.eavesdroppers import named
 from tap_service.eavesdroppers.base import Belief, Eavesdropper
-from tap_service.eavesdroppers.list_decoder import ListDecoder
 from tap_service.eavesdroppers.text import Text
 from wyner.runs.score.score import TapOutput, score
 
@@ -78,14 +76,13 @@ class Task:
     steps: int = 1000
     alpha: float = 8.0
     view: View = field(default_factory=View)
-    raw: bool = False
 
     @property
     def id(self) -> str:
         """A hash of what is measured and how."""
         text = f"Task(study={self.study!r}, condition={self.condition!r}, tap={self.tap!r}"
         text += f", seed={self.seed!r}, steps={self.steps!r}, alpha={self.alpha!r}"
-        text += f", view={described(self.view)}, raw={self.raw!r})"
+        text += f", view={described(self.view)}, raw=False)"
         return hashlib.sha256(text.encode()).hexdigest()[:12]
 
 
@@ -95,7 +92,6 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
     for seed in range(runs):
         for tap in ("set-membership", "nearest-centre", "list-decoder", "oracle"):
             yield Task("ladder", "framed, 1000 steps", tap, seed)
-        yield Task("ladder", "raw English, 1000 steps", "list-decoder", seed, raw=True)
     for alpha in ALPHAS:
         for seed in range(few):
             for tap in ("set-membership", "nearest-centre", "list-decoder"):
@@ -166,15 +162,11 @@ def stated_by(belief: Belief, payload: bytes, begun: float) -> dict[str, object]
 
 def measure(task: Task) -> dict[str, object]:
     """One row."""
-    payloads = None
-    if task.raw:
-        rng = random.Random(f"raw text {task.seed}")
-        payloads = [text_of(rng) for _ in range(3)]
-    run = simulate(task.steps, task.seed, alpha=task.alpha, payloads=payloads, raw=task.raw)
+    run = simulate(task.steps, task.seed, alpha=task.alpha)
     kind = named(task.tap)
     knowledge = knowledge_for(run, kind, task.view)
     begun = time.process_time()
-    tap = ListDecoder(knowledge, framed=False) if task.raw else offline(kind, knowledge)
+    tap = offline(kind, knowledge)
     said = output_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
         session = next(iter(run.truth.symbols))[0]
@@ -183,10 +175,6 @@ def measure(task: Task) -> dict[str, object]:
     first = {at: key for at, key in run.truth.keys.items() if at[1] < EARLY}
     early = score(replace(run.truth, keys=first), said).keys_reviewed
     exact, messages = scored.messages.right, scored.messages.of
-    if task.raw:
-        text = b" ".join(run.payloads)[: len(run.stream) // 8]
-        exact, messages = float(said.belief.message == text), 1
-    decoding = getattr(tap, "decoding", None)
     return {
         "study": task.study,
         "condition": task.condition,
@@ -203,7 +191,7 @@ def measure(task: Task) -> dict[str, object]:
         "messages": messages,
         "messages_exact": int(exact),
         "whole_claimed": len(said.belief.whole),
-        "list_peak": "" if decoding is None else decoding.peak,
+        "list_peak": getattr(tap, "decodings", ""),
         "candidates_left": said.belief.candidates_left,
         "solved_k": said.belief.solved_k,
         "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,

@@ -210,7 +210,8 @@ class Transcript:
         self._next = -1
         self._newest = -1
         self._speaks: dict[type[Measurement | Offer], bool] = {Measurement: False, Offer: False}
-        self._heard: dict[type[Measurement | Offer], int] = {Measurement: -1, Offer: -1}
+        # of each sender the largest steps: one alone may have come before its time
+        self._heard = {kind: [-1] * CREDIBLE for kind in (Measurement, Offer)}
         self._start = False
         self._gap = False
 
@@ -309,10 +310,12 @@ class Transcript:
             self._note(message)
         kind = type(message)
         self._speaks[kind] = True
-        if k > self._heard[kind]:
-            self._heard[kind] = k
+        heard = self._heard[kind]
+        if k > heard[0]:
             self._progressed_at = self._arrived
             self._taken += 1
+        if k not in heard:
+            self._heard[kind] = sorted((*heard, k), reverse=True)[:CREDIBLE]
         if k > self._newest:
             self._newest = k
             if k - self._next > LONGEST_BRIDGE:
@@ -378,11 +381,10 @@ class Transcript:
 
     def _given_up(self, k: int) -> bool:
         """Whether what is missing of step k will not come any more."""
-        behind = self._newest - k
-        if behind < PATIENCE:
-            return False
+        # a message that came before its time does not end the steps that it overtook
+        heard = [steps[-1] + CREDIBLE - 1 for steps in self._heard.values()]
         one_sided = ONE_SIDED_PATIENCE if all(self._speaks.values()) else UNHEARD_PATIENCE
-        return behind >= one_sided or min(self._heard.values()) >= k + PATIENCE
+        return max(heard) >= k + one_sided or min(heard) >= k + PATIENCE
 
     def _forget(self, k: int, *missing: Part) -> None:
         self._lacking.forget(1, *missing)

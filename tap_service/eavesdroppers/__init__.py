@@ -38,11 +38,8 @@ LADDER: Final[dict[str, str]] = {
 ORACLE: Final = "oracle"
 """The one that must be told alpha."""
 
-DEFAULT: Final = ("set-membership", "nearest-centre", "list-decoder")
-"""Without a choice: the strongest on a clear view, and the two it is compared with."""
-
-DEFAULT_UNCLEAR: Final = ("set-membership", "nearest-centre", "list-decoder", "text")
-"""The same where the tap hears badly."""
+DEFAULT: Final = ("set-membership", "nearest-centre", "list-decoder", "text")
+"""Without a choice: the strongest, whatever is heard, and those it is compared with."""
 
 DEFAULT_CORRECTED: Final = ("set-membership", "nearest-centre")
 """The same where the scheme corrects words: the others do not follow it."""
@@ -52,20 +49,9 @@ KEY_SOLVER: Final = "key-solver"
 """The one who goes for keys: she listens by default where any are made."""
 
 
-def default_names(knowledge: Knowledge, *, clear: bool) -> tuple[str, ...]:
-    """Who listens where nobody was named.
-
-    Parameters
-    ----------
-    knowledge : Knowledge
-    clear : bool
-        Whether the tap hears everything as it is.
-    """
-    names: tuple[str, ...] = DEFAULT
-    if scheme_named(knowledge.scheme).corrects:
-        names = DEFAULT_CORRECTED
-    elif not clear:
-        names = DEFAULT_UNCLEAR if knowledge.C is None else (*DEFAULT, "smoother")
+def default_names(knowledge: Knowledge) -> tuple[str, ...]:
+    """Who listens where nobody was named."""
+    names = DEFAULT_CORRECTED if scheme_named(knowledge.scheme).corrects else DEFAULT
     makes_keys = knowledge.keys is not None and schedule_of(knowledge.keys) is not None
     return (*names, KEY_SOLVER) if makes_keys else names
 

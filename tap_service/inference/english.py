@@ -19,11 +19,9 @@ import numpy as np
 from protocol.arrays import Array, Indices
 from tap_service.inference.counts import (
     BASE,
-    CLASSES,
     FIRST,
     LONGEST,
     NO_WORD,
-    OTHER,
     SPACE,
     Codes,
     Contexts,
@@ -57,9 +55,6 @@ ENDINGS: Final = ((" ", 0.82), (",", 0.09), (".", 0.09))
 
 CLASS: Final = 5.0
 """Frequency classes of the lists in a decade."""
-
-PLAUSIBLE: Final = 0.98
-"""Share of a text over any bytes where it is told from random ones as it comes."""
 
 DRAWN: Final = 6000
 """Words drawn from a language's list to count what follows the last characters."""
@@ -197,19 +192,6 @@ def english() -> Counted:
         (lambda at: at.paired, Level.counted(at.paired[known], codes[known])),
     )
     return Counted(model.single, [*model.levels, *levels])
-
-
-@cache
-def plausibility() -> Array:
-    """Log ratio to random bytes of each class after two others, shape (CLASSES,) * 3."""
-    before, last = np.divmod(np.arange(CLASSES**2), CLASSES)
-    before, last = (np.where(c == OTHER, SPACE, c) for c in (before, last))  # a text begins so
-    none = np.zeros(CLASSES**2, dtype=np.int64)
-    model = Counted.of(lzma.decompress(TEXT.read_bytes()), 2)
-    p = model.next(Contexts(before * BASE + last, none, none))
-    p[:, OTHER] = 0.0
-    ratios: Array = np.log(256 * PLAUSIBLE * p + 1 - PLAUSIBLE)
-    return ratios.reshape((CLASSES,) * 3)
 
 
 @cache

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from protocol.arrays import Array, Indices
+from protocol.arrays import Array, Flags, Indices
 from tap_service.inference.counts import (
     BASE,
     CLASSES,
@@ -133,7 +133,15 @@ class Expectation:
         shares = np.array([kind.share for kind in self.kinds])
         return State(Contexts.start(count), np.tile(shares / shares.sum(), (count, 1)))
 
-    def next(self, state: State, *, last: bool = False) -> tuple[Array, ByKind]:
+    def named(self, shares: Array) -> str:
+        """The kind that is likelier than all others together; else that it is not known."""
+        together: dict[str, float] = {}
+        for kind, share in zip(self.kinds, shares.tolist(), strict=True):
+            together[kind.name] = together.get(kind.name, 0.0) + share
+        likeliest = max(together, key=together.__getitem__)
+        return likeliest if together[likeliest] > 0.5 else UNKNOWN
+
+    def next(self, state: State, last: Flags) -> tuple[Array, ByKind]:
         """Probability of each next byte, shape (H, 256), and the same by each kind.
 
         A kind of which hardly anything is left counts nothing.
@@ -141,7 +149,7 @@ class Expectation:
         Parameters
         ----------
         state : State
-        last : bool
+        last : bool array, shape (H,)
             Whether it is the message's last byte.
         """
         shares = np.where(state.shares > LEAST, state.shares, 0.0)
@@ -152,13 +160,13 @@ class Expectation:
             kind, rows = self.kinds[i], np.flatnonzero(shares[:, i])
             at = state.at.take(rows)
             first, back = distinct(at.last, at.word, at.before)
-            p = kind.next(at.take(first))
-            if last and kind.sentences:
-                p = (1 - CLOSED) * p
-                for mark, share in MARKS:
-                    p[:, ord(mark)] += CLOSED * share
             each = by_kind[i] = np.zeros((len(shares), 256), dtype=np.float32)
-            each[rows] = p[back]
+            each[rows] = kind.next(at.take(first))[back]
+            if kind.sentences:
+                closing = rows[last[rows]]
+                each[closing] *= 1 - CLOSED
+                for mark, share in MARKS:
+                    each[closing, ord(mark)] += CLOSED * share
             whole[rows] += shares[rows, i, None] * each[rows]
         return whole, by_kind
 
@@ -170,21 +178,35 @@ class Expectation:
         shares /= shares.sum(axis=1, keepdims=True)
         return State(state.at.after(values), shares @ self.moves)
 
-    def weighed(self, text: bytes) -> tuple[float, str]:
-        """Log2 probability of a text, its length given, and the kind that it is likeliest."""
-        total, state = 0.0, self.start(1)
-        each = np.log2(state.shares[0])
-        for place, byte in enumerate(text, 1):
-            p, by_kind = self.next(state, last=place == len(text))
-            total += float(np.log2(p[0, byte]))
-            for i in range(len(each)):
-                said = float(by_kind[i][0, byte]) if i in by_kind else 0.0
-                each[i] += np.log2(max(said, STRANGE))
-            state = self.after(state, np.array([byte]), by_kind, np.zeros(1, dtype=np.intp))
-        return total, self.kinds[int(each.argmax())].name
+    def weighed(self, texts: Sequence[bytes], *, ended: bool = True) -> tuple[Array, list[str]]:
+        """Log2 probability of texts, their lengths given, and what kind each is (:meth:`named`).
+
+        Texts that are not ``ended`` are beginnings of messages.
+        """
+        lengths = np.array([len(text) for text in texts])
+        table = np.zeros((len(texts), int(lengths.max(initial=0))), dtype=np.intp)
+        for row, text in zip(table, texts, strict=True):
+            row[: len(text)] = list(text)
+        total, state = np.zeros(len(texts)), self.start(len(texts))
+        each, going = np.log2(state.shares), np.arange(len(texts))
+        for place in range(table.shape[1]):
+            longer = np.flatnonzero(lengths[going] > place)
+            going, state = going[longer], state.take(longer)
+            rows, values = np.arange(len(going)), table[going, place]
+            p, by_kind = self.next(state, ended & (lengths[going] == place + 1))
+            total[going] += np.log2(p[rows, values])
+            for i in range(len(self.kinds)):
+                said = by_kind[i][rows, values] if i in by_kind else np.zeros(len(going))
+                each[going, i] += np.log2(np.maximum(said, STRANGE))
+            state = self.after(state, values, by_kind, rows)
+        share = np.exp2(each - each.max(axis=1, keepdims=True))
+        return total, [self.named(row) for row in share / share.sum(axis=1, keepdims=True)]
 
 
 ANY: Final = "any bytes"
+
+UNKNOWN: Final = "a kind not known"
+"""Told of a text where no kind is likelier than all others together."""
 
 
 def _bytes_of(p: Array, unexpected: float) -> Array:

@@ -1,465 +1,451 @@
-"""Every decoding that the hidden thresholds leave possible, followed at once.
+"""Every decoding that hidden thresholds leave possible, where the gauges of the steps are known.
 
-What the scheme hides from an eavesdropper with the right model is two numbers: a key is agreed when
-exactly one gauge is at most t_c and all are at most t_e. A hypothesis is a rectangle of (t_c, t_e)
-in which every step so far came out the same, with the scheme's state, the frame's state and the
-message symbols that follow. A step cuts the rectangles that its gauges run through, and no others:
-over N steps there are of the order of N hypotheses for one threshold, so the list stays short.
-
-:mod:`tap_service.inference.frame_scores` says how plausible each is. Where the list would outgrow
-its bound the least plausible go, and are counted.
+A key is agreed when exactly one gauge is at most t_c and all are at most t_e. Over N steps the
+gauges cut the range of t_c into at most 2N + 1 pieces, and within a piece every step comes out the
+same. So the steps are decoded once for each piece, side by side, and what the pieces give is read
+as frames. A frame whose check holds settles it; before that silence and the beginning of a text do.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import Any, Final
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice, pairwise
+from typing import Any, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array, Flags, Indices
 from protocol.schemes.base import Scheme
-from protocol.schemes.framing import Deframer, digits_of
+from protocol.schemes.framing import (
+    CHECK_BYTES,
+    IDLE,
+    LENGTH_BYTES,
+    START,
+    blocks,
+    digits_of,
+    frame_length,
+)
 from protocol.schemes.table import StateTable
-from tap_service.inference.frame_scores import FrameScores
-from tap_service.inference.hypotheses import Hypotheses
-from tap_service.inference.kept import KEPT_MESSAGES
-from tap_service.inference.symbol_paths import SymbolPaths
+from tap_service.inference.counts import FIRST, LAST
+from tap_service.inference.expectation import Expectation
+from tap_service.inference.inferred import Inferred, InferredStep
+from tap_service.inference.lattice import BEGINS, SHORT_SHARE
+from tap_service.inference.message_reader import Message, Stretch, states_of
+from tap_service.inference.thresholds import Interval, Run, weights_of
+from tap_service.inference.verdicts import DOUBT
 
-CAP: Final = 3000
-"""Hypotheses kept at most."""
+DECODED: Final = 6000
+"""Pairs of thresholds that are decoded; of more those that silence and frames speak for."""
 
-BEHIND: Final = 30.0
-"""Log ratio behind the best at which a hypothesis is dropped once a frame check has held."""
+MOST_DECODED: Final = 60_000
+"""The same where silence and frames do not tell them apart."""
 
-UNLIKELY: Final = 0.02
-"""Outcomes of an uncertain step that are less probable are not followed."""
+WEIGHED_PAIRS: Final = 900
+"""Pairs that are weighed by silence and frames at once."""
+
+SIDE: Final = 30
+"""Values of t_c among these where t_e is hidden too."""
+
+FAR_OFF: Final = 15.0
+"""Log ratio behind the best at which a pair is left out."""
+
+SHRUNK: Final = 0.5
+"""Share of the pairs that may remain for the rest to be weighed anew."""
+
+WEIGHED: Final = 32
+"""Texts under way that are weighed."""
+
+UNEXPECTED: Final = 1e-6
+"""Probability of a symbol between messages that neither is idle nor begins one."""
+
+REFUSED: Final = -25.0
+"""Log ratio of a frame whose check does not hold: no end ever sends one."""
 
 OUTSIDE: Final = -0.5
-"""Score of a step whose every gauge exceeds t_c: the disturbance would have left D_c."""
+"""Log ratio of a step whose every gauge exceeds t_c: the disturbance would have left D_c."""
 
-NODES: Final = 1_000_000
-"""Message symbols of all hypotheses together at which those of dropped ones are let go; where more
-than half of that remain, the less plausible half of the list goes too."""
+BEHIND: Final = 30.0
+"""Log ratio behind the best up to which a decoding counts as one that is left."""
+
+PRIME: Final = np.uint64(0x9E3779B97F4A7C15)
+"""By which a sequence of symbols becomes a number."""
+
+NOTHING: Final = -1
+"""In the place of a symbol where none was carried."""
+
+ANY_EDGE: Final = (0.0, np.inf)
+
+PRINTABLE: Final = bytes(range(FIRST, LAST + 1))
+
+Symbols = NDArray[np.int8]
+
+
+class Parsed(NamedTuple):
+    """What symbols say as frames.
+
+    Parameters
+    ----------
+    score : float
+        Log ratio to random symbols; text is not looked at.
+    whole : list of (int, bytes)
+        The messages whose check holds, and after how many symbols each ended.
+    text : bytes
+        What is known of the payload under way.
+    missing : int
+        Symbols that the frame under way lacks; 0 where none is.
+    begun : int
+        Symbols before the frame under way, or all.
+    """
+
+    score: float
+    whole: list[tuple[int, bytes]]
+    text: bytes = b""
+    missing: int = 0
+    begun: int = 0
+    printable: float = 0.0
+
+
+def parsed(symbols: bytes, size: int) -> Parsed:
+    """Read symbols in range(M), a byte each, as idle ones and frames."""
+    digits = bytes.maketrans(bytes(range(size)), b"0123456789abcdefghijklmnopqrstuvwxyz"[:size])
+    written = symbols.translate(digits)  # as Python writes numbers to a base
+    header = digits_of(LENGTH_BYTES, size)
+    score, whole, at = 0.0, list[tuple[int, bytes]](), 0
+    while True:
+        start = symbols.find(START, at)
+        idle = symbols[at:] if start < 0 else symbols[at:start]
+        quiet = idle.count(IDLE)
+        score += quiet * float(np.log(size * (1 - BEGINS)))
+        score += (len(idle) - quiet) * float(np.log(size * UNEXPECTED))
+        if start < 0:
+            return Parsed(score, whole, begun=len(symbols))
+        score += float(np.log(size * BEGINS))
+        at = start + 1
+        if at + header > len(symbols):
+            return Parsed(score, whole, b"", at + header - len(symbols), start)
+        length = int(written[at : at + header], size)
+        at += header
+        short = SHORT_SHARE if length < 256 else (1 - SHORT_SHARE) / 255
+        score += float(np.log(256 * short))
+        if not 0 < length < 256**LENGTH_BYTES:
+            score += REFUSED
+            continue
+        end = start + frame_length(length, size)
+        body = bytearray(length.to_bytes(LENGTH_BYTES, "big"))
+        for count in islice(blocks(length + CHECK_BYTES, size), 1, None):
+            number = written[at : at + digits_of(count, size)]
+            if len(number) < digits_of(count, size):
+                text = bytes(body[LENGTH_BYTES:])[:length]
+                return Parsed(
+                    score + printable(text), whole, text, end - len(symbols), start, printable(text)
+                )
+            at += len(number)
+            if int(number, size) >= 256**count:
+                score += REFUSED
+                break
+            body += int(number, size).to_bytes(count, "big")
+        else:
+            head, check = bytes(body[:-CHECK_BYTES]), int.from_bytes(body[-CHECK_BYTES:], "big")
+            score += printable(head[LENGTH_BYTES:])
+            if zlib.crc32(head) == check:
+                whole.append((at, head[LENGTH_BYTES:]))
+                score += 8 * CHECK_BYTES * float(np.log(2))
+            else:
+                score += REFUSED
+
+
+def printable(text: bytes) -> float:
+    """Log ratio of a text, by how much of it is printable alone, to random bytes."""
+    others = len(text.translate(None, PRINTABLE))
+    gain = (len(text) - others) * float(np.log(256 * 0.98 / len(PRINTABLE)))
+    return gain + others * float(np.log(256 * 0.02 / (256 - len(PRINTABLE))))
+
+
+@dataclass(frozen=True)
+class Heard:
+    """Steps in a row as arrays.
+
+    Parameters
+    ----------
+    nearest, second, largest : array, shape (K,)
+        The two least gauges of each step and the largest; infinite where one was not heard whole.
+    choice, cipher : integer array, shape (K,)
+        The nearest candidate; -1 where the cipher was missed.
+    fresh : bool array, shape (K,)
+        Whether a session begins, or the transcript goes on behind a gap.
+    """
+
+    nearest: Array
+    second: Array
+    largest: Array
+    choice: Indices
+    cipher: Indices
+    fresh: Flags
+
+    @classmethod
+    def of(cls, steps: Sequence[InferredStep], size: int) -> "Heard":
+        """The same of inferred steps, which have one sample of gauges each, or none."""
+        lost = np.full(size, np.inf)
+        gauges = np.array([lost if s.samples is None else s.samples[0] for s in steps])
+        ordered = np.sort(gauges, axis=1)
+        heard = [s.transition for s in steps]
+        return cls(
+            ordered[:, 0],
+            ordered[:, 1],
+            ordered[:, -1],
+            gauges.argmin(axis=1),
+            np.array([-1 if t.cipher is None else t.cipher for t in heard]),
+            np.array([t.start or t.gap for t in heard]),
+        )
 
 
 class ListDecoding:
-    """The list of hypotheses.
+    """Decodes steps of known gauges, again and again as they become more.
 
     Parameters
     ----------
     scheme : Scheme
-        Over M symbols.
-    edge : float, optional
-        t_e where she knows it; otherwise it is searched too.
-    framed : bool
-        Whether messages come in frames; otherwise symbols are raw bytes of text from the start.
-    cap : int
-        Hypotheses kept at most.
+    language : callable
+        Gives what Eve expects of a text; asked where several texts are possible.
     certain : bool
-        Whether it is public that every transition agrees: then no threshold is searched.
+        Whether it is public that every step agrees: then no threshold is searched.
 
     Attributes
     ----------
-    dropped : int
-        Hypotheses that were dropped because the list was full.
+    among, edges : tuple of float
+        t_c and t_e of the best decoding, from and to.
     peak : int
-        The longest that the list has been.
-    solved_k : int
-        The step at which a frame check first held; -1 not yet.
-    whole_at : list of ((session, k), bytes)
-        The last messages whose check held, with where they ended.
+        Decodings that differed, at most so far.
     """
 
-    def __init__(
-        self,
-        scheme: Scheme[Any],
-        edge: float | None = None,
-        *,
-        framed: bool = True,
-        cap: int = CAP,
-        certain: bool = False,
-    ) -> None:
-        self.size = scheme.alphabet
+    def __init__(self, scheme: Scheme[Any], language: Any, *, certain: bool) -> None:
         self._table = StateTable(scheme)
-        self.framed = framed
-        self.certain = certain
-        self.dropped = 0
+        self._size, self._states = scheme.alphabet, states_of(self._table)
+        self._language, self._certain = language, certain
+        self._state = -1
+        self._past = b""  # symbols of the frame that was under way before the first step
+        self.among: Interval = (0.0, np.inf)
+        self.edges: Interval = ANY_EDGE
         self.peak = 1
-        self.solved_k = -1
-        self.session = ""
-        self.whole_at: list[tuple[tuple[str, int], bytes]] = []
-        self.whole_count = 0
-        self._cap = cap
-        self._passed = 0
-        self.beam = Hypotheses(2 * cap + 64)
-        self.paths = SymbolPaths(self.size)
-        self._frames = FrameScores(self.beam, self.paths, self.size, framed=framed)
-        self.beam.node[0] = -1
-        self._frames.begin(slice(0, 1))
-        if edge is None:
-            self.restrict(0.0, np.inf, 0.0, np.inf)
-        else:
-            self.restrict(0.0, edge, edge, float(np.nextafter(edge, np.inf)))
+        self.stretches: list[Stretch] = []
+        self._after = np.zeros(1, dtype=np.intp)
 
-    def restart(self) -> None:
-        """A new session: scheme and frame from the start; what is known of t_c, t_e is kept."""
-        self._commit()
-        self.paths.forget_trunk()
-        if self.certain:  # those that lost more or fewer steps are one again
-            self.beam.keep(np.array([self.beam.best]))
-            self.doubt()
-        everyone = slice(0, self.beam.n)
-        self.beam.state[everyone] = 0
-        self._frames.begin(everyone)
+    # --- decoding ---------------------------------------------------------------------------------
 
-    # --- one transition ---------------------------------------------------------------------------
+    def read(self, found: Inferred, after: dict[str, int], edges: Interval) -> list[Message]:
+        """The messages of the steps; of each session those that end ``after`` a step.
 
-    def step(self, k: int, gauges: Sequence[float], cipher: int) -> None:
-        """Count one transition that was seen whole.
-
-        Parameters
-        ----------
-        k : int
-        gauges : sequence of float, shape (M,)
-            Of x(k+1) about each centre, in the unit in which t_c and t_e are searched.
-        cipher : int
+        t_c lies in ``found.among``, t_e in ``edges``.
         """
-        h = self.beam
-        nearest = min(gauges)
-        if self.certain:
-            symbol = np.full(h.n, gauges.index(nearest))
-            self._advance(k, symbol, self._values(cipher))
-            return
-        ordered = sorted(gauges)
-        second, largest = ordered[1], ordered[-1]
-        self._cut("lo", "hi", nearest)
-        self._cut("lo", "hi", second)
-        inside = (h.lo[: h.n] >= nearest) & (h.hi[: h.n] <= second)
-        if self._cut("edge_lo", "edge_hi", largest, inside):
-            inside = (h.lo[: h.n] >= nearest) & (h.hi[: h.n] <= second)
-        agreed = inside & (h.edge_lo[: h.n] >= largest)
-        outside = h.hi[: h.n] <= nearest
-        if outside.any():
-            h.score[: h.n][outside] += OUTSIDE
-        verdicts = np.where(agreed, gauges.index(nearest), NO_SYMBOL)
-        self._advance(k, verdicts, self._values(cipher))
+        steps = found.steps
+        heard = Heard.of(steps, self._size)
+        t_c, t_e = self.thresholds(heard, found.among, edges)
+        while len(t_c) * len(t_e) > DECODED:
+            pairs = len(t_c) * len(t_e)
+            t_c, t_e = self._likely(steps, heard, t_c, t_e)
+            if len(t_c) * len(t_e) > SHRUNK * pairs:
+                t_c = _some(t_c, max(MOST_DECODED // len(t_e), 1))
+                break
+        rows, which, cells = self.decoded(heard, t_c, t_e)
+        read = [self._parsed(row, heard.fresh) for row in rows]
+        score = np.array([one.score for one in read]) + self._inside(heard, which, cells)
+        score += self._weighed(read, score)
+        best = int(score.argmax())
+        self.peak = max(self.peak, len(rows))
+        mine = cells[which == best]
+        self.among, self.edges = _hull(t_c, mine[:, 0]), _hull(t_e, mine[:, 1])
+        self.stretches = [self._stretch(steps, heard, rows[best])]
+        return self._messages(steps, rows[best], read[best], score, after)
 
-    def doubt(self) -> None:
-        """From here on all agree again from some transition on; ``lo`` says who has begun."""
-        self.beam.lo[: self.beam.n] = 0.0
+    def thresholds(self, heard: Heard, among: Interval, edges: Interval) -> tuple[Array, Array]:
+        """Values of t_c and of t_e of which no two leave every step the same."""
+        if self._certain:
+            return np.zeros(1), np.zeros(1)
+        t_e = heard.largest[np.isfinite(heard.largest)]
+        t_e = np.append(edges[0], t_e[(t_e > edges[0]) & (t_e <= edges[1])])
+        tells = heard.largest <= t_e.max()
+        t_c = np.concatenate([heard.nearest[tells], heard.second[tells]])
+        t_c = np.append(among[0], t_c[(t_c > among[0]) & (t_c <= among[1])])
+        return np.unique(t_c), np.unique(t_e)
 
-    def step_doubtful(
-        self, k: int, shares: Sequence[float] | None, cipher: int | None, loss: float
-    ) -> None:
-        """Count one of the transitions in which all agree from some one on.
+    def _likely(
+        self, steps: Sequence[InferredStep], heard: Heard, t_c: Array, t_e: Array
+    ) -> tuple[Array, Array]:
+        """The thresholds about those under which silence and the heads of frames are likeliest."""
+        some_e = _some(t_e, WEIGHED_PAIRS // min(len(t_c), SIDE))
+        some_c = _some(t_c, WEIGHED_PAIRS // len(some_e))
+        low, edge = (part.ravel() for part in np.meshgrid(some_c, some_e, indexing="ij"))
+        agreed = (heard.nearest[:, None] <= low) & (low < heard.second[:, None])
+        agreed &= heard.largest[:, None] <= edge
+        verdicts = np.zeros((*agreed.shape, 1 + self._size))
+        verdicts[..., 0] = ~agreed
+        rows = np.arange(len(agreed))[:, None]
+        verdicts[rows, np.arange(len(low)), 1 + heard.choice[:, None]] += agreed
+        verdicts = (1 - DOUBT) * verdicts + DOUBT / (1 + self._size)
+        weight = OUTSIDE * (heard.nearest[:, None] > low).sum(axis=0)
+        begins = [0, *np.flatnonzero(heard.fresh[1:]) + 1, len(steps)]
+        for first, last in pairwise(begins):
+            known = 0 if heard.fresh[first] else (self._state if first == 0 else -1)
+            entry = np.full(self._states, 1 / self._states)
+            entry = entry if known < 0 else np.eye(self._states)[known]
+            run = Run(steps[first:last], entry, np.ones(last - first))
+            weight += weights_of(self._table, run, verdicts[first:last])
+        best = weight > weight.max() - FAR_OFF
+        return _about(t_c, some_c, low[best]), _about(t_e, some_e, edge[best])
 
-        A hypothesis that has not begun to agree goes on as one that begins here, and one that does
-        not; where its verdict does not count it need not be told.
+    def decoded(self, heard: Heard, t_c: Array, t_e: Array) -> tuple[Symbols, Indices, Array]:
+        """The decodings that differ, which of them each pair of thresholds gives, and the pairs.
 
-        Parameters
-        ----------
-        k : int
-        shares : sequence of float, shape (M,), optional
-            Probability of each candidate; None where each is as likely.
-        cipher : int, optional
-        loss : float
-            Probability that one more is lost.
+        Symbols have shape (decodings, K).
         """
-        h = self.beam
-        waiting = np.flatnonzero((h.lo[: h.n] == 0.0) & self._tested())
-        begins = h.copy(waiting)
-        h.lo[begins] = 1.0
-        h.score[begins] += np.log(1 - loss)
-        h.score[waiting] += np.log(loss)
-        self._step_known(k, shares, cipher)
+        entry = np.arange(self._states) if self._state < 0 else np.array([self._state])
+        pairs = np.array([(c, e, s) for c in t_c for e in t_e for s in entry])
+        low, edge, state = pairs[:, 0], pairs[:, 1], pairs[:, 2].astype(np.intp)
+        symbols = np.full((len(heard.cipher), len(pairs)), NOTHING, dtype=np.int8)
+        number = np.zeros(len(pairs), dtype=np.uint64)  # of all symbols so far
+        table, none = self._table, np.full(len(pairs), NOTHING)
+        steps = zip(
+            heard.nearest.tolist(), heard.second.tolist(), heard.largest.tolist(),
+            heard.choice.tolist(), heard.cipher.tolist(), heard.fresh.tolist(), strict=True,
+        )  # fmt: skip
+        for k, (nearest, second, largest, choice, cipher, fresh) in enumerate(steps):
+            if fresh:
+                state = np.zeros_like(state)
+            verdict = none
+            if self._certain:
+                verdict = np.full(len(pairs), choice)
+            elif nearest < np.inf:
+                agreed = (nearest <= low) & (low < second) & (largest <= edge)
+                verdict = np.where(agreed, choice, NOTHING)
+            pads = table.pad[state]
+            value = IDLE if cipher < 0 else (cipher - pads) % self._size
+            symbols[k] = np.where(pads == NOTHING, NOTHING, value)
+            number = number * PRIME + symbols[k].astype(np.uint64)
+            state = table.following(state, verdict).astype(np.intp)
+        _, first, which = np.unique(number, return_index=True, return_inverse=True)
+        self._after = state[first]
+        return symbols[:, first].T, which.reshape(-1), pairs[:, :2]
 
-    def step_known(self, k: int, shares: Sequence[float] | None, cipher: int | None) -> None:
-        """Count a transition in which all agree, on a candidate that is known so well."""
-        self.beam.lo[: self.beam.n] = 1.0
-        self._step_known(k, shares, cipher)
+    def _inside(self, heard: Heard, which: Indices, cells: Array) -> Array:
+        """What the steps say that lie outside of D_c, by decoding."""
+        nearest = np.sort(heard.nearest[np.isfinite(heard.nearest)])
+        outside = len(nearest) - np.searchsorted(nearest, cells[:, 0], side="right")
+        out = np.full(int(which.max()) + 1, -np.inf)
+        np.maximum.at(out, which, 0.0 if self._certain else OUTSIDE * outside)
+        return out
 
-    def _step_known(self, k: int, shares: Sequence[float] | None, cipher: int | None) -> None:
-        row = np.full(self.size, 1 / self.size) if shares is None else np.array(shares)
-        values = self._values_of(cipher)
-        tested = np.flatnonzero(self._tested())
-        chances = np.zeros((len(tested), 1 + self.size))
-        begun = self.beam.lo[tested] > 0.0
-        chances[:, 0] = ~begun
-        chances[:, 1:] = begun[:, None] * row
-        self._branch(k, tested, chances, values)
+    def _parsed(self, row: Symbols, fresh: Flags) -> Parsed:
+        """A decoding as frames; those of several sessions one after the other."""
+        found = Parsed(0.0, [])
+        edges = [0, *np.flatnonzero(fresh[1:]) + 1, len(row)]
+        count = 0
+        for begin, end in pairwise(edges):
+            part = row[begin:end]
+            symbols = part[part != NOTHING].tobytes()
+            before = self._past if begin == 0 and not fresh[0] else b""
+            now = parsed(before + symbols, self._size)
+            moved = count - len(before)
+            whole = [(at + moved, payload) for at, payload in now.whole]
+            found = now._replace(
+                score=found.score + now.score,
+                whole=found.whole + whole,
+                begun=now.begun + moved,
+            )
+            count += len(symbols)
+        return found
 
-    def restrict(self, lo: float, hi: float, edge_lo: float, edge_hi: float) -> None:
-        """Begin with this rectangle: t_c and t_e from and to."""
-        h = self.beam
-        h.lo[0], h.hi[0], h.edge_lo[0], h.edge_hi[0] = lo, hi, edge_lo, edge_hi
+    def _weighed(self, found: Sequence[Parsed], score: Array) -> Array:
+        """What the texts under way add to the scores, log ratios to random bytes."""
+        texts = {one.text for one in found if one.text}
+        out = np.zeros(len(score))
+        if len(found) < 2 or not texts:
+            return out
+        language: Expectation = self._language()
+        likely = dict.fromkeys(found[i].text for i in np.argsort(-score).tolist() if found[i].text)
+        chosen = list(likely)[:WEIGHED]
+        bits, _ = language.weighed(chosen, ended=False)
+        gain = dict(zip(chosen, bits + 8.0 * np.array([len(t) for t in chosen]), strict=True))
+        for i, one in enumerate(found):
+            out[i] = np.log(2) * gain[one.text] - one.printable if one.text in gain else 0.0
+        return out
 
-    def widen(self, factor: float) -> None:
-        """Let every hypothesis hold thresholds that are so much smaller and larger too."""
-        h = self.beam
-        for low, high in ((h.lo, h.hi), (h.edge_lo, h.edge_hi)):
-            low[: h.n] /= factor
-            high[: h.n] *= factor
+    def _messages(
+        self,
+        steps: Sequence[InferredStep],
+        row: Symbols,
+        found: Parsed,
+        score: Array,
+        after: dict[str, int],
+    ) -> list[Message]:
+        carriers = np.flatnonzero(row != NOTHING)
+        out: list[Message] = []
+        for end, payload in found.whole:
+            t = steps[int(carriers[end - 1])].transition
+            if t.k > after.get(t.session, -1):
+                out.append(Message(t.session, t.k, payload, 1.0, 0.0, True, 1))
+        if found.missing:
+            t = steps[-1].transition
+            share = np.exp(score - np.logaddexp.reduce(score))
+            left = -float(share @ np.log2(np.maximum(share, 1e-300)))
+            unsent = max(found.missing - digits_of(CHECK_BYTES, self._size), 0)
+            left += unsent * float(np.log2(self._size))
+            rivals = int((score > score.max() - BEHIND).sum())
+            due = t.k + found.missing
+            sure = float(share.max())
+            out.append(Message(t.session, t.k, found.text, sure, left, False, rivals, due))
+        return out
 
-    def split_evenly(self, edges: Sequence[float]) -> None:
-        """Cut the one hypothesis of the beginning at each t_c of ``edges``."""
-        for edge in () if self.certain else edges:
-            self._cut("lo", "hi", edge)
+    def _stretch(self, steps: Sequence[InferredStep], heard: Heard, row: Symbols) -> Stretch:
+        """The steps under the thresholds of the best decoding."""
+        count, size = len(steps), self._size
+        agreed = heard.nearest <= self.among[0]
+        agreed &= (self.among[0] < heard.second) & (heard.largest <= self.edges[0])
+        known = np.isfinite(heard.nearest)
+        sure = np.where(agreed | self._certain, 1.0 - DOUBT, DOUBT)
+        verdicts = np.full((count, 1 + size), 1.0 / (1 + size))
+        verdicts[known, 0], verdicts[known, 1:] = 1.0 - sure[known], 0.0
+        verdicts[known, 1 + heard.choice[known]] = sure[known]
+        symbols = np.zeros((count, 1 + size))
+        symbols[np.arange(count), 1 + row.astype(np.intp)] = 1.0
+        at = [(s.transition.session, s.transition.k) for s in steps]
+        return Stretch(at, verdicts, symbols)
 
-    def step_missed(self, k: int, cipher: int | None) -> None:
-        """Count one transition without a verdict: taken for one without an agreement.
+    # --- what is let go ---------------------------------------------------------------------------
 
-        Where every transition agrees, each symbol is as likely.
-        """
-        no = np.full((1, self.size), np.inf)
-        self.step_sampled(k, no, cipher)
+    def let_go(self, steps: Sequence[InferredStep]) -> None:
+        """Take the best decoding of the first steps of what was read last for granted."""
+        heard = Heard.of(steps, self._size)
+        rows, _, _ = self.decoded(heard, np.array([self.among[0]]), np.array([self.edges[0]]))
+        read = [self._parsed(row, heard.fresh) for row in rows]
+        best = int(np.argmax([one.score for one in read]))
+        past = b"" if heard.fresh[0] else self._past
+        symbols = past + rows[best][rows[best] != NOTHING].tobytes()
+        self._past = symbols[len(past) + read[best].begun :]
+        self._state = int(self._after[best])
 
-    def step_sampled(self, k: int, samples: Array, cipher: int | None) -> None:
-        """Count one transition of which something was missed or blurred.
+    def forget(self) -> None:
+        """What comes next goes on from where is not known."""
+        self._state, self._past = -1, b""
 
-        Each hypothesis whose verdict counts goes on as one for every outcome that is likely enough.
 
-        Parameters
-        ----------
-        k : int
-        samples : array, shape (S, M)
-            Equally likely values of the gauges.
-        cipher : int, optional
-            None where it was missed: then every message symbol is possible.
-        """
-        ordered = np.sort(samples, axis=1)
-        choice = samples.argmin(axis=1)
-        values = self._values_of(cipher)
-        tested = np.flatnonzero(self._tested())
-        self._branch(k, tested, self._chances(tested, ordered, choice), values)
-
-    def _values_of(self, cipher: int | None) -> Indices:
-        """The message symbol that this step carries; where the cipher was missed, each one."""
-        h = self.beam
-        values = self._values(0 if cipher is None else cipher)
-        if cipher is None:
-            carriers = np.flatnonzero(values != NO_SYMBOL)
-            values[carriers] = 0
-            for value in range(1, self.size):
-                values = np.append(values, np.full(len(h.copy(carriers)), value))
-            h.score[: h.n][values != NO_SYMBOL] -= np.log(self.size)
+def _some(values: Array, most: int) -> Array:
+    if len(values) <= most:
         return values
-
-    def _branch(self, k: int, tested: Indices, chances: Array, values: Indices) -> None:
-        """Go on with each outcome that is likely enough.
-
-        Parameters
-        ----------
-        tested : integer array
-            Hypotheses whose verdict counts.
-        chances : array, shape (tested, 1 + M)
-            Probability of each outcome: no agreement, symbol 0, 1, ...
-        values : integer array
-            The message symbol that each hypothesis carries, or -1.
-        """
-        h = self.beam
-        verdicts = np.full(h.n, NO_SYMBOL)
-        best = chances.argmax(axis=1)
-        for outcome in range(self.size + 1):
-            likely = (best != outcome) & (chances[:, outcome] > UNLIKELY)
-            also = tested[likely]
-            if len(also):
-                copies = h.copy(also)
-                h.score[copies] += np.log(chances[likely, outcome])
-                verdicts = np.append(verdicts, np.full(len(copies), outcome - 1))
-                values = np.append(values, values[also])
-        verdicts[tested] = best - 1
-        h.score[tested] += np.log(chances[np.arange(len(tested)), best])
-        self._advance(k, verdicts, values)
-
-    def _tested(self) -> Flags:
-        """Which hypotheses take this step for one whose verdict counts."""
-        tested: Flags = self._table.tests[self.beam.state[: self.beam.n]]
-        return tested
-
-    def _values(self, cipher: int) -> Indices:
-        """The message symbol that this step carries in each hypothesis, or -1 for none."""
-        pads = self._table.pad  # of the states, which are fewer than the hypotheses
-        carried = np.where(pads == NO_SYMBOL, NO_SYMBOL, (cipher - pads) % self.size)
-        values: Indices = carried[self.beam.state[: self.beam.n]]
-        return values
-
-    def _advance(self, k: int, verdicts: Indices, values: Indices) -> None:
-        """Let the scheme go on in every hypothesis, and take the message symbols."""
-        h = self.beam
-        h.state[: h.n] = self._table.following(h.state[: h.n], verdicts)
-        carriers = np.flatnonzero(values != NO_SYMBOL)
-        if len(carriers):
-            symbols = values[carriers]
-            h.node[carriers] = self.paths.extend(k, h.node[carriers], symbols)
-            self._frames.push(carriers, symbols)
-        self._prune(k)
-
-    def _chances(self, tested: Indices, ordered: Array, choice: Indices) -> Array:
-        """Probability of each outcome (no agreement, symbol 0, 1, ...), shape (rows, 1 + M)."""
-        chances = np.zeros((len(tested), 1 + self.size))
-        if self.certain:
-            blind = not np.isfinite(ordered[:, 0]).any()
-            shares = np.bincount(choice, minlength=self.size) / len(choice)
-            chances[:, 1:] = 1.0 / self.size if blind else shares
-            return chances
-        h = self.beam
-        lo, hi = h.lo[tested][:, None], np.minimum(h.hi[tested], 1e9)[:, None]
-        nearest, second, largest = ordered[:, 0], ordered[:, 1], ordered[:, -1]
-        overlap = np.minimum(hi, second) - np.maximum(lo, nearest)
-        agree = np.clip(overlap / (hi - lo), 0.0, 1.0)
-        agree *= h.edge_lo[tested][:, None] >= largest
-        for symbol in range(self.size):
-            chances[:, 1 + symbol] = agree[:, choice == symbol].sum(axis=1) / len(choice)
-        chances[:, 0] = np.maximum(1.0 - chances[:, 1:].sum(axis=1), 0.0)
-        return chances
-
-    def _cut(self, low: str, high: str, at: float, where: Flags | None = None) -> bool:
-        """Split the hypotheses whose verdict counts and whose interval holds ``at`` inside.
-
-        Says whether there was one.
-        """
-        h = self.beam
-        crossed = (getattr(h, low)[: h.n] < at) & (getattr(h, high)[: h.n] > at)
-        if where is not None:
-            crossed &= where
-        which = np.flatnonzero(crossed)
-        which = which[self._table.tests[h.state[which]]]
-        if not len(which):
-            return False
-        copies = h.copy(which)
-        getattr(h, low)[copies] = at
-        getattr(h, high)[which] = at
-        return True
-
-    # --- the list ---------------------------------------------------------------------------------
-
-    def _collapse(self, k: int) -> None:
-        """Where the best hypothesis is one whose frame check held, drop those whose did not."""
-        h = self.beam
-        passed = h.passed[: h.n]
-        best = h.best
-        if passed[best] <= self._passed:
-            self._frames.held = bool(passed.max() > self._passed)
-            return
-        self._frames.held = False
-        self._passed = int(passed[best])
-        if self.solved_k < 0:
-            self.solved_k = k
-        payload = self._last_frame(int(h.node[best]))
-        if payload is not None:
-            self.whole_at.append(((self.session, k), payload))
-            del self.whole_at[:-KEPT_MESSAGES]
-            self.whole_count += 1
-        h.keep(np.flatnonzero(passed == passed[best]))
-        self._commit()
-        self.paths.end_frame()
-
-    def _last_frame(self, node: int) -> bytes | None:
-        deframer = Deframer(self.size)
-        payload = None
-        for symbol in self.paths.frame(node):
-            whole = deframer.push(symbol)
-            if whole is not None:
-                payload = whole
-        return payload
-
-    def _prune(self, k: int) -> None:
-        h = self.beam
-        self.peak = max(self.peak, h.n)
-        if self._frames.held:
-            self._collapse(k)
-        score = h.score[: h.n]
-        if h.n > self._cap:
-            order = np.argpartition(-score, self._cap * 3 // 4)[: self._cap * 3 // 4]
-            self.dropped += h.n - len(order)
-            h.keep(np.sort(order))
-        elif self.whole_count and h.n > 1:
-            behind = score < score.max() - BEHIND
-            if behind.any():
-                h.keep(np.flatnonzero(~behind))
-        if len(self.paths) > NODES:
-            self._compact()
-            while len(self.paths) > NODES // 2 and h.n > 1:
-                self._halve()
-                self._compact()
-            if h.n == 1:
-                self._commit()
-
-    def _compact(self) -> None:
-        h = self.beam
-        h.node[: h.n] = self.paths.compact(h.node[: h.n])
-
-    def _halve(self) -> None:
-        h = self.beam
-        order = np.argsort(-h.score[: h.n], kind="stable")[: (h.n + 1) // 2]
-        self.dropped += h.n - len(order)
-        h.keep(np.sort(order))
-
-    def _commit(self) -> None:
-        """Take the best hypothesis's symbols for granted and forget all paths."""
-        h = self.beam
-        self.paths.commit(int(h.node[h.best]))
-        h.node[: h.n] = -1
-        h.score[: h.n] -= h.score[: h.n].max()
-
-    # --- what she thinks --------------------------------------------------------------------------
-
-    @property
-    def whole(self) -> list[bytes]:
-        """The last messages whose frame check held."""
-        return [payload for _, payload in self.whole_at]
-
-    @property
-    def hypotheses(self) -> int:
-        """Rectangles on the list."""
-        return self.beam.n
-
-    @property
-    def _best_path(self) -> int:
-        return int(self.beam.node[self.beam.best])
-
-    def candidates(self) -> int:
-        """Distinct message decodings on the list."""
-        h = self.beam
-        return len(np.unique(h.node[: h.n])) if h.n > 1 else 1
-
-    def confidence(self) -> float:
-        """Share of the best hypothesis's decoding among all, taking the scores at their word."""
-        h = self.beam
-        score = h.score[: h.n]
-        weight = np.exp(score - score.max())
-        return float(weight[h.node[: h.n] == self._best_path].sum() / weight.sum())
-
-    def message_symbols(self) -> list[tuple[int, int]]:
-        """Step and message symbol along the best hypothesis, the newest that are kept."""
-        return self.paths.steps_and_symbols(self._best_path)
-
-    def under_way(self) -> bytes:
-        """The payload under way along the best hypothesis; without frames, all of the text."""
-        if not self.framed:
-            return bytes_of((s for _, s in self.message_symbols()), self.size)
-        deframer = Deframer(self.size)
-        for symbol in self.paths.frame(self._best_path):
-            deframer.push(symbol)
-        return deframer.partial
-
-    def thresholds(self) -> tuple[float, float, float, float]:
-        """The best hypothesis's rectangle: t_c from, to, and t_e from, to."""
-        h, best = self.beam, self.beam.best
-        return float(h.lo[best]), float(h.hi[best]), float(h.edge_lo[best]), float(h.edge_hi[best])
-
-    def testing(self) -> bool:
-        """Whether the best hypothesis takes the next transition for a tested one."""
-        return bool(self._table.tests[self.beam.state[self.beam.best]])
+    at = np.unique(np.linspace(0, len(values) - 1, most).astype(int))
+    return np.asarray(values[at])
 
 
-def bytes_of(symbols: Iterable[int], size: int) -> bytes:
-    """Symbols as bytes, most significant digit first; what exceeds 255 becomes 255."""
-    digits = digits_of(1, size)
-    out, value, count = bytearray(), 0, 0
-    for symbol in symbols:
-        value, count = value * size + symbol, count + 1
-        if count == digits:
-            out.append(min(value, 255))
-            value = count = 0
-    return bytes(out)
+def _about(values: Array, some: Array, best: Array) -> Array:
+    """The ``values`` from below the least of ``best`` to above the largest, as ``some`` tells."""
+    low = np.searchsorted(some, best.min()) - 1
+    high = np.searchsorted(some, best.max()) + 1
+    first = some[max(low, 0)]
+    last = some[high] if high < len(some) else values[-1]
+    return np.asarray(values[(values >= first) & (values <= last)])
+
+
+def _hull(values: Array, best: Array) -> Interval:
+    """From the least of ``best`` to the value after the largest."""
+    high = int(np.searchsorted(values, best.max(), side="right"))
+    return float(best.min()), float(values[high]) if high < len(values) else np.inf

@@ -112,10 +112,9 @@ class Growth:
             beam.next[others] = 256 + back.reshape(-1)
             parts.append(self._next[used])
             by_kind.append({i: p[used - 256] for i, p in self._by_kind.items()})
-        for text, last in ((rows[tail < -1], False), (rows[tail == -1], True)):
-            if not len(text):
-                continue
-            p, each = self._language.next(beam.state.take(text), last=last)
+        text = rows[tail < 0]
+        if len(text):
+            p, each = self._language.next(beam.state.take(text), tail[tail < 0] == -1)
             beam.next[text] = sum(map(len, parts)) + np.arange(len(text))
             parts.append(_cumulated(p))
             by_kind.append(each)
@@ -127,10 +126,11 @@ class Growth:
         checked = rows[(tail >= 0) & (tail < CHECK_BYTES)]
         beam.next[checked] = beam.check[checked, tail[(tail >= 0) & (tail < CHECK_BYTES)]]
 
-    def symbol(self, beam: Beam, ahead: Array, j: int, low: int) -> tuple[int, float] | None:
+    def symbol(self, beam: Beam, ahead: Array, j: int, low: int) -> tuple[int, float, Array] | None:
         """One symbol more in every hypothesis; the window's first step, and the share kept.
 
-        None where the transcript holds no further symbol.
+        Last comes the share of each kind of text that was let go. None where the transcript holds
+        no further symbol.
         """
         M, E = self._size, self._lattice.states
         count = beam.alpha.shape[1] // E
@@ -161,7 +161,11 @@ class Growth:
         if len(chosen) > self.most:
             order = np.argpartition(-flat[chosen], self.most)[: self.most]
             chosen = np.sort(chosen[order])
-        share = float(np.exp(flat[chosen] - best).sum() / np.exp(flat - best).sum())
+        weights = np.exp(flat - best)
+        whole = float(weights.sum())
+        share = float(weights[chosen].sum()) / whole
+        weights[chosen] = 0.0
+        gone = weights.reshape(-1, M).sum(axis=1) @ beam.state.shares / whole
         rows, symbols = np.divmod(chosen, M)
         beam.take(rows)
         beam.low = edges[rows, symbols]
@@ -186,7 +190,7 @@ class Growth:
         beam.alpha = beam.alpha[:, first * E : (last + 1) * E]
         low += first
         self._bytes(beam, j, size[rows])
-        return low, share
+        return low, share, gone
 
     def _units(self, places: Indices, dtype: np.dtype) -> Array:
         powers = np.array([256**n for n in range(max(int(places.max()), 0) + 1)], dtype=dtype)

@@ -61,7 +61,7 @@ class Message:
         Whether no message that she takes for possible has its check, so that what she takes the
         steps for is wrong somewhere.
     kind : str
-        Which kind of text it is likeliest, its check not looked at where she is not sure.
+        Which kind of text it is, or that it is not known.
     """
 
     session: str
@@ -82,19 +82,17 @@ class Stretch:
 
     Parameters
     ----------
-    session : str
-    ks : list of int
-        Their steps.
+    at : list of (str, int)
+        Their sessions and steps.
     verdicts : array, shape (K, 1 + M)
         Probability of each step's verdict (none, symbol 0, 1, ...), the messages known.
-    symbols : array, shape (K, 1 + M)
-        Of the message symbol carried: none, 0, 1, ...
+    symbols : array, shape (K, 1 + M), optional
+        Of the message symbol carried: none, 0, 1, ...; where the messages were looked at.
     """
 
-    session: str
-    ks: list[int]
+    at: list[tuple[str, int]]
     verdicts: Array
-    symbols: Array
+    symbols: Array | None
 
 
 class MessageReader:
@@ -118,7 +116,7 @@ class MessageReader:
     ) -> None:
         self._table = StateTable(scheme)
         self._size = scheme.alphabet
-        self._states = _close(self._table)
+        self._states = states_of(self._table)
         self._language, self._certain, self._beam = language, certain, beam
         self._room = 0
         self.stretches: list[Stretch] = []
@@ -186,7 +184,7 @@ class MessageReader:
         stream, waits = self._stream(out)
         aligned = align(self._table, verdicts, ciphers, entry, made, stream, waits)
         if aligned is not None:
-            self.stretches.append(Stretch(session, ks, *aligned))
+            self.stretches.append(Stretch([(session, k) for k in ks], *aligned))
         return out
 
     def _verdicts(self, steps: Sequence[InferredStep], among: Sequence[Cell]) -> Array:
@@ -253,12 +251,14 @@ class MessageReader:
             int((listed > 1e-3 * listed.max(initial=0.0)).sum()),
             -1 if whole or due < 0 else ks[-1] + due,
             refuted,
-            self._language.weighed(payload if probability > 0.5 else found.unchecked)[1],
+            self._language.weighed([payload])[1][0]
+            if probability > 0.5
+            else self._language.named(found.kinds),
         )
         return message, ends
 
 
-def _close(table: StateTable) -> int:
+def states_of(table: StateTable) -> int:
     """Number all states of a scheme; how many there are."""
     known = 1
     while True:

@@ -104,6 +104,8 @@ class Found:
         The likeliest message before checks were looked at.
     unchecked_ends : array, shape (K + 1, E)
         Log weight that it ends at each node, whatever its check.
+    kinds : array, shape (kinds,)
+        Probability of each kind of text; of what was let go as it was when it was let go.
     """
 
     payloads: tuple[bytes, ...]
@@ -120,6 +122,7 @@ class Found:
     longest: float
     unchecked: bytes
     unchecked_ends: Array
+    kinds: Array
 
     @property
     def lost(self) -> float:
@@ -323,6 +326,7 @@ class MessageSearch:
         likely = hypotheses.score.copy()
         growth.expect(hypotheses, np.arange(len(lengths)))
         kept, ended = 0.0, Ended()
+        kinds, going = np.zeros(hypotheses.state.shares.shape[1]), 1.0
         opened: list[Opened] = []
         graph = Graph()
         graph.begin(hypotheses)
@@ -333,8 +337,10 @@ class MessageSearch:
             moved = growth.symbol(hypotheses, ahead, j, low)
             if moved is None:
                 break
-            low, share = moved
+            low, share, gone = moved
+            kinds += going * gone
             kept += float(np.log(share))
+            going *= share
             sizes = lengths[hypotheses.length]
             if not self._single:
                 over = self._over(ended, hypotheses, sizes, plan.total[hypotheses.length], j, low)
@@ -345,13 +351,19 @@ class MessageSearch:
                 over = hypotheses.count == lengths[hypotheses.length]
                 if over.any():
                     self._drawn(ended, opened, graph, hypotheses, over, low)
+            if over.any():
+                ends = np.exp(hypotheses.score - np.logaddexp.reduce(hypotheses.score)) * over
+                kinds += going * (ends @ hypotheses.state.shares)
+                going *= 1.0 - float(ends.sum())
             if over.all():
                 break
             if over.any():
                 hypotheses.take(np.flatnonzero(~over))
         p = np.exp(likely - np.logaddexp.reduce(likely))
         longest = float(p @ (8 * lengths - np.log2(np.maximum(p, 1e-300))))
-        return self._found(ended, kept, opened, longest)
+        last = np.exp(hypotheses.score - np.logaddexp.reduce(hypotheses.score))
+        kinds += max(going, 0.0) * (last @ hypotheses.state.shares)
+        return self._found(ended, kept, opened, longest, kinds)
 
     def _over(
         self, ended: "Ended", beam: Beam, sizes: Indices, totals: Indices, j: int, low: int
@@ -484,7 +496,14 @@ class MessageSearch:
             total = float(np.logaddexp.reduce(weight[rows]))
             yield Opened(total, float(weight[row]), text, symbols)
 
-    def _found(self, ended: "Ended", kept: float, opened: list[Opened], longest: float) -> Found:
+    def _found(
+        self,
+        ended: "Ended",
+        kept: float,
+        opened: list[Opened],
+        longest: float,
+        kinds: Array,
+    ) -> Found:
         """What a search gives back, with ``kept`` the log of what was not dropped."""
         under_way = max(opened, key=lambda one: one.best, default=Opened(-np.inf, -np.inf, b"", 0))
         lacking = min((o.missing for o in opened if o.best > under_way.best - NEARLY), default=-1)
@@ -524,6 +543,7 @@ class MessageSearch:
                 self._after_any(*ended.unchecked[2:], self._digits * CHECK_BYTES),
                 ended.unchecked[0],
             ),
+            kinds / kinds.sum(),
         )
 
     def _weighing(self, nodes: Array, weight: float) -> Array:

@@ -80,7 +80,7 @@ def likely_thresholds(table: StateTable, runs: Sequence[Run], among: Interval) -
     for _ in range(ROUNDS):
         edges = np.linspace(low, high, CELLS + 1)
         verdicts = [_verdicts(run.steps, edges, table.scheme.alphabet) for run in runs]
-        weights = np.sum([_weights(table, *one) for one in zip(runs, verdicts, strict=True)], 0)
+        weights = np.sum([weights_of(table, *one) for one in zip(runs, verdicts, strict=True)], 0)
         share = np.exp(weights - np.logaddexp.reduce(weights))
         likely = np.flatnonzero(share > NEVER)
         room = high - low
@@ -108,8 +108,8 @@ def _joined(a: Cell, b: Cell) -> Cell:
     return a[0], b[1], a[2] + b[2]
 
 
-def _weights(table: StateTable, run: Run, verdicts: Array) -> Array:
-    """Log weight of a run by each interval of thresholds."""
+def weights_of(table: StateTable, run: Run, verdicts: Array) -> Array:
+    """Log weight of a run by each of T thresholds, given its verdicts, shape (K, T, 1 + M)."""
     size, states = table.scheme.alphabet, len(run.entry)
     to = np.zeros((states, size + 1, states))
     for e in range(states):

@@ -13,8 +13,8 @@ from protocol.agreement import NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.scenario import ConvexSet, Scenario
 from studies.signalling import changed
-from tap_service.eavesdroppers import named
-from tap_service.eavesdroppers.fitted_box import KEPT, FittedBox
+from tap_service.eavesdroppers import named, reading
+from tap_service.eavesdroppers.fitted_box import FittedBox
 from tap_service.inference.fitted_shape import fitted_widths
 from wyner.simulate.engine import Runs, follow, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
@@ -84,13 +84,16 @@ def test_what_she_found_is_the_box_of_d() -> None:
     assert np.array(tap.gauge.h) == pytest.approx(0.1, abs=0.012)
 
 
-def test_a_long_run_keeps_a_bounded_past_and_loses_no_guess() -> None:
-    scenario, runs, link = played((0.24, 0.96), steps=KEPT + 300)
+def test_a_long_run_keeps_a_bounded_past_and_loses_no_guess(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(reading, "KEPT", 256)
+    scenario, runs, link = played((0.24, 0.96), steps=400)
     tap = FittedBox(scenario.knowledge())
     for t in transcript(runs, link, 0):
         tap.observe(t)
     steps = [g.k for g in (*tap.final_guesses, *tap.review())]
-    assert steps == list(range(KEPT + 300))
+    assert steps == list(range(400))
 
 
 def test_steps_that_were_missed_are_guessed_evenly() -> None:

@@ -9,11 +9,11 @@ from studies.secrecy.kinds import messages
 from studies.secrecy.runs import SENTENCES as SHORT
 from studies.secrecy.sentences import SENTENCES
 from tap_service.inference.english import TEXT
-from tap_service.inference.expectation import ANY, any_bytes, expected
+from tap_service.inference.expectation import ANY, UNKNOWN, any_bytes, expected
 
 
 def bits(text: bytes) -> float:
-    return -expected().weighed(text)[0]
+    return -float(expected().weighed([text])[0][0])
 
 
 @pytest.mark.parametrize("expectation", [expected, any_bytes])
@@ -23,7 +23,7 @@ def test_probabilities_of_the_next_byte_sum_to_one(expectation: object) -> None:
     state = one.start(2)
     for byte in b"The quick brown fox's 3 jumps.":
         for last in (False, True):
-            p, by_kind = one.next(state, last=last)
+            p, by_kind = one.next(state, np.full(2, last))
             np.testing.assert_allclose(p.sum(axis=1), 1.0, rtol=1e-5)
         np.testing.assert_allclose(state.shares.sum(axis=1), 1.0)
         state = one.after(state, np.array([byte, 200]), by_kind, np.arange(2))
@@ -46,7 +46,7 @@ def test_capitals_cost_hardly_more_than_sentences() -> None:
     for sentence in SENTENCES[:5]:
         small, large = sentence.encode(), sentence.upper().encode()
         assert bits(large) < bits(small) + 0.15 * len(large)
-        assert expected().weighed(large)[1] == "English in capitals"
+        assert expected().weighed([large])[1] == ["English in capitals"]
 
 
 @pytest.mark.parametrize(
@@ -62,9 +62,9 @@ def test_capitals_cost_hardly_more_than_sentences() -> None:
     ],
 )
 def test_a_text_tells_its_kind(text: bytes, kind: str) -> None:
-    total, found = expected().weighed(text)
+    (total,), (found,) = expected().weighed([text])
     assert found == kind
-    assert total > any_bytes().weighed(text)[0] - 5
+    assert total > any_bytes().weighed([text])[0][0] - 5
 
 
 def test_what_nobody_thought_of_costs_little_more_than_any_bytes() -> None:
@@ -77,3 +77,20 @@ def test_prose_goes_on_after_a_number() -> None:
     """A name or a number in a sentence does not make the rest of it any bytes."""
     before, after = b"Call me on +44 7700 900461 ", b"before the others have gone to bed."
     assert (bits(before + after) - bits(before)) / len(after) < 3.5
+
+
+def test_texts_are_weighed_together_as_they_are_alone() -> None:
+    texts = [b"Send the keys.", b"40.7128", b"Go", b"Wir treffen uns morgen."]
+    together, kinds = expected().weighed(texts)
+    alone = [expected().weighed([text]) for text in texts]
+    assert together == pytest.approx([total[0] for total, _ in alone])
+    assert kinds == [kind[0] for _, kind in alone]
+
+
+def test_a_kind_is_named_where_it_is_likelier_than_all_others_together() -> None:
+    one = expected()
+    prior = np.array([kind.share for kind in one.kinds])
+    assert one.named(prior / prior.sum()) == UNKNOWN
+    assert one.named(np.eye(len(prior))[-1]) == ANY
+    halves = [0.3 if kind.name == "hexadecimal" else 0.0 for kind in one.kinds]
+    assert one.named(np.array(halves)) == "hexadecimal", "two kinds of one name"

@@ -8,7 +8,6 @@ import pytest
 from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
-from protocol.schemes.registry import make_scheme
 from studies.corners import at_the_corners
 from studies.listeners import heard_by
 from studies.outputs import CONDITIONS, over
@@ -17,7 +16,6 @@ from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import default_names, named
 from tap_service.eavesdroppers.base import Model
 from tap_service.inference.from_outputs import inferred
-from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.opening import Known, Opening
 from tap_service.inference.output_fit import applied_in, identified, refitted
 from tap_service.inference.output_model import LATER, LOST, OutputModel
@@ -147,9 +145,8 @@ def test_who_was_told_nothing_learns_the_motor_and_reads_the_message(
         assert B[:, 0] == pytest.approx([0.0094, 0.0088], abs=0.001)
 
 
-def test_where_she_hears_badly_the_smoother_listens_unasked(scenario: Scenario) -> None:
-    assert "smoother" in default_names(scenario.knowledge(), clear=False)
-    assert "smoother" not in default_names(scenario.knowledge(), clear=True)
+def test_the_strongest_listens_unasked(scenario: Scenario) -> None:
+    assert default_names(scenario.knowledge())[-1] == "text"
 
 
 def test_too_little_makes_no_model(runs: Runs, link: Transfer) -> None:
@@ -195,17 +192,6 @@ def test_text_reads_it_and_is_sure(runs: Runs, link: Transfer) -> None:
     assert (found.delivered, found.read) == (1, 1)
 
 
-def test_each_number_of_lost_steps_is_a_decoding_of_its_own() -> None:
-    decoding = ListDecoding(make_scheme("switched", 2), edge=1.0, certain=True)
-    for k in range(LOST):
-        assert decoding.hypotheses == k + 1
-        decoding.step_doubtful(k, [0.0, 1.0], 0, 0.5)
-    decoding.step_known(LOST, [1.0, 0.0], 0)
-    assert decoding.hypotheses == LOST + 1
-    decoding.restart()
-    assert decoding.hypotheses == 1
-
-
 def test_what_text_weighs_begins_to_agree_at_one_step_of_each_trajectory(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
@@ -247,19 +233,6 @@ def test_the_fallback_shows_in_the_readings(fallback: str) -> None:
     applied = applied_in(model_of(scenario), heard)
     right = [symbol == runs.coin[t.k, 0] for t, symbol in zip(heard, applied, strict=True)]
     assert np.mean(right[:-LATER]) > 0.98
-
-
-def test_after_a_stretch_each_decoding_may_lose_the_next_step() -> None:
-    decoding = ListDecoding(make_scheme("switched", 2), edge=1.0, certain=True)
-    decoding.step_known(0, [0.0, 1.0], 0)  # agreed: the next one carries
-    decoding.doubt()
-    decoding.step_doubtful(1, [0.0, 1.0], 0, 0.1)
-    assert decoding.hypotheses == 1, "its verdict does not count"
-    decoding.step_doubtful(2, [0.0, 1.0], 0, 0.1)
-    assert decoding.hypotheses == 2
-    decoding.doubt()
-    decoding.step_doubtful(3, None, 1, 0.1)  # no offer was heard: each symbol
-    assert decoding.hypotheses == 4
 
 
 def test_steps_that_a_network_takes_break_no_message_for_text() -> None:

@@ -22,7 +22,7 @@ from studies.secrecy.sentences import SENTENCES
 from studies.secrecy.study import heard_by, output_about
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import smoother, text
+from tap_service.eavesdroppers import reading
 from tap_service.eavesdroppers.text import Text
 from tap_service.inference import message_search
 from tap_service.inference.alignment import align
@@ -528,24 +528,6 @@ def test_through_noise_the_law_still_says_how_wide_the_set_is_and_where_the_stat
     assert -np.log2(right).mean() < loss
 
 
-@pytest.mark.long
-def test_through_noise_she_is_not_below_the_smoother(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The smoother's 135 keys of 160, asked at the end, are no floor that she only just reaches."""
-    monkeypatch.setattr(smoother, "FIRST", 160)
-    run = simulate(size(110, 160), 5, name="packed", payloads=[b"Go on now."])
-    view = View(seed=5, noise=0.05)
-    heard = heard_by(run, view)
-    told = view.knowledge(run.scenario.knowledge())
-    best, rung = (
-        score(run.truth, output_about(tap, heard))
-        for tap in (Text(told, live=False, beam=FOLLOWED), smoother.Smoother(told))
-    )
-    assert best.messages.right == 1
-    assert best.keys_reviewed.right >= rung.keys_reviewed.right
-    assert best.keys_reviewed.right > 0.97 * best.keys_reviewed.of
-    assert best.bits.right > 0.97 * best.bits.of
-
-
 def test_no_message_is_none() -> None:
     steps = stretch(b"x", 4, "pipelined", 4, missed=0.2, agree=1.0)[:9]
     reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=100)
@@ -707,7 +689,7 @@ def test_a_message_that_she_will_hear_no_more_of_is_left_with_its_bits(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Sixteen random bytes, a third missed: searched as long as later steps may say more."""
-    monkeypatch.setattr(text, "SETTLED", 40)
+    monkeypatch.setattr(reading, "SETTLED", 40)
     payload = random.Random(2).randbytes(16)
     run = simulate(160, 2, name="packed", payloads=[payload])
     view = View(seed=2, loss=0.3)
@@ -731,7 +713,7 @@ def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
     """She keeps twice as many at most; half as many take a quarter."""
     rng, key, table, steps = random.Random(1), 0, np.array([0.05, 0.5, 0.5, 0.5]), []
     share = size(0.25, 1)
-    for k in range(int(share * text.KEPT / 2)):
+    for k in range(int(share * reading.KEPT / 2)):
         cipher = None if rng.random() < 0.3 else encrypt(0, key, 4)
         t = Transition("s", k, (0.0,), None, cipher, (0.0,), start=k == 0)
         key = rng.randrange(4)
@@ -750,8 +732,8 @@ def test_two_thousand_steps_of_silence_take_a_sixth_of_a_gigabyte() -> None:
 @pytest.mark.long
 def test_what_she_keeps_is_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sessions of 100 steps, where she keeps 128 and 150 message symbols."""
-    monkeypatch.setattr(text, "KEPT", 128)
-    monkeypatch.setattr(text, "KEPT_SYMBOLS", 150)
+    monkeypatch.setattr(reading, "KEPT", 128)
+    monkeypatch.setattr(reading, "KEPT_SYMBOLS", 150)
     run = simulate(100, 7, name="packed", payloads=[b"Go on."])
     tap = Text(run.scenario.knowledge(), live=False)
     heard = heard_by(run, View())

@@ -57,6 +57,17 @@ def check_numbers(t: Transition) -> None:
     assert t.cipher in (None, t.k % 2)
 
 
+@pytest.mark.parametrize("far", [5, 30, 60])
+def test_a_message_ahead_of_its_place_costs_no_transition(far: int) -> None:
+    """It came by a shorter way, or was forged: the steps that it overtook are not over."""
+    messages = lock_step(200)
+    for at in (240, 100):
+        messages[at:at] = [measurement(at // 2 + far, at // 2 + far - 1), offer(at // 2 + far)]
+    found = hear(messages)
+    assert [t.k for t in found] == list(range(200))
+    assert all(t.whole for t in found)
+
+
 def test_lock_step_gives_every_transition_as_soon_as_it_is_known() -> None:
     transcript = Transcript()
     for message in lock_step(20):

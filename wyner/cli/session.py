@@ -193,7 +193,6 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
 
     Each is looked for before anything starts.
     """
-    from tap_service.capture.channel import View
     from tap_service.command import find_each, names_of
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.sandboxed import each_once, sandboxed
@@ -211,8 +210,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     its = scenario.tap.eavesdroppers
     find_each(its, find, f"{options.scenario}: tap.eavesdroppers: ")
     if not its:
-        view = View.model_validate(scenario.tap.model_dump(exclude={"eavesdroppers"}))
-        its = default_names(knowledge, clear=view.clear)
+        its = default_names(knowledge)
     try:
         return each_once((*its, *asked))
     except KnowledgeError as error:

@@ -150,6 +150,8 @@ class Transfer(Brief):
         The message symbol recovered on the transition, or -1.
     p : int array, shape (steps, R)
         Message symbols up to here.
+    ended : bool array, shape (steps, R), optional
+        Where words are corrected: transitions with which a session ended.
     """
 
     cipher: Symbols
@@ -157,6 +159,7 @@ class Transfer(Brief):
     pad: Symbols
     message_symbol: Symbols
     p: NDArray[np.int64]
+    ended: Flags | None = None
 
     def brief(self) -> dict[str, object]:
         """How many steps and runs, and what they carried."""
@@ -222,6 +225,7 @@ def transfer(
         pad=pad,
         message_symbol=np.where(carried & ~torn, recovered, NO_SYMBOL).astype(kind),
         p=p,
+        ended=None if ended is None else ended[:, 0],
     )
 
 

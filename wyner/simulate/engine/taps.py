@@ -70,7 +70,7 @@ def transcript(runs: Runs, link: Transfer, place: int) -> Iterator[Transition]:
             continue
         candidates = tuple(tuple(u) for u in offers[k])
         yield Transition("simulated", k, x[k], candidates, cipher, x[k + 1], start=first)
-        first = False
+        first = link.ended is not None and bool(link.ended[k, place])
 
 
 def public_messages(
