@@ -250,7 +250,7 @@ class Journal(ABC, Generic[R]):
         record = self.adapter.serializer.to_json(save.record)
         offer, coin, measurement = _columns(save.step)
         keys = b""
-        if self._rows or save.rows.part is not NO_PART:
+        if self._rows or save.rows.part != NO_PART:
             block, first, digits = save.rows.part
             part = _PART.pack(block, first, len(digits))
             keys = b"".join((part, digits, *self._rows.values()))
