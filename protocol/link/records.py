@@ -1,7 +1,8 @@
 """What each end must not forget: the row of its journal, a frozen record for each of its machines.
 
-A record is changed by the machine that owns it, and by nothing else. Both ends count the link
-(:class:`LinkRecord`) and their keys (:class:`KeyRecord`) alike.
+Each has one module that makes the next value of it; a session's beginning resets them together
+(``begin_session`` of an end's state). Both ends count the link (:class:`LinkRecord`) and their keys
+(:class:`KeyRecord`) alike.
 """
 
 from typing import Final, Generic, Literal, NamedTuple, TypeVar

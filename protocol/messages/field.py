@@ -1,7 +1,6 @@
 """Field messages, which everyone reads: no key, plaintext or state, and one form in all states."""
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import Annotated, Any, ClassVar, Self
 
 from pydantic import Field
@@ -44,7 +43,7 @@ class StepMessage(Message):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """A copy with other values; it has bytes of its own."""
         copy = super().model_copy(update=update, deep=deep)
-        for made in ("_bytes", "position"):
+        for made in ("_bytes", "_position"):
             copy.__dict__.pop(made, None)
         return copy
 
@@ -130,12 +129,15 @@ class Offer(StepMessage):
     stream_block: BlockNumber | None = None
     stream_at: Count | None = None
 
-    @cached_property
+    @property
     def position(self) -> Position:
         """Where in the key stream its digits begin; :data:`NOWHERE` where it has none."""
         if self.stream_block is None or self.stream_at is None or self.stream_block < 0:
             return NOWHERE
-        return Position(self.stream_block, self.stream_at)
+        made: Position | None = self.__dict__.get("_position")
+        if made is None:  # a step asks for it six times
+            made = self.__dict__["_position"] = Position(self.stream_block, self.stream_at)
+        return made
 
 
 FieldMessage = Measurement | Offer

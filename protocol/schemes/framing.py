@@ -111,7 +111,8 @@ class Deframer:
     @property
     def lacks_one(self) -> bool:
         """Whether the next symbol is the last one of the frame under way."""
-        return len(self.symbols) + 1 == self.expected_length
+        ends_block = self._count + 1 == self._digits
+        return ends_block and len(self.symbols) + 1 == self.expected_length
 
     @property
     def partial(self) -> bytes:

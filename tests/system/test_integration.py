@@ -233,7 +233,7 @@ def test_by_hand_in_any_order_with_send_and_malformed(by_hand: ByHand, tmp_path:
     sent = wyner("send", "first", *management)
     assert sent.returncode == 0, sent.stderr
     (tmp_path / "note").write_bytes(bytes(range(0, 256, 17)))
-    assert wyner("send", "--file", str(tmp_path / "note"), *management).returncode == 0
+    assert wyner("send", f"@{tmp_path}/note", *management).returncode == 0
     with (
         ZenohBus(connect=[by_hand.plant_field, by_hand.controller_field]) as field,
         ZenohBus(connect=[by_hand.plant_management, by_hand.controller_management]) as bus,

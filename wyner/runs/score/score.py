@@ -32,7 +32,7 @@ from wyner.runs.trace import TRANSITION, Trace
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
 
-UNFINISHED: Final = "it did not finish"
+UNFINISHED: Final = "unfinished"
 SILENT: Final = "it guesses at no symbol of the loop"
 DEAF: Final = "it could use none of the steps that agreed a key"
 
