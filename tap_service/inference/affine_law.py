@@ -10,8 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array, Indices
+from protocol.arrays import Array
 from tap_service.capture.transcript import Transition
+from tap_service.inference.law import Form, Item
 from tap_service.inference.policy import KnownLaw
 
 ENOUGH: Final = 16
@@ -106,43 +107,39 @@ class AffineLaw:
         law = cls(G, g, max(float(error), LEAST * spread), spread, shared, float(blur))
         return replace(law, pairs=Pairs.of(law, x, answers)) if len(x) >= ENOUGH else law
 
-    def forms(self, x: Array) -> list[tuple[float, Array, float]]:
-        """What an offer about a state may be: log probability, constant parts and error of each.
+    def forms(self, x: Array) -> list[Form]:
+        """What an offer about states ``x``, shape (N, n), may be.
 
         As the law is as a whole, as offers were whose state was next to it, or anything.
         """
-        out = [(float(np.log(1 - 2 * ASTRAY)), self.g, self.error)]
+        G = self.G[None]
+        out = [Form(float(np.log(1 - 2 * ASTRAY)), G, self.g[None], self.error)]
         if self.pairs is not None:
-            left, error = self.pairs.near(x)
+            left, error = self.pairs.near(x[0])
             if np.abs(left).max() > BLURRED * self.blur + BENT * self.spread:
                 error = float(np.sqrt(max(error**2 - self.blur**2, 0.0)))
-                out.append((float(np.log(ASTRAY)), self.g + left, max(error, self.error)))
-        out.append((float(np.log(ASTRAY)), self.g, ANYTHING * self.spread))
+                near = max(error, self.error)
+                out.append(Form(float(np.log(ASTRAY)), G, (self.g + left)[None], near))
+        out.append(Form(float(np.log(ASTRAY)), G, self.g[None], ANYTHING * self.spread))
         return out
 
-    def v_of(self, u: Array) -> Array:
-        """The input that candidates share, shape (m,)."""
-        out: Array = (u - self.g).mean(axis=0)
+    def averaged(self, u: Array) -> Array:
+        """An offer whose candidates share one input, each misread by itself, with that of all."""
+        out: Array = (u - self.g).mean(axis=0) + self.g
         return out
 
-    @property
-    def blocks(self) -> Sequence[Indices]:
-        """Rows of a reading that hold or fail together."""
-        m = self.g.shape[1]
+    def items(self, offer: Array, noise: float) -> list[Item]:
+        """What an offer says of its state: all candidates together where they share one input."""
+        apart = offer - self.g
         if self.shared:
-            return [np.arange(m)]
+            variance = noise**2 / len(offer) + self.error**2
+            return [Item(self.G[:1], apart.mean(axis=0)[None], variance)]
         told = np.abs(self.G).sum(axis=2) > 0
-        return [np.flatnonzero(told[i]) + i * m for i in range(len(self.g))]
-
-    def reading(self, u: Array, noise: float) -> tuple[Array, Array, Array]:
-        """What an offer says of its state: C x = y, with the variance of each row."""
-        g, error = self.g, self.error
-        if self.shared:
-            C, y, variance = self.G[0], (u - g).mean(axis=0), noise**2 / len(u) + error**2
-        else:
-            C = self.G.reshape(-1, self.G.shape[2])
-            y, variance = (u - g).ravel(), noise**2 + error**2
-        return C, y, np.full(len(y), variance)
+        return [
+            Item(G[None, rows], y[None, rows], noise**2 + self.error**2)
+            for G, y, rows in zip(self.G, apart, told, strict=True)
+            if rows.any()
+        ]
 
 
 class Pairs:

@@ -1,13 +1,12 @@
-"""States and symbols from whatever was heard: one Kalman filter under a beam of sequences.
+"""States and symbols from whatever was heard: Kalman filters under a beam of hypotheses.
 
-Given which candidates were applied everything is linear: an offer is a reading of its state, for
-the law is an affine function of it almost everywhere, and a lost offer follows from the state. So
-what is known of x(k) is a mixture of Gaussians, one for each likely sequence of the last symbols,
-all of one covariance, for they differ in the symbols alone. Sequences that agree over the last
-symbols are merged. Where the law bends an offer says nothing of the state. The disturbance is
-bounded: what that says beyond its variance is weighed reading by reading, exactly where the state
-before was known. Afterwards trajectories are drawn backwards (Godsill, Doucet and West 2004), so
-that what came later counts as well.
+Given which candidates were applied, and by which piece of the law each offer came about, everything
+is linear: an offer is a reading of its state, and a lost offer follows from the state. So what is
+known of x(k) is a mixture of Gaussians, one for each likely hypothesis. Hypotheses that agree over
+the last symbols are merged. An offer that no piece explains says nothing of its state. The
+disturbance is bounded: what that says beyond its variance is weighed exactly where the state before
+was known. Afterwards trajectories are drawn backwards (Godsill, Doucet and West 2004), so that what
+came later counts as well.
 """
 
 from collections.abc import Sequence
@@ -17,18 +16,25 @@ from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array, Integers
+from protocol.arrays import Array, Flags, Indices, Integers
 from tap_service.capture.transcript import Transition, steps_in_a_row
-from tap_service.inference.affine_law import AffineLaw
+from tap_service.inference.affine_law import ANYTHING
 from tap_service.inference.bounded import BoundedRows
 from tap_service.inference.fitted_shape import Shape, residuals_of
 from tap_service.inference.inferred import InferredStep
+from tap_service.inference.law import Item, Law
 
 PARTS: Final = 192
 """Gaussians kept from step to step."""
 
 LAG: Final = 4096
-"""Sequences are merged that agree over as many of the last symbols as there are so many of."""
+"""Hypotheses are merged that agree over as many of the last symbols as there are so many of."""
+
+NEGLIGIBLE: Final = 9.0
+"""Log weight below the largest from which on a Gaussian is dropped."""
+
+FAR: Final = 11.0
+"""The same of ways in which an offer came about, whose bounds were not looked at."""
 
 SIZES: Final = tuple(np.geomspace(1.0, 1 / 32, 11).tolist())
 """Multiples of D_e over which the disturbance may be spread."""
@@ -54,76 +60,96 @@ ANYWHERE: Final = 10.0
 STRAY: Final = 0.03
 """Share of the offers that are not as the law says."""
 
-DOUBT: Final = 3.0
-"""By which the covariance of a state grows that a stray offer contradicts."""
-
-ROOM: Final = 5.0
-"""Over the spread of the offers where nothing is known of the state: where those may lie."""
-
 ENOUGH: Final = 16
 """Steps heard whole from which the disturbance is measured."""
 
 PROPOSALS: Final = 6
 """States drawn backwards for each trajectory, of which one is kept by the disturbance's bounds."""
 
+NODES: Final = np.linspace(-2.55, 2.55, 16)
+"""Places along the direction that a reading leaves open, in standard deviations."""
+
+NARROW: Final = 0.003
+"""Variance that such a cut leaves at least, over the one before."""
+
+DOUBT: Final = 3.0
+"""By which the covariance of a state grows that a stray offer contradicts."""
+
 TINY: Final = 1e-12
 
 
 @dataclass(frozen=True)
 class Mixture:
-    """What is known of one state: Gaussians of log weights, one covariance for all.
+    """What is known of one state: Gaussians of log weights.
 
-    Shapes (N,), (N, n) and (n, n); ``past`` numbers the last symbols, shape (N,).
+    Shapes (N,), (N, n) and (N, n, n); ``past`` numbers the last symbols, shape (N,); ``lawful``
+    says whether a hypothesis has the offer come about by the law, shape (N,).
     """
 
     weights: Array
     means: Array
     P: Array
     past: Integers
+    lawful: Flags
+
+    def __getitem__(self, kept: object) -> "Mixture":
+        return Mixture(*(part[kept] for part in vars(self).values()))
 
     def best(self, count: int) -> "Mixture":
-        """The heaviest."""
-        if len(self.weights) <= count:
-            return self
-        kept = np.argpartition(-self.weights, count)[:count]
-        return Mixture(self.weights[kept], self.means[kept], self.P, self.past[kept])
+        """The heaviest first, none of them negligible; the largest weight is 0."""
+        top = float(self.weights.max())
+        found = replace(self, weights=self.weights - top)
+        kept = np.argsort(-found.weights, kind="stable")[:count]
+        return found[kept[found.weights[kept] > -NEGLIGIBLE]]
 
     def merged(self) -> "Mixture":
         """Those of one past as one."""
-        order = np.argsort(self.past, kind="stable")
-        first = np.flatnonzero(np.diff(self.past[order], prepend=-1))
+        key = 2 * self.past + self.lawful
+        order = np.argsort(key, kind="stable")
+        first = np.flatnonzero(np.diff(key[order], prepend=-1))
         if len(first) == len(order):
             return self
-        w = np.exp(self.weights - self.weights.max())[order]
-        total = np.add.reduceat(w, first)
-        means = np.add.reduceat(w[:, None] * self.means[order], first) / np.maximum(
-            total[:, None], 1e-300
-        )
-        weights = np.log(np.maximum(total, 1e-300)) + self.weights.max()
-        return Mixture(weights, means, self.P, self.past[order][first])
+        top = float(self.weights.max())
+        w = np.exp(self.weights - top)[order]
+        total = np.maximum(np.add.reduceat(w, first), 1e-300)
+        group = np.zeros(len(order), dtype=int)
+        group[first[1:]] = 1
+        group = group.cumsum()
+        means = np.add.reduceat(w[:, None] * self.means[order], first) / total[:, None]
+        off = self.means[order] - means[group]
+        P = self.P[order] + off[:, :, None] * off[:, None]
+        P = np.add.reduceat(w[:, None, None] * P, first) / total[:, None, None]
+        some = order[first]
+        return Mixture(np.log(total) + top, means, P, self.past[some], self.lawful[some])
+
+    @classmethod
+    def together(cls, parts: Sequence["Mixture"]) -> "Mixture":
+        """All Gaussians of several."""
+        columns = zip(*(vars(part).values() for part in parts), strict=True)
+        return cls(*(np.concatenate(column) for column in columns))
 
 
 @dataclass(frozen=True)
 class Move:
-    """How a step may go, for each candidate: x(k+1) = A_i x(k) + c_i + d + error.
+    """How a step may go: x(k+1) = A x(k) + c + d + B e, for each Gaussian and candidate.
 
     Parameters
     ----------
-    A : array, shape (M, n, n)
-    c : array, shape (M, n)
-    R : array, shape (m, m)
-        Covariance of the input's error.
+    A : array, shape (N, M, n, n)
+    c : array, shape (N, M, n)
+    error : array, shape (N,)
+        Standard deviation of e.
     weight : float
         Log probability.
-    misread : bool
+    misread : array, shape (N,)
         Whether each candidate has an error of its own.
     """
 
     A: Array
     c: Array
-    R: Array
-    weight: float = 0.0
-    misread: bool = False
+    error: Array
+    weight: float
+    misread: Flags
 
 
 class BeamSmoother:
@@ -139,7 +165,7 @@ class BeamSmoother:
         In which candidates are measured.
     noise : float
         Standard deviation of what she reads.
-    law : AffineLaw, optional
+    law : Law, optional
     samples : int
         Trajectories drawn.
 
@@ -147,6 +173,8 @@ class BeamSmoother:
     ----------
     support : float
         Gauge of the largest disturbance, as she takes it.
+    exact : bool
+        Whether the law is shared and mostly as the policy has it, to the last digit.
     """
 
     def __init__(
@@ -156,7 +184,7 @@ class BeamSmoother:
         told: Array,
         shape: Shape,
         noise: float,
-        law: AffineLaw | None,
+        law: Law | None,
         samples: int,
     ) -> None:
         self._A, self._B, self._shape, self._noise = A, B, shape, noise
@@ -165,7 +193,7 @@ class BeamSmoother:
         self._nothing = np.diag((ANYWHERE * self._edge) ** 2)
         self._rng = np.random.default_rng(0)
         self.support = 1.0
-        self._exact = False
+        self.exact = law is not None and law.shared and law.error <= EXACT * law.spread
         self._spread(self._edge)
 
     def infer(self, transitions: Sequence[Transition]) -> list[InferredStep]:
@@ -175,37 +203,31 @@ class BeamSmoother:
             return [InferredStep(t, None) for t in transitions]
         return [step for run in runs for step in self._inferred(run)]
 
-    @property
-    def exact(self) -> bool:
-        """Whether the law is shared and mostly as the policy has it, to the last digit."""
-        return self._exact
-
     def learn(
         self, transitions: Sequence[Transition], run: Sequence[Transition], most: float
     ) -> None:
         """How far the disturbance reaches.
 
-        By the steps heard whole, or as the multiple of D_e that makes a ``run`` likeliest; where
-        that is beyond the ``most`` that it can be, the law says something else.
+        By the steps heard whole, or as the multiple of D_e that makes a ``run`` likeliest, at
+        ``most`` so much.
         """
-        law = self._law
-        self._exact = law is not None and law.shared and law.error <= EXACT * law.spread
         if not self._measured(transitions):
             self._learn(run[:TRIAL])
             if self.support > BEYOND * most:
-                self._exact = False
+                self.exact = False
                 self.support = most
                 self._spread(most * self._edge)
 
+    def evidence(self, run: Sequence[Transition], size: float) -> float:
+        """Log evidence of a run where the disturbance is spread over ``size`` times D_e."""
+        self._spread(size * self._edge)
+        return self._forward(run, FEW)[1]
+
     def _learn(self, trial: Sequence[Transition]) -> None:
         """The multiple of D_e that makes what was heard likeliest."""
-
-        def evidence(size: float) -> float:
-            self._spread(size * self._edge)
-            return self._forward(trial, FEW)[1]
-
-        best = max(SIZES, key=evidence)
-        self.support = max((best * ratio for ratio in FINER), key=evidence)
+        best = max(SIZES, key=lambda size: self.evidence(trial, size))
+        finer = [best * ratio for ratio in FINER]
+        self.support = max(finer, key=lambda size: self.evidence(trial, size))
         self._spread(self.support * self._edge)
 
     def _measured(self, transitions: Sequence[Transition]) -> bool:
@@ -229,108 +251,198 @@ class BeamSmoother:
 
     # --- forwards ---------------------------------------------------------------------------------
 
-    def _begun(self, t: Transition) -> tuple[Mixture, bool, float]:
-        past = np.zeros(1, dtype=int)
-        start = Mixture(np.zeros(1), np.zeros((1, self._n)), self._nothing, past)
-        return self._heard(start, t, None)
+    def _begun(self, t: Transition) -> Mixture:
+        nothing = Mixture(
+            np.zeros(1), np.zeros((1, self._n)), self._nothing[None], np.zeros(1, dtype=int),
+            np.zeros(1, dtype=bool),
+        )  # fmt: skip
+        return self._heard(nothing, t, None)
 
     def _forward(
         self, run: Sequence[Transition], parts: int = PARTS
-    ) -> tuple[list[Mixture], float, list[Move | None]]:
+    ) -> tuple[list[Mixture], float, list[list[Move]]]:
         """What is known of each state by what came before, the log evidence, and the moves."""
-        now, free, _ = self._begun(run[0])
+        now = self._begun(run[0]).merged().best(parts)
         evidence = 0.0
         out: list[Mixture] = [now]
-        moves: list[Move | None] = []
+        moves: list[list[Move]] = []
         for before, t in pairwise(run):
-            ways = self._ways(now, before, free)
+            ways = self._ways(now, before)
+            moves.append(ways)
             if not ways:
-                now, free, _ = self._begun(t)
-                moves.append(None)
+                now = self._begun(t)
             else:
-                move, now, free, gain = self._likeliest(now, ways, t)
-                now = now.merged().best(parts)
-                evidence += gain
-                moves.append(move)
+                level = np.logaddexp.reduce(now.weights)
+                now = self._after(now, ways, t)
+                evidence += float(np.logaddexp.reduce(now.weights) - level)
+            now = now.merged().best(parts)
             out.append(now)
-        ways = self._ways(now, run[-1], free)
-        after = replace(run[-1], x=run[-1].x_next, candidates=None)
-        moves.append(self._likeliest(now, ways, after)[0] if ways else None)
+        moves.append(self._ways(now, run[-1]))
         return out, evidence, moves
 
-    def _likeliest(
-        self, now: Mixture, ways: Sequence[Move], t: Transition
-    ) -> tuple[Move, Mixture, bool, float]:
-        """The way that explains best what was heard after it, and what is known then."""
-        tried = []
-        for move in ways if t.x is not None or t.candidates is not None else ways[:1]:
-            moved = self._moved(now, move)
-            found, free, gain = self._heard(moved, t, moved.P - self._Q)
-            tried.append((move, found, free, gain + move.weight))
-        return max(tried, key=lambda one: one[3])
+    def _after(self, now: Mixture, ways: Sequence[Move], t: Transition) -> Mixture:
+        """The mixture one step on, after what was heard there."""
+        moved, own = zip(*(self._moved(now, move) for move in ways), strict=True)
+        together = Mixture.together(moved)
+        if t.x is not None and not self._noise:
+            return self._at(together, t, np.concatenate(own))
+        return self._heard(together, t, np.concatenate(own))
 
-    def _ways(self, now: Mixture, t: Transition, free: bool) -> list[Move]:
+    def _ways(self, now: Mixture, t: Transition) -> list[Move]:
         """How the step may go: by its offer as it was heard, or by the law."""
-        law, m = self._law, self._B.shape[1]
-        forms = [] if law is None else law.forms(now.means[int(now.weights.argmax())])
+        law, count = self._law, len(now.weights)
         if t.candidates is not None:
-            u, R = np.array(t.candidates), self._noise**2 * np.eye(m)
+            u, noise = np.array(t.candidates), self._noise
             size = len(u)
-            if law is not None and law.shared:
-                u, R = law.v_of(u) + law.g, R / size
-                forms = forms[:1]
-            if law is None or not (law.shared and free and self._noise > law.error):
-                A = np.broadcast_to(self._A, (size, self._n, self._n))
-                misread = bool(self._noise) and (law is None or not law.shared)
-                return [Move(A, u @ self._B.T, R, misread=misread)]
+            if noise and law is not None and law.shared:
+                u, noise = law.averaged(u), noise / float(np.sqrt(size))
+            A = np.broadcast_to(self._A, (count, size, self._n, self._n))
+            c = np.broadcast_to(u @ self._B.T, (count, size, self._n))
+            error = np.full(count, noise)
+            misread = np.full(count, bool(noise) and (law is None or not law.shared))
+            if law is not None and noise > law.error:
+                form = law.forms(now.means)[0]
+                which = now.lawful
+                A = np.where(which[:, None, None, None], self._A + self._B @ form.G, A)
+                c = np.where(which[:, None, None], form.g @ self._B.T, c)
+                error = np.where(which, form.error, error)
+                misread = misread & ~which
+            return [Move(A, c, error, 0.0, misread)]
         if law is None:
             return []
-        A = self._A + np.einsum("nm,imk->ink", self._B, law.G)
-        eye = np.eye(m)
-        return [Move(A, g @ self._B.T, error**2 * eye, weight) for weight, g, error in forms]
+        out = []
+        for form in law.forms(now.means):
+            A, c = self._A + self._B @ form.G, form.g @ self._B.T
+            A = np.broadcast_to(A, (count, *A.shape[1:]))
+            c = np.broadcast_to(c, (count, *c.shape[1:]))
+            no = np.zeros(count, dtype=bool)
+            out.append(Move(A, c, np.full(count, form.error), form.weight, no))
+        return out
 
-    def _moved(self, now: Mixture, move: Move) -> Mixture:
-        """The mixture one step on, each candidate as likely."""
-        size = len(move.c)
-        means = np.einsum("ink,ck->cin", move.A, now.means) + move.c
-        P = np.einsum("iab,bc,idc->ad", move.A, now.P, move.A) / size
-        P = P + self._Q + self._B @ move.R @ self._B.T
-        weights = np.repeat(now.weights - np.log(size), size)
+    def _moved(self, now: Mixture, move: Move) -> tuple[Mixture, Array]:
+        """The mixture one step on, each candidate as likely; its covariance but for d."""
+        count, size = move.c.shape[:2]
+        means = np.einsum("cink,ck->cin", move.A, now.means) + move.c
+        own = move.A @ now.P[:, None] @ move.A.swapaxes(2, 3)
+        own = own + (move.error**2)[:, None, None, None] * (self._B @ self._B.T)
+        own = own.reshape(-1, self._n, self._n)
+        weights = np.repeat(now.weights - np.log(size) + move.weight, size)
         past = (now.past[:, None] * size + np.arange(size)) % _last(size)
-        return Mixture(weights, means.reshape(-1, self._n), (P + P.T) / 2, past.ravel())
+        lawful = np.zeros(count * size, dtype=bool)
+        mixture = Mixture(weights, means.reshape(-1, self._n), own + self._Q, past.ravel(), lawful)
+        return mixture, own
 
-    def _heard(self, now: Mixture, t: Transition, own: Array | None) -> tuple[Mixture, bool, float]:
-        """The mixture after what was heard of a state, whether its offer is free, log evidence.
+    def _at(self, now: Mixture, t: Transition, own: Array) -> Mixture:
+        """The one state that was heard exactly."""
+        x = np.array(t.x)
+        off = x - now.means
+        weights = now.weights + _log_normal(off, now.P + TINY * np.eye(self._n))
+        weights += self._whole.log_ratio(off, _deviations(own))
+        top = int(weights.argmax())
+        total = np.array([np.logaddexp.reduce(weights)])
+        tiny = TINY * np.eye(self._n)[None]
+        return Mixture(total, x[None], tiny, now.past[top : top + 1], np.ones(1, dtype=bool))
+
+    def _heard(self, now: Mixture, t: Transition, own: Array | None) -> Mixture:
+        """The mixture after what was heard of a state, weighed by it.
 
         ``own`` is its covariance but for the last disturbance, which is bounded; None where there
         was none.
         """
-        evidence, free = 0.0, False
+        origin = None if own is None else Origin(now.means, own)
         if t.x is not None:
-            R = (self._noise**2 + TINY) * np.eye(self._n)
-            bounded = None if own is None else self._whole
-            now, evidence = self._updated(now, np.eye(self._n), np.array(t.x), R, bounded, own)
-            own = None
+            off = np.array(t.x) - now.means
+            now = _updated(now, np.eye(self._n), off, np.full(self._n, self._noise**2 + TINY))
+            if origin is not None:
+                ratio = self._whole.log_ratio(off, np.hypot(origin.wide, self._noise))
+                now = replace(now, weights=now.weights + ratio)
+            origin = None
         if t.candidates is None or self._law is None:
-            return now, free, evidence
-        C, y, variance = self._law.reading(np.array(t.candidates), self._noise)
-        for rows in self._law.blocks:
-            if not len(rows):
-                continue
-            R = np.diag(variance[rows])
-            bounded = None if own is None else self._bounded(C[rows])
-            read, gain = self._updated(now, C[rows], y[rows], R, bounded, own)
-            wide = np.sqrt(np.einsum("ri,ij,rj->r", C[rows], self._nothing, C[rows]))
-            astray = np.log(STRAY) - float(np.log(ROOM * (wide + self._law.spread)).sum())
-            if gain + np.log(1 - STRAY) > astray:
-                now, own, free = read, None, True
-                evidence += gain + np.log(1 - STRAY)
-            else:
-                evidence += astray
-                if t.x is None:  # or what is believed of the state is wrong
-                    more = DOUBT if (now.P.diagonal() < self._nothing.diagonal()).all() else 1.0
-                    now, own = replace(now, P=more * now.P), None
-        return now, free, evidence
+            return now
+        found = [(replace(now, lawful=np.ones(len(now.weights), dtype=bool)), origin)]
+        items = self._law.items(np.array(t.candidates), self._noise)
+        rows = 0
+        for item in items:
+            rows += item.y.shape[1]
+            last = item is items[-1]
+            more = DOUBT if t.x is None else 1.0
+            found = [
+                part
+                for before, since in found
+                for part in (
+                    self._explained(before, item, since, self._n - rows, last=last),
+                    (self._astray(before, item, more), since),
+                )
+            ]
+        return Mixture.together([part for part, _ in found])
+
+    def _explained(
+        self, now: Mixture, item: Item, origin: "Origin | None", left_open: int, *, last: bool
+    ) -> tuple[Mixture, "Origin | None"]:
+        """The mixture by each way in which a part of an offer came about.
+
+        ``left_open`` counts the directions in which nothing was read. Last, where each came from.
+        """
+        if not len(now.weights):
+            return now, origin
+        C = item.C
+        off = item.y - np.einsum("pri,ci->cpr", C, now.means)
+        S = C @ now.P[:, None] @ C.swapaxes(1, 2) + item.variance * np.eye(C.shape[1])
+        weights = now.weights[:, None] + _log_normal(off, S)
+        if origin is not None and last and left_open > 1:
+            assert len(C) == 1
+            across = np.sqrt(np.einsum("ri,cij,rj->cr", C[0], origin.own, C[0]))
+            weights += self._bounded(C[0]).log_ratio(off[:, 0], across)[:, None]
+        source, way = np.nonzero(weights > weights.max() - FAR)
+        C, P = C[way], now.P[source]
+        K = np.linalg.solve(S[source, way], C @ P).swapaxes(1, 2)
+        P = P - K @ C @ P
+        means = now.means[source] + np.einsum("cir,cr->ci", K, off[source, way])
+        read = replace(
+            now[source], weights=weights[source, way], means=means, P=(P + P.swapaxes(1, 2)) / 2
+        )
+        since = None if origin is None else origin.of(source)
+        if left_open > 1:
+            return read, since
+        read, kept = self._along(read, way, item, since if last else None)
+        return read, None if since is None else since.of(kept)
+
+    def _astray(self, now: Mixture, item: Item, more: float) -> Mixture:
+        """The mixture if a part of an offer is anything; what is believed may be wrong then."""
+        assert self._law is not None
+        C = item.C[0]
+        off = item.y[0] - now.means @ C.T
+        S = C @ now.P @ C.T + (ANYTHING * self._law.spread) ** 2 * np.eye(len(C))
+        astray = np.log(STRAY) + _log_normal(off, S)
+        known = np.all(now.P.diagonal(axis1=1, axis2=2) < self._nothing.diagonal(), axis=1)
+        P = np.where(known[:, None, None], more, 1.0) * now.P
+        stray = np.zeros(len(now.weights), dtype=bool)
+        return replace(now, weights=now.weights + astray, P=P, lawful=stray)
+
+    def _along(
+        self, now: Mixture, way: Indices, item: Item, origin: "Origin | None"
+    ) -> tuple[Mixture, Flags]:
+        """Gaussians of which one direction is open, cut off where the law or the bounds say so.
+
+        Last, which of them are left.
+        """
+        values, vectors = np.linalg.eigh(now.P)
+        axis = vectors[:, :, -1] * np.sqrt(np.maximum(values[:, -1:], 0.0))
+        x = now.means[:, None] + NODES[:, None] * axis[:, None]
+        log = np.broadcast_to(-0.5 * NODES**2, x.shape[:2])
+        if origin is not None:
+            log = log + self._whole.log_ratio(x - origin.means[:, None], origin.wide[:, None])
+        if item.holds is not None:
+            log = np.where(item.holds(x, way), log, -np.inf)
+        total = np.logaddexp.reduce(log, axis=1)
+        left = total > -np.inf
+        w = np.exp(log[left] - total[left, None])
+        middle = w @ NODES
+        part, axis = now[left], axis[left]
+        spread = np.maximum(w @ NODES**2 - middle**2, NARROW) - 1.0
+        P = part.P + spread[:, None, None] * axis[:, :, None] * axis[:, None]
+        weights = part.weights + total[left] - float(np.logaddexp.reduce(-0.5 * NODES**2))
+        return replace(part, weights=weights, means=part.means + middle[:, None] * axis, P=P), left
 
     def _bounded(self, C: Array) -> BoundedRows:
         key = C.tobytes()
@@ -338,126 +450,135 @@ class BeamSmoother:
             self._rows[key] = BoundedRows(C, self._reach)
         return self._rows[key]
 
-    def _updated(
-        self,
-        now: Mixture,
-        C: Array,
-        y: Array,
-        R: Array,
-        bounded: BoundedRows | None,
-        own: Array | None,
-    ) -> tuple[Mixture, float]:
-        """The mixture after a reading C x = y of covariance R, and the log evidence of it."""
-        S = C @ now.P @ C.T + R
-        K = np.linalg.solve(S, C @ now.P).T
-        off = y - now.means @ C.T
-        log_density = -0.5 * np.einsum("ci,ij,cj->c", off, np.linalg.inv(S), off)
-        log_density -= 0.5 * (float(np.linalg.slogdet(S)[1]) + len(y) * float(np.log(2 * np.pi)))
-        if bounded is not None and own is not None:
-            wide = np.sqrt(np.maximum(np.diag(C @ own @ C.T + R), 0.0))
-            log_density += bounded.log_ratio(off, wide)
-        weights = now.weights + log_density
-        total = float(np.logaddexp.reduce(weights) - np.logaddexp.reduce(now.weights))
-        P = (np.eye(len(now.P)) - K @ C) @ now.P
-        # only differences count: weights are kept near 0
-        means = now.means + off @ K.T
-        return Mixture(weights - weights.max(), means, (P + P.T) / 2, now.past), total
-
     # --- backwards --------------------------------------------------------------------------------
 
     def _inferred(self, run: Sequence[Transition]) -> list[InferredStep]:
         mixtures, _, moves = self._forward(run)
-        last, move = run[-1], moves[-1]
-        end = mixtures[-1] if move is None else self._moved(mixtures[-1], move)
-        if last.x_next is not None and move is not None:
+        last = run[-1]
+        end = mixtures[-1]
+        if moves[-1]:
             after = replace(last, x=last.x_next, candidates=None)
-            end, _, _ = self._heard(end, after, end.P - self._Q)
+            end = self._after(end, moves[-1], after)
         drawn = self._drawn(end)
         steps: list[InferredStep] = []
-        for now, t, how in zip(mixtures[::-1], run[::-1], moves[::-1], strict=True):
-            if how is None:
+        for now, t, ways in zip(mixtures[::-1], run[::-1], moves[::-1], strict=True):
+            if not ways:
                 steps.append(InferredStep(t, None))
                 drawn = self._drawn(now)
                 continue
-            before, gauges = self._back(now, how, drawn)
+            drawn, gauges = self._back(now, ways, drawn)
             if t.whole and not self._noise:
                 gauges = self._gauges(residuals_of(self._A, self._B, [t]))
             steps.append(InferredStep(t, gauges))
-            drawn = before
         return steps[::-1]
 
     def _drawn(self, now: Mixture) -> Array:
         """States drawn, shape (S, n)."""
         p = np.exp(now.weights - now.weights.max())
         picked = self._rng.choice(len(p), self._samples, p=p / p.sum())
-        return now.means[picked] + self._normal(now.P, (self._samples,))
+        return now.means[picked] + self._normal(now.P[picked])
 
-    def _normal(self, P: Array, shape: tuple[int, ...]) -> Array:
-        """Draws of covariance ``P``."""
-        out: Array = self._rng.standard_normal((*shape, len(P))) @ _root(P).T
+    def _normal(self, P: Array) -> Array:
+        """Draws of covariances ``P``, shape (..., n, n)."""
+        values, vectors = np.linalg.eigh(P)
+        z = np.sqrt(np.maximum(values, 0.0)) * self._rng.standard_normal(values.shape)
+        out: Array = np.einsum("...ij,...j->...i", vectors, z)
         return out
 
-    def _back(self, now: Mixture, move: Move, after: Array) -> tuple[Array, Array]:
+    def _back(self, now: Mixture, ways: Sequence[Move], after: Array) -> tuple[Array, Array]:
         """States before ``after``, shape (S, n), and the gauges of that step, shape (S, M)."""
-        size, count = len(move.c), len(after)
-        noise = self._Q + self._B @ move.R @ self._B.T
-        log = np.empty((count, len(now.weights), size))
-        gains = []
-        for i in range(size):
-            S = move.A[i] @ now.P @ move.A[i].T + noise
-            W = np.linalg.cholesky(np.linalg.inv(S))
-            a, b = after @ W, (now.means @ move.A[i].T + move.c[i]) @ W
-            apart = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2 * a @ b.T
-            log[:, :, i] = now.weights - 0.5 * apart + np.log(np.diag(W)).sum()
-            gains.append(now.P @ move.A[i].T @ np.linalg.inv(S))
-        flat = log.reshape(count, -1)
-        share = np.exp(flat - flat.max(axis=1, keepdims=True)).cumsum(axis=1)
+        count = len(after)
+        A = np.stack([move.A for move in ways])  # of shape (W, N, M, n, n)
+        c = np.stack([move.c for move in ways])
+        error = np.stack([move.error for move in ways])
+        BB = self._B @ self._B.T
+        noise = self._Q + (error**2)[..., None, None, None] * BB
+        S = A @ now.P[:, None] @ A.swapaxes(-1, -2) + noise
+        mean = np.einsum("wcink,ck->wcin", A, now.means) + c
+        prior = now.weights[:, None] + np.array([move.weight for move in ways])[:, None, None]
+        prior = np.broadcast_to(prior, S.shape[:3]).reshape(-1)
+        S, mean = S.reshape(-1, self._n, self._n), mean.reshape(-1, self._n)
+        W = np.linalg.cholesky(np.linalg.inv(S))
+        prior = prior + np.log(W.diagonal(axis1=1, axis2=2)).sum(axis=1)
+        near = after[:, None] - mean
+        log = prior - 0.5 * (np.einsum("shi,hij->shj", near, W) ** 2).sum(axis=2)
+        share = np.exp(log - log.max(axis=1, keepdims=True)).cumsum(axis=1)
         u = self._rng.random((PROPOSALS, count)) * share[:, -1]
         at = np.array([np.searchsorted(row, u[:, s]) for s, row in enumerate(share)]).T
-        part, choice = np.divmod(np.minimum(at, flat.shape[1] - 1), size)
-        # of shape (PROPOSALS, S, n)
-        mean = now.means[part]
-        off = after - (np.einsum("psab,psb->psa", move.A[choice], mean) + move.c[choice])
-        x = mean + np.einsum("psab,psb->psa", np.array(gains)[choice], off)
-        for i in range(size):
-            left = now.P - gains[i] @ move.A[i] @ now.P
-            mine = choice == i
-            x[mine] += self._normal((left + left.T) / 2, (int(mine.sum()),))
-        d = after - np.einsum("psab,psb->psa", move.A[choice], x) - move.c[choice]
-        wide = np.sqrt(np.maximum(np.diag(self._B @ move.R @ self._B.T), 0.0))
-        weight = self._whole.log_ratio(d.reshape(-1, self._n), wide).reshape(choice.shape)
-        gumbel = weight + self._rng.gumbel(size=weight.shape)
-        kept = (gumbel.argmax(axis=0), np.arange(count))
-        x, choice, d = x[kept], choice[kept], d[kept]
+        at = np.minimum(at, share.shape[1] - 1)
+        way, part, choice = np.unravel_index(at, A.shape[:3])
+        # of shape (PROPOSALS, S, ...)
+        gain = (now.P[part] @ A[way, part, choice].swapaxes(-1, -2)) @ np.linalg.inv(S)[at]
+        x = now.means[part] + np.einsum("psab,psb->psa", gain, after - mean[at])
+        x = x + self._normal(now.P[part] - gain @ A[way, part, choice] @ now.P[part])
+        d = after - np.einsum("psab,psb->psa", A[way, part, choice], x) - c[way, part, choice]
+        wide = error[way, part][..., None] * np.sqrt(BB.diagonal())
+        weight = self._whole.log_ratio(d, wide)
+        kept = (
+            (weight + self._rng.gumbel(size=weight.shape)).argmax(axis=0), np.arange(count),
+        )  # fmt: skip
+        x, d, way, part, choice = x[kept], d[kept], way[kept], part[kept], choice[kept]
         # of what is left, a part is how the applied input was misread
-        d = d @ (self._Q @ np.linalg.inv(noise)).T
-        u = np.einsum("imk,sk->sim", self._inputs(move), x) + self._constant(move)
-        apart = u[np.arange(count), choice][:, None] - u
-        if move.misread:
-            apart += self._normal(2 * move.R, apart.shape[:2])
-            apart[np.arange(count), choice] = 0.0
-        residual = d[:, None] + apart @ self._B.T
-        return x, self._gauges(residual)
+        share_of_d = self._Q @ np.linalg.inv(self._Q + (error[way, part] ** 2)[:, None, None] * BB)
+        d = np.einsum("sab,sb->sa", share_of_d, d)
+        predicted = np.einsum("smab,sb->sma", A[way, part], x) + c[way, part]
+        apart = predicted[np.arange(count), choice][:, None] - predicted
+        misread = np.stack([move.misread for move in ways])[way, part]
+        if misread.any():
+            blur = self._rng.standard_normal((*apart.shape[:2], self._B.shape[1])) @ self._B.T
+            blur *= np.sqrt(2) * (error[way, part] * misread)[:, None, None]
+            blur[np.arange(count), choice] = 0.0
+            apart = apart + blur
+        return x, self._gauges(d[:, None] + apart)
 
     def _gauges(self, residuals: Array) -> Array:
         """Of residuals of shape (..., M, n)."""
         gauges = np.maximum((residuals @ self._shape.rows.T).max(axis=-1), 0.0)
         return self._shape.bounded(gauges, residuals)
 
-    def _inputs(self, move: Move) -> Array:
-        """How the inputs depend on the state, shape (M, m, n)."""
-        out: Array = np.einsum("mn,ink->imk", np.linalg.pinv(self._B), move.A - self._A)
-        return out
 
-    def _constant(self, move: Move) -> Array:
-        """Their constant parts, shape (M, m)."""
-        return move.c @ np.linalg.pinv(self._B).T
+@dataclass(frozen=True)
+class Origin:
+    """Where the last disturbance, which is bounded, moved a state: means and covariances."""
+
+    means: Array
+    own: Array
+
+    @property
+    def wide(self) -> Array:
+        """Standard deviations, shape (N, n)."""
+        return _deviations(self.own)
+
+    def of(self, kept: Flags | Indices) -> "Origin":
+        """Some of them."""
+        return Origin(self.means[kept], self.own[kept])
 
 
-def _root(R: Array) -> Array:
-    """A square root of a covariance."""
-    values, vectors = np.linalg.eigh((R + R.T) / 2)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+def _updated(now: Mixture, C: Array, off: Array, variance: Array) -> Mixture:
+    """The mixture after a reading that is ``off`` by C times the state's error, weighed by it."""
+    if not len(C):
+        return now
+    CP = C @ now.P
+    S = CP @ C.T + np.diag(variance)
+    K = np.linalg.solve(S, CP).swapaxes(1, 2)
+    P = now.P - K @ CP
+    P = (P + P.swapaxes(1, 2)) / 2
+    means = now.means + np.einsum("cir,cr->ci", K, off)
+    return replace(now, weights=now.weights + _log_normal(off, S), means=means, P=P)
+
+
+def _log_normal(off: Array, S: Array) -> Array:
+    """Log densities of shape (...,)."""
+    found = np.maximum(
+        np.einsum("...i,...i->...", off, np.linalg.solve(S, off[..., None])[..., 0]), 0.0
+    )
+    out: Array = -0.5 * (found + np.linalg.slogdet(S)[1] + off.shape[-1] * np.log(2 * np.pi))
+    return out
+
+
+def _deviations(P: Array) -> Array:
+    """Standard deviations of covariances."""
+    return np.sqrt(np.maximum(P.diagonal(axis1=1, axis2=2), 0.0))
 
 
 def _last(size: int) -> int:

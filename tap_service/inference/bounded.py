@@ -12,6 +12,12 @@ CELLS: Final = 1024
 NEVER: Final = -30.0
 """Log ratio of what cannot be."""
 
+GAUSSIAN: Final = 0.7
+"""Deviation of an error, over the reach of a disturbance, from which their sum is as Gaussian."""
+
+STEPS: Final = 12.0
+"""Deviations of errors are told apart by a twelfth of a doubling."""
+
 
 class BoundedRows:
     """Readings C d + e: d even over a box, e Gaussian; their densities over the Gaussian ones.
@@ -26,41 +32,47 @@ class BoundedRows:
 
     def __init__(self, C: Array, reach: Array) -> None:
         self._reach = (np.abs(C) * reach).sum(axis=1)
-        self._variance = (C**2 * reach**2).sum(axis=1) / 3
-        self._waves = [self._wave_of(np.abs(row) * reach) for row in C]
-
-    def _wave_of(self, widths: Array) -> Array:
-        """The characteristic function of a sum of even disturbances, on the grid's frequencies."""
-        total = float(widths.sum())
-        grid = 2 * np.pi * np.fft.rfftfreq(CELLS, 8 * max(total, 1e-300) / CELLS)
-        return np.asarray(np.prod(np.sinc(np.outer(widths, grid) / np.pi), axis=0))
+        self._widths = np.abs(C) * reach
+        self._tables: dict[tuple[int, int], tuple[Array, Array]] = {}
 
     def log_ratio(self, off: Array, wide: Array) -> Array:
-        """Log of the density over the Gaussian's, summed over rows.
+        """Log of the density over the Gaussian's, summed over rows; shape (...,).
 
         Parameters
         ----------
-        off : array, shape (N, r)
-        wide : array, shape (r,)
-            Deviation of e.
+        off : array, shape (..., r)
+        wide : array, shape (..., r)
+            Deviation of e, or what broadcasts to it.
         """
-        out = np.zeros(len(off))
-        for r, wave in enumerate(self._waves):
-            reach, deviation = self._reach[r], float(wide[r])
-            if deviation > 0.7 * reach:
-                continue  # next to Gaussian
-            length = 8 * reach
-            deviation = max(deviation, 2 * length / CELLS)
-            grid = 2 * np.pi * np.fft.rfftfreq(CELLS, length / CELLS)
-            smooth = np.exp(-0.5 * (grid * deviation) ** 2)
-            density = np.fft.fftshift(np.fft.irfft(wave * smooth, CELLS)) * CELLS / length
-            at = (np.arange(CELLS) - CELLS // 2) * length / CELLS
-            found = np.interp(off[:, r], at, density, left=0.0, right=0.0)
-            variance = self._variance[r] + float(wide[r]) ** 2
-            gauss = -0.5 * off[:, r] ** 2 / variance - 0.5 * np.log(2 * np.pi * variance)
-            # beyond the support it falls as a Gaussian of the other deviation
-            beyond = np.maximum(np.abs(off[:, r]) - reach, 0.0) / deviation
-            least = -0.5 * beyond**2 - np.log(2 * reach) + np.where(beyond > 0, -1.0, 0.0)
-            log = np.where(found > 1e-6 / reach, np.log(np.maximum(found, 1e-300)), least)
-            out += np.maximum(log - gauss, NEVER)
+        out = np.zeros(off.shape[:-1])
+        for r, reach in enumerate(self._reach):
+            least = 16 * reach / CELLS
+            level = STEPS * np.log2(np.maximum(wide[..., r], least) / reach)
+            level = np.round(np.minimum(level, STEPS)).astype(int)
+            level = np.broadcast_to(level, out.shape)
+            for step in np.unique(level).tolist():
+                deviation = reach * 2 ** (step / STEPS)
+                if deviation < GAUSSIAN * reach:
+                    mine = level == step
+                    at, log = self._table(r, step, deviation)
+                    out[mine] += np.interp(off[mine, r], at, log, left=NEVER, right=NEVER)
         return out
+
+    def _table(self, r: int, step: int, deviation: float) -> tuple[Array, Array]:
+        """Places and the log ratio there."""
+        if (r, step) not in self._tables:
+            reach, widths = self._reach[r], self._widths[r]
+            length = 8 * reach
+            grid = 2 * np.pi * np.fft.rfftfreq(CELLS, length / CELLS)
+            wave = np.prod(np.sinc(np.outer(widths, grid) / np.pi), axis=0)
+            wave = wave * np.exp(-0.5 * (grid * deviation) ** 2)
+            density = np.fft.fftshift(np.fft.irfft(wave, CELLS)) * CELLS / length
+            at = (np.arange(CELLS) - CELLS // 2) * length / CELLS
+            variance = (widths**2).sum() / 3 + deviation**2
+            gauss = -0.5 * at**2 / variance - 0.5 * np.log(2 * np.pi * variance)
+            # beyond the support it falls as a Gaussian of the other deviation
+            beyond = np.maximum(np.abs(at) - reach, 0.0) / deviation
+            least = -0.5 * beyond**2 - np.log(2 * reach) + np.where(beyond > 0, -1.0, 0.0)
+            log = np.where(density > 1e-6 / reach, np.log(np.maximum(density, 1e-300)), least)
+            self._tables[r, step] = at, np.maximum(log - gauss, NEVER)
+        return self._tables[r, step]

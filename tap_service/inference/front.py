@@ -3,7 +3,8 @@
 Where no offer was heard: by the readings (:mod:`tap_service.inference.unheard_offers`). A planar
 plant with one input whose law bends nearly everywhere: by exact proposals
 (:mod:`tap_service.inference.line_smoother`), with the law as the policy gives it or as it is
-learned. All else: by one Kalman filter (:mod:`tap_service.inference.beam_smoother`).
+learned. All else: by Kalman filters (:mod:`tap_service.inference.beam_smoother`), who also find the
+width of D_c where no state was heard beside an offer.
 """
 
 from collections.abc import Sequence
@@ -46,7 +47,28 @@ MOST_ACTIVE_SHARE: Final = 0.6
 TRIAL: Final = 120
 """Steps on which scales are tried."""
 
-SAMPLES: Final = 96
+TRANSIENT: Final = 20
+"""Steps at the start of a run, where the law aims at other sets than T_0."""
+
+SHORT: Final = 60
+"""Steps after these on which a width is looked for without any state."""
+
+WIDTHS: Final = tuple(np.geomspace(1.0, 1 / 24, 10).tolist())
+"""Of D_c over D_e, which are then tried first."""
+
+FINER: Final = ((0.84, 0.92, 1.0, 1.09, 1.19), (0.97, 1.0, 1.03))
+"""Times the best of them, which are then tried."""
+
+SPREAD: Final = 0.85
+"""Of the disturbance over D_c, meanwhile."""
+
+DOUBT: Final = 0.013
+"""By how much such a law's answers may be off, over their spread."""
+
+ROUGHLY: Final = 1.2
+"""Ratio within which a width is then known."""
+
+SAMPLES: Final = 192
 """Trajectories drawn where the law is not known to the last digit."""
 
 FEW: Final = 120
@@ -74,6 +96,7 @@ class Inference:
         self._certain = k.policy is not None and k.policy.certain
         self._other_set = k.noisy  # than D_c, on which the law's facets depend, is tested by
         self._planar = PlanarLaw.of(k)
+        self._offered: PlanarLaw | None = None  # of the width that offers alone showed
         self._law = KnownLaw.of(k)
 
     def gauges(self, t: Transition) -> list[float] | None:
@@ -98,7 +121,7 @@ class Inference:
                 A, B, self._told, self._law, self._size, noise, kept, self._planar
             )
         beam = self._beam(kept, runs)
-        law = None if self._planar is None or beam.exact else self._fitted(self._planar, kept)
+        law = None if self._planar is None or beam.exact else self._fitted(self._planar, kept, runs)
         if law is not None:
             return self._by_lines(law, runs, kept)
         return Inferred(beam.infer(kept), thresholds_above(beam.support))
@@ -124,13 +147,17 @@ class Inference:
 
     # --- the law ----------------------------------------------------------------------------------
 
-    def _fitted(self, law: PlanarLaw, kept: Sequence[Transition]) -> PlanarLaw | None:
+    def _fitted(
+        self, law: PlanarLaw, kept: Sequence[Transition], runs: Sequence[list[Transition]]
+    ) -> PlanarLaw | None:
         """The law of the right width, or a learned one; None where none explains the offers."""
         offers = [np.array(t.candidates) for t in kept if t.candidates is not None]
         law = matching(law, offers)
         pairs = [t for t in kept if t.x is not None and t.candidates is not None]
         if len(pairs) < ENOUGH:
-            return law if law.known and law.gap else None
+            if law.known and not law.gap and not self._noise:
+                law = self._by_evidence(law, max(runs, key=len))
+            return law if law.known and (law.gap or law.doubt) else None
         x = np.array([t.x for t in pairs])
         u = np.array([law.solved(np.array(t.candidates)) for t in pairs])
         if self._noise:
@@ -144,6 +171,29 @@ class Inference:
             tried.append(learned_law(law, x, u))
         shares = [float((one.explains(x, u) <= room).mean()) for one in tried]
         return None if max(shares) < MOST_ACTIVE_SHARE else tried[int(np.argmax(shares))]
+
+    def _by_evidence(self, law: PlanarLaw, run: Sequence[Transition]) -> PlanarLaw:
+        """The law of the width that makes offers likeliest, where no state was heard with one."""
+        if self._offered is not None:
+            return self._offered
+        trial = run[TRANSIENT : TRANSIENT + SHORT]
+        offers = [law.solved(np.array(t.candidates)) for t in trial if t.candidates is not None]
+        if len(offers) < ENOUGH:
+            return law
+        law = replace(law, spread=max(float(np.std(offers)), 1e-9))
+
+        def evidence(width: float) -> float:
+            of_width = law.of_width(width)
+            beam = BeamSmoother(self._A, self._B, self._told, self._shape, 0.0, of_width, SAMPLES)
+            return beam.evidence(trial, SPREAD * width)
+
+        width = max(WIDTHS, key=evidence)
+        for finer in FINER:
+            width = max((min(width * ratio, 1.0) for ratio in finer), key=evidence)
+        law = replace(law.of_width(width), doubt=DOUBT * law.spread)
+        if len(trial) == SHORT:
+            self._offered = law
+        return law
 
     # --- by lines ---------------------------------------------------------------------------------
 
@@ -169,9 +219,9 @@ class Inference:
         steps = [step for run in runs for step in line.infer(run)]
         if self._certain:
             return Inferred(steps, (0.0, 1.0))
-        exact = law.scaled and law.known and not self._noise
+        exact = law.scaled and law.known and not self._noise and not law.doubt
         if law.scaled and law.known and not self._other_set and self._shape.told is None:
-            room = 1.0005 if exact else 1.06
+            room = 1.0005 if exact else (ROUGHLY if law.doubt else 1.06)
             return Inferred(steps, (law.width / room, min(law.width * room, 1.0)))
         return Inferred(steps, thresholds_above(float(support.max())))
 

@@ -86,7 +86,7 @@ class LineSmoother:
         self._A, self._b, self._shape, self._law = A, B[:, 0], shape, law
         self._rows = shape.rows / support[:, None]  # the gauge of the disturbance's own support
         self._noise = noise
-        self._exact = EXACT * max(spread, 1e-6)
+        self._exact = max(EXACT * max(spread, 1e-6), law.doubt)
         self._count = particles
         self._equal = np.full(particles, 1 / particles)
         self._rng = np.random.default_rng(0)
@@ -186,8 +186,9 @@ class LineSmoother:
         """States that are offered ``answers``, about predictions ``C`` of weights ``v``."""
         if not self._noise:
             points = self._points(answers)
-            if points is not None:
-                return self._at_points(C, v, points)
+            placed = None if points is None else self._at_points(C, v, points)
+            if placed is not None:
+                return placed
         program = int(np.abs(self._law.free).sum(axis=1).argmax())
         lines = self._law.lines(program)
         noise = self._noise / np.sqrt(self._law.size if self._law.gap else 1)

@@ -5,14 +5,16 @@ that the next state must be in. They are computed from the policy (:meth:`Planar
 width of D_c; or they are learned from offers whose state was heard (:func:`learned_law`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from protocol.arrays import Array, Flags
+from protocol.arrays import Array, Flags, Indices
 from protocol.knowledge import Knowledge
+from tap_service.inference.affine_law import ANYTHING, ASTRAY
+from tap_service.inference.law import Form, Item
 from tap_service.inference.law_pieces import affine_pieces
 from tap_service.inference.policy import KnownLaw, corners_of, terminal_facets
 
@@ -27,6 +29,12 @@ MOST_PAIRS: Final = 500
 
 STATES: Final = 64
 """States drawn about each that was heard blurred."""
+
+EXACT: Final = 1e-6
+"""Standard deviation of an answer that was read exactly, over the spread of the answers."""
+
+SLACK: Final = 1e-3
+"""By how much an answer may be off, over their spread."""
 
 UNEXPLAINED: Final = -30.0
 """Log likelihood of an offer that a width does not explain."""
@@ -51,6 +59,10 @@ class PlanarLaw:
         M.
     scaled : bool
         Whether facets scale with D_c, so that they say how wide it is.
+    spread : float
+        Standard deviation of the answers.
+    doubt : float
+        By how much an answer may be off, where the width is known so well only.
     """
 
     free: Array
@@ -60,6 +72,8 @@ class PlanarLaw:
     size: int
     width: float = 1.0
     scaled: bool = True
+    spread: float = 1.0
+    doubt: float = 0.0
 
     @classmethod
     def of(cls, knowledge: Knowledge) -> "PlanarLaw | None":
@@ -144,6 +158,82 @@ class PlanarLaw:
         if not self.gap:
             return np.asarray(offer[:, 0])
         return np.array([offer[:, 0].mean()])
+
+    @property
+    def shared(self) -> bool:
+        """Whether the candidates stand about one input."""
+        return bool(self.gap)
+
+    @property
+    def error(self) -> float:
+        """By how much an answer may be off."""
+        return SLACK * self.spread
+
+    def averaged(self, u: Array) -> Array:
+        """An offer whose candidates share one input, each misread by itself, with that of all."""
+        out: Array = u.mean(axis=0) + self.offsets()[:, None]
+        return out
+
+    def items(self, offer: Array, noise: float) -> list[Item]:
+        """What an offer says of its state: by each piece that may have answered.
+
+        Programs that answered the same, read exactly, answered together.
+        """
+        answers = self.solved(offer)
+        noise /= np.sqrt(self.size if self.gap else 1)
+        together: list[list[int]] = []
+        for p, answer in enumerate(answers.tolist()):
+            same = [g for g in together if not noise and abs(answers[g[0]] - answer) <= self.error]
+            if same:
+                same[0].append(p)
+            else:
+                together.append([p])
+        out = []
+        for programs in together:
+            answer = float(answers[programs[0]])
+            pieces = np.unique(np.vstack([self.lines(p) for p in programs]), axis=0)
+            level = np.abs(pieces[:, :2]).sum(axis=1) == 0
+            idle = abs(answer) <= self.error + 3 * noise
+            if not idle:
+                pieces = pieces[~level]
+            elif level.any() and not noise:
+                pieces = pieces[level]
+            variance = noise**2 + (EXACT * self.spread) ** 2
+            y = answer - pieces[:, 2:]
+            out.append(Item(pieces[:, None, :2], y, variance, self._by(programs, pieces)))
+        return sorted(out, key=lambda item: -len(item.y))
+
+    def _by(self, programs: list[int], pieces: Array) -> Callable[[Array, Indices], Flags]:
+        """Whether these programs all answer by a piece."""
+
+        def holds(x: Array, which: Indices) -> Flags:
+            slopes, offsets = pieces[which, :2], pieces[which, 2]
+            u = np.einsum("ckn,cn->ck", x, slopes) + offsets[:, None]
+            answers = self.answers(x.reshape(-1, 2))[:, programs]
+            off = np.abs(answers - u.reshape(-1, 1)).max(axis=1)
+            found: Flags = (off <= self.error).reshape(u.shape)
+            return found
+
+        return holds
+
+    def forms(self, x: Array) -> list[Form]:
+        """What an offer about states ``x``, shape (N, n), is: by the pieces there, or anything."""
+        slopes = np.repeat(self.free[None], len(x), axis=0)
+        u = x @ self.free.T
+        for facets, side in ((self.high, 1), (self.low, -1)):
+            if len(facets):
+                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
+                at = limits.argmin(axis=1)
+                clipped = side * u > limits.min(axis=1)[:, None]
+                slopes = np.where(clipped[:, :, None], facets[at, None, :2], slopes)
+        g = self.answers(x) - np.einsum("svn,sn->sv", slopes, x)
+        if self.gap:
+            slopes, g = np.repeat(slopes, self.size, axis=1), g + self.offsets()
+        G, g = slopes[:, :, None], g[:, :, None]
+        return [
+            Form(float(np.log(1 - ASTRAY)), G, g, self.error),
+            Form(float(np.log(ASTRAY)), G, g, ANYTHING * self.spread),
+        ]
 
     def lines(self, program: int) -> Array:
         """Pieces of a program: u = slope x + offset, shape (P, 3); the free one first."""

@@ -11,6 +11,7 @@ from studies.eavesdroppers import LOSS, MEASUREMENTS, OFFERS, simulated
 from studies.listeners import heard_by
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
+from tap_service.inference.affine_law import AffineLaw
 from tap_service.inference.beam_smoother import BeamSmoother
 from tap_service.inference.fitted_shape import Shape
 from tap_service.inference.front import Inference
@@ -70,6 +71,23 @@ def test_choices_are_as_likely_as_all_sequences_of_them_say() -> None:
     assert np.abs(ends - exact).max() > 0.1, "a step alone says something else"
 
 
+def test_an_offer_that_bent_the_law_is_told_by_the_next_state() -> None:
+    """By the law the lost state would lie where the other symbol leads, until the next is heard."""
+    law = AffineLaw(
+        np.full((2, 1, 1), -0.5), np.array([[-0.5], [0.5]]), 1e-6, 0.35, shared=True
+    )  # fmt: skip
+    v = -0.5 * 0.7 + 0.6
+    first, second = ((-0.5,), (0.5,)), ((v - 0.5,), (v + 0.5,))
+    steps = [
+        Transition("s", 0, (0.0,), first, 0, None, start=True),
+        Transition("s", 1, None, second, 0, (0.8 * 0.7 + v + 0.5 + 0.1,)),
+    ]
+    told_set = np.array([[1.0], [-1.0]]) / 0.3
+    smoother = BeamSmoother(A, B, told_set, Shape(told_set), 0.0, law, samples=200)
+    said, _ = verdicts_of(smoother.infer(steps), (0.0, 1.0), 2, certain=True)
+    assert (said[:, 2] > 0.9).all()
+
+
 @pytest.mark.parametrize(
     ("scenario", "view", "policy", "least", "bits"),
     [
@@ -107,6 +125,15 @@ def test_how_far_the_disturbance_reaches_is_found_by_the_offers() -> None:
     heard = heard_by(list(transcript(runs, transfer(runs, payloads=[]), 0)), View(view="offers"))
     low, _ = Inference(runs.scenario.knowledge()).infer(heard).among
     assert low / 0.95 == pytest.approx(1 / 8 / 1.2, rel=0.2)
+
+
+@pytest.mark.long
+def test_how_wide_the_set_is_is_found_by_the_bends_of_the_law() -> None:
+    """Two costs, no state heard: the facets that clip them scale with D_c, an eighth of D_e."""
+    runs = simulated("sustained", 90, 0)
+    heard = heard_by(list(transcript(runs, transfer(runs, payloads=[]), 0)), View(view="offers"))
+    low, high = Inference(runs.scenario.knowledge()).infer(heard).among
+    assert low < 1 / 8 < high < 1.5 * low
 
 
 def test_of_what_nobody_told_her_she_infers_nothing() -> None:

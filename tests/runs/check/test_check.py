@@ -109,6 +109,18 @@ def test_a_message_that_was_whole_comes_again_if_the_controller_did_not_know(
     assert failed(run.folder) == set()
 
 
+def test_a_capture_may_have_parts(copied: Path) -> None:
+    header, *lines, _end = read_lines(copied / CAPTURE)
+    half = len(lines) // 2
+    write_lines(copied / CAPTURE, [header, *lines[:half]])
+    second = (copied / CAPTURE).with_name("capture.0001.jsonl")
+    write_lines(second, [header | {"part": 1}, *lines[half:]])
+    assert failed(copied) == set()
+    del lines[half]
+    write_lines(second, [header | {"part": 2}, *lines[half:]])
+    assert failed(copied) == {"whole"}
+
+
 def test_a_torn_end_is_no_failure(copied: Path) -> None:
     for name in (PLANT_TRACE, CONTROLLER_TRACE, CAPTURE):
         unmark(copied / name)
