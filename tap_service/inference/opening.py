@@ -48,18 +48,9 @@ class Known(NamedTuple):
         """Whether the two ends may have lost it."""
         return 0 <= self.place < (AGAIN if self.again else LOST)
 
-    @property
-    def loss(self) -> float:
-        """Probability that they lost it, where they lost those before it."""
-        return lost_after(self.again) if self.again and not self.place else AT_FIRST
-
     def row(self, size: int) -> list[float]:
         """Gauges of M candidates that say as much."""
         return [0.0 if i == self.symbol else 1.0 for i in range(size)]
-
-    def sure(self, size: int) -> list[float]:
-        """All probability on the likeliest candidate."""
-        return [1.0 if i == self.symbol else 0.0 for i in range(size)]
 
 
 def lost_after(missed: int) -> float:

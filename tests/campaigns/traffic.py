@@ -1,7 +1,7 @@
 """What goes over a live loop while it is ill-treated, and what must have come of it at the end.
 
-Every message must be there once, every service must end with code 0 when it is asked to, and
-`wyner check` must pass.
+Every message must be there once, every service must end with code 0 when it is asked to, `wyner
+check` must pass, and on the wire no digit of the key stream may be named for two steps.
 """
 
 import random
@@ -11,8 +11,14 @@ from pathlib import Path
 from types import TracebackType
 from typing import Final
 
-from runtime.recording import TraceError
+from pydantic_core import to_json
+
+from protocol.messages import Offer
+from protocol.secret.stream import NOWHERE
+from runtime.recording import TraceError, parts_of, read_lines
+from runtime.run_folder import CAPTURE
 from tests.campaigns.live import LiveLoop, Process, all_done, plain_text, wait_for
+from tests.support.once import Digits
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
 from wyner.runs.run import Run, RunError
@@ -75,12 +81,29 @@ class Traffic:
             self.wrong += _recovered(run_dir, self.expected, counts)
             self.wrong += _watched(run_dir, counts)
             evidence = read_evidence(run_dir)
+            self.wrong += _digits(run_dir, evidence.rules.digits, counts)
             found = check(evidence)
         except (OSError, RunError, TraceError, ValueError) as error:
             return [*self.wrong, f"the run cannot be read: {error}"]
         plant = evidence.plant
         counts["transitions"] = 0 if plant is None else sum(plant.transitions.values())
         return self.wrong + [str(finding) for finding in found]
+
+
+def _digits(run_dir: Path, count: int, counts: Counter[str]) -> list[str]:
+    """Digits of the key stream that were named on the wire for two steps."""
+    digits = Digits(count)
+    for part in parts_of(run_dir / CAPTURE):
+        for line in read_lines(part):
+            if line.value is None or line.value.get("topic") != Offer.topic:
+                continue
+            offer = Offer.model_validate_json(to_json(line.value["message"]))
+            counts["with digits"] += offer.position != NOWHERE
+            try:
+                digits.named(offer)
+            except AssertionError as error:
+                return [f"offer {offer.k}: {error}"]
+    return []
 
 
 def _watched(run_dir: Path, counts: Counter[str]) -> list[str]:

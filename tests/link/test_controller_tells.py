@@ -33,7 +33,7 @@ from protocol.messages import (
 )
 from protocol.schemes.framing import encode_frame, frame_length
 from protocol.schemes.sealed import Sealed
-from protocol.secret.blocks import ExtractedBlock, ExtractionFailed, Schedule
+from protocol.secret.blocks import NO_TAG, ExtractedBlock, ExtractionFailed, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
@@ -682,6 +682,24 @@ def keys_at_work() -> Told:
     assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
+
+
+def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
+    end = keys_at_work()
+    assert (end.core.state.record.keys.block, end.core.state.record.keys.tag) == (-1, NO_TAG)
+    answer = end.hears(measurement(), 1.0)
+    (offer,) = answer.publish
+    assert isinstance(offer, Offer)
+    assert (offer.block, offer.tag) == (0, TAG)
+    record = end.core.state.record
+    assert (record.keys.block, record.keys.tag, record.offer) == (0, TAG, offer)
+    assert record.link.nonce == ""
+    counted = end.all[1]
+    assert counted.save is None, "the next step saves what was counted"
+    saved = end.hears(measurement(k=end.core.state.record.link.k + 1, applied_k=record.link.k), 2.0)
+    assert saved.save is not None
+    assert saved.record == record
+    assert [row.j for row in saved.save.rows.contributions] == [4]
 
 
 def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:

@@ -203,11 +203,12 @@ def test_the_documents_numbers_are_the_datas() -> None:
     for s in summaries(DATA, "sustained-long"):
         if alpha_of(s) in (1.5, 3.0, 8.0):
             assert "{:.2f} [{:.2f}, {:.2f}]".format(*s.rate) in text
+    prices = text.partition("\n### Its price\n")[2]
     for s in summaries(DATA, "price"):
         kind = str(s.first["variant"])
         same = "`paper` (the same as quiet, K x in T_0)"
         named = {"sustained": "`sustained`", "paper": same, "quiet, K x in T_0": same}
-        line = row_with(text, named.get(kind, kind))
+        line = row_with(prices, named.get(kind, kind))
         cost = normal_mean(s.sums["state_cost"], s.sums["state_cost_squares"], s.runs)
         effort = normal_mean(s.sums["input_effort"], s.sums["input_effort_squares"], s.runs)
         assert "{:.4f} [{:.4f}, {:.4f}]".format(*cost) in line

@@ -462,6 +462,7 @@ def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple
     assert process.returncode == 130
     rows = read_rows(output)
     said = [line for line in error.decode().splitlines() if line.startswith("wyner: ")]
+    said = [line for line in said if not line.startswith("wyner: small, runs: ")]  # its progress
     assert said == [f"wyner: stopped: {len(rows)} rows kept in {output}; --resume goes on"]
     assert b"Traceback" not in error
 
