@@ -43,8 +43,11 @@ def test_a_paused_service_is_waited_for(direct: Composition, service: str) -> No
     under_way(direct, text)
     docker("pause", direct.container(service))
     try:
-        time.sleep(3)
+        until = time.monotonic() + 60
         check = direct.execute(partner, "healthy", partner, check=False)
+        while check.returncode == 0 and time.monotonic() < until:
+            time.sleep(1)
+            check = direct.execute(partner, "healthy", partner, check=False)
     finally:
         docker("unpause", direct.container(service))
     # The partner runs, but the loop does not advance, and its health check says so.

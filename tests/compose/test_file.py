@@ -23,7 +23,7 @@ WRONG = {
         "/scenarios/nosuch.toml: no such file; /scenarios has batch-reactor, ",
     ),
     "WYNER_TAPS": ("nobody", "--eavesdropper: got 'nobody'"),
-    "WYNER_MESSAGE": ("x" * 70_000, "message: got 70000 bytes"),
+    "WYNER_MESSAGE": ("x" * 70_000, "message: got more than 65535 bytes"),
     "WYNER_LOOPS": ("0", "--fleet: got 0"),
 }
 
