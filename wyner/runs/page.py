@@ -1,4 +1,8 @@
-"""A run on one page of HTML, judged by the same code as ``wyner check`` and ``wyner score``."""
+"""A run on one page of HTML, judged by the same code as ``wyner check`` and ``wyner score``.
+
+What draws is imported where it draws: matplotlib takes 30 MB, and by then the check has given back
+what it took of a long run.
+"""
 
 import base64
 import json
@@ -12,9 +16,6 @@ import numpy as np
 
 from protocol.text import readable
 from runtime.files import write_atomically
-from wyner.drawing.run import draw_keys, draw_over_time
-from wyner.drawing.secrecy import draw_report
-from wyner.drawing.style import svg_of
 from wyner.runs.check import judge
 from wyner.runs.check.evidence import Evidence, read_evidence
 from wyner.runs.run import Run
@@ -139,6 +140,9 @@ def _messages(e: Evidence) -> dict[str, dict[str, Any]]:
 
 def _loop(e: Evidence, plant: Trace, flags: list[tuple[float, str]]) -> dict[str, Any]:
     """The steps since the plant last began: their count, and the figures of states and inputs."""
+    from wyner.drawing.run import draw_over_time
+    from wyner.drawing.style import svg_of
+
     begun = np.flatnonzero(
         (plant.rows["k"] == 0) & (np.diff(plant.rows["session"], prepend=-1) != 0)
     )
@@ -188,6 +192,9 @@ def _secrecy(run: Run) -> dict[str, Any]:
     ScoreError
         When that is not known.
     """
+    from wyner.drawing.secrecy import draw_report
+    from wyner.drawing.style import svg_of
+
     truth, said = read_truth(run), read_said(run)
     scores = tuple(score(truth, one) for one in said)
     found = report_of([RunScore(run.name, truth, scores)])
@@ -218,6 +225,9 @@ def _secrecy(run: Run) -> dict[str, Any]:
 
 def _keys(run: Run, truth: Truth, said: list[TapOutput]) -> Figure:
     """Key symbols over time: those that were agreed, and what each eavesdropper got right."""
+    from wyner.drawing.run import draw_keys
+    from wyner.drawing.style import svg_of
+
     steps = np.fromiter((k for _, k in truth.keys), np.int64, len(truth.keys))
     order = steps.argsort(kind="stable")
     right = {}

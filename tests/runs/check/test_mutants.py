@@ -98,6 +98,10 @@ def only_marked(m: Mutant) -> bool:
         return m.how == "deleted" and m.field in ("part", "oldest")  # 0 without them
     if m.kind == "continued":
         return m.field == "unheard_of" or (m.field, m.how) == ("", "repeated")
+    if m.kind == "timing" and m.field != "event":
+        # measured by a clock, once: other numbers are as good, of whatever count
+        numbers = m.field.endswith("_s") and m.how == "shorter"
+        return not m.field or numbers or m.how in ("small", "large", "huge")
     if m.file == CAPTURE:
         # a network repeats and reorders
         return m.field == "t_ns" or m.how in ("repeated", "swapped")
@@ -135,9 +139,12 @@ def test_every_change_of_meaning_fails_the_check_that_names_it(
 
 def test_an_end_mark_protects_the_rest(ended: Path, tmp_path: Path) -> None:
     folder = Path(shutil.copytree(ended, tmp_path / "run"))
-    mutants = [m for m in mutants_of(ended) if only_marked(m) and m.file == CAPTURE]
-    assert len(mutants) >= 9
-    for m in mutants[::STRIDE]:
+    marked = [m for m in mutants_of(ended) if only_marked(m)]
+    captured = [m for m in marked if m.file == CAPTURE]
+    measured = [m for m in marked if m.kind == "timing"]
+    assert len(captured) >= 9
+    assert len(measured) >= 18
+    for m in (*captured[::STRIDE], *measured[::STRIDE]):
         before = (folder / m.file).read_bytes()
         m.apply(folder)
         assert "whole" in failed(folder), m.name
