@@ -48,10 +48,6 @@ class Known(NamedTuple):
         """Whether the two ends may have lost it."""
         return 0 <= self.place < (AGAIN if self.again else LOST)
 
-    def row(self, size: int) -> list[float]:
-        """Gauges of M candidates that say as much."""
-        return [0.0 if i == self.symbol else 1.0 for i in range(size)]
-
 
 def lost_after(missed: int) -> float:
     """Probability that the two ends lose the step after so many missed ones."""
