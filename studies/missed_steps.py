@@ -34,8 +34,8 @@ class Condition(NamedTuple):
 
 
 CONDITIONS: Final = {
-    "`packed`, she misses 30 %": Condition("packed", 100, 330, 0.3),
-    "`sustained`, she misses 10 %": Condition("sustained", 4, 500, 0.1),
+    "`packed`, Eve misses 30 %": Condition("packed", 100, 330, 0.3),
+    "`sustained`, Eve misses 10 %": Condition("sustained", 4, 500, 0.1),
 }
 
 COLUMNS: Final = (

@@ -27,8 +27,8 @@ CONDITIONS: Final[dict[str, tuple[float, View]]] = {
     "clear": (0.0, View()),
     "loss 30 % each way": (0.3, View()),
     "loss 50 % each way": (0.5, View()),
-    "her noise 0.001": (0.0, View(noise=0.001)),
-    "she misses 10 %": (0.0, View(loss=0.1)),
+    "Eve's noise 0.001": (0.0, View(noise=0.001)),
+    "Eve misses 10 %": (0.0, View(loss=0.1)),
 }
 """What the network loses each way, and what she hears, by name."""
 

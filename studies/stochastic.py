@@ -172,7 +172,7 @@ def shown(rows: Sequence[Row]) -> Lines:
     """A line an Eve; what the ends do stands in its scheme's first."""
     head = (
         "scheme", "estimates wrong: expected, counted", "words wrong after", "in clear, key bits",
-        "Eve", "her bits unlike the controller's", "words that she has",
+        "Eve", "bits unlike the controller's", "words that Eve has",
         "bits left of a word, at most", "lacks none after step",
     )  # fmt: skip
     lines: list[tuple[str, ...]] = [head]

@@ -15,7 +15,7 @@ GROUPS: Final = ("limit", "key", "size", "eye", "bus")
 KEYS: Final = {
     "nobody": "-",
     "secret": "secret",
-    "false claim": "false claim, she hears all",
+    "false claim": "false claim, Eve hears all",
     "nearest-centre": "the paper's, read by `nearest-centre`",
     "learnt": "learnt from two steps",
 }
@@ -73,7 +73,7 @@ def matrix_table(rows: Sequence[Row]) -> Lines:
     """Shares unseen after ten steps: attacks down, defences across, key had and not had."""
     mine = [r for r in rows if r["group"] == "matrix"]
     heads = list(dict.fromkeys((r["defence"], r["key"]) for r in mine))
-    has = {"nobody": "", "secret": ", key secret", "false claim": ", she has the key"}
+    has = {"nobody": "", "secret": ", key secret", "false claim": ", Eve has the key"}
     lines: list[tuple[str, ...]] = [("attack", *(f"{d}{has[k]}" for d, k in heads))]
     for attack in dict.fromkeys(r["attack"] for r in mine):
         cells = []
@@ -110,7 +110,7 @@ def own(defence: str) -> str:
             task = Task("own", attack, (defence,), key, runs=OWN_RUNS, onset=onset)
             found, _ = attacked(task)
             left = found.undetected()
-            has = "key secret" if key == "secret" else "she has the key"
+            has = "key secret" if key == "secret" else "Eve has the key"
             shown = ", ".join(f"{n}: {share(int(left[n]), OWN_RUNS)}" for n in SHOWN)
             lines.append(f"{attack}, {has}: unseen after {shown}")
             if found.false_alarms:

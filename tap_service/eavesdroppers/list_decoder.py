@@ -22,6 +22,7 @@ class ListDecoder(Reading):
     """Follows every threshold at once and ranks by frame check and plausibility."""
 
     name: ClassVar[str] = "list-decoder"
+    follows: ClassVar[bool] = True
 
     def __init__(self, knowledge: Knowledge, *, live: bool = True) -> None:
         super().__init__(knowledge, live=live)

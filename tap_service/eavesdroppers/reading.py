@@ -12,6 +12,8 @@ from collections.abc import Sequence
 from functools import cached_property
 from typing import ClassVar, Final
 
+import numpy as np
+
 from protocol.knowledge import Knowledge
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers.base import (
@@ -25,7 +27,7 @@ from tap_service.eavesdroppers.base import (
 )
 from tap_service.inference.expectation import Expectation, expected
 from tap_service.inference.from_outputs import inferred
-from tap_service.inference.inferred import Inferred
+from tap_service.inference.inferred import Inferred, InferredStep
 from tap_service.inference.kept import KEPT_MESSAGES, KEPT_SYMBOLS
 from tap_service.inference.list_decoding import ListDecoding
 from tap_service.inference.message_reader import SURE, Message, MessageReader, Stretch
@@ -61,6 +63,9 @@ class Reading(Eavesdropper):
     heavy: ClassVar[bool] = True
     searches: ClassVar[bool] = False
     """Whether she searches messages where a step is not known."""
+
+    follows: ClassVar[bool] = False
+    """Whether :meth:`gauges` stay as they are, so that the best decoding can be followed on."""
 
     first: ClassVar[int] = 24
     """Transitions before she reads for the first time."""
@@ -137,6 +142,10 @@ class Reading(Eavesdropper):
         self.kept.append(t)
         self._heard += 1
         gauges = model.observe(t) if isinstance(model, OutputModel) else self.gauges(t)
+        if self._live and self._listed and self.follows:
+            step = InferredStep(t, None if gauges is None else np.array([gauges]))
+            if self._lists.ends(step):
+                self._next = self._heard
         if self._live and self._heard >= self._next:
             self.decode()
         if len(self.kept) >= KEPT:

@@ -103,7 +103,11 @@ class Parsed(NamedTuple):
     text: bytes = b""
     missing: int = 0
     begun: int = 0
-    printable: float = 0.0
+
+    @property
+    def newest(self) -> bytes:
+        """The text under way, else the last that is whole."""
+        return self.whole[-1][1] if self.whole and not self.missing else self.text
 
 
 def parsed(symbols: bytes, size: int) -> Parsed:
@@ -137,9 +141,7 @@ def parsed(symbols: bytes, size: int) -> Parsed:
             number = written[at : at + digits_of(count, size)]
             if len(number) < digits_of(count, size):
                 text = bytes(body[LENGTH_BYTES:])[:length]
-                return Parsed(
-                    score + printable(text), whole, text, end - len(symbols), start, printable(text)
-                )
+                return Parsed(score + printable(text), whole, text, end - len(symbols), start)
             at += len(number)
             if int(number, size) >= 256**count:
                 score += REFUSED
@@ -229,7 +231,8 @@ class ListDecoding:
         self.edges: Interval = ANY_EDGE
         self.peak = 1
         self.stretches: list[Stretch] = []
-        self._after = np.zeros(1, dtype=np.intp)
+        self._after = self._now = np.zeros(1, dtype=np.intp)
+        self._missing = 0  # symbols that the frame under way, or its length, lacks
 
     # --- decoding ---------------------------------------------------------------------------------
 
@@ -247,7 +250,7 @@ class ListDecoding:
             if len(t_c) * len(t_e) > SHRUNK * pairs:
                 t_c = _some(t_c, max(MOST_DECODED // len(t_e), 1))
                 break
-        rows, which, cells = self.decoded(heard, t_c, t_e)
+        rows, which, cells = self.decoded(heard, t_c, t_e, self.entry)
         read = [self._parsed(row, heard.fresh) for row in rows]
         score = np.array([one.score for one in read]) + self._inside(heard, which, cells)
         score += self._weighed(read, score)
@@ -256,7 +259,36 @@ class ListDecoding:
         mine = cells[which == best]
         self.among, self.edges = _hull(t_c, mine[:, 0]), _hull(t_e, mine[:, 1])
         self.stretches = [self._stretch(steps, heard, rows[best])]
+        self._now, self._missing = self._after[best : best + 1], read[best].missing
         return self._messages(steps, rows[best], read[best], score, after)
+
+    def ends(self, step: InferredStep) -> bool:
+        """Whether the frame under way, or its length, ends with the next step.
+
+        By the best decoding of what was read last. Also where the step tells apart thresholds that
+        gave this decoding alike: then it is not known any more which of them is right.
+        """
+        heard = Heard.of([step], self._size)
+        t_c, t_e = np.array([self.among[0]]), np.array([self.edges[0]])
+        rows, _, _ = self.decoded(heard, t_c, t_e, self._now)
+        self._now, symbol = self._after, int(rows[0, 0])
+        if heard.fresh[0]:
+            self._missing = 0
+        low, high = self.among
+        if any(low < gauge[0] < high for gauge in (heard.nearest, heard.second)):
+            return True
+        if symbol == NOTHING:
+            return False
+        if self._missing == 0:
+            self._missing = digits_of(LENGTH_BYTES, self._size) if symbol == START else 0
+            return False
+        self._missing -= 1
+        return self._missing == 0
+
+    @property
+    def entry(self) -> Indices:
+        """States in which the first step may begin."""
+        return np.arange(self._states) if self._state < 0 else np.array([self._state])
 
     def thresholds(self, heard: Heard, among: Interval, edges: Interval) -> tuple[Array, Array]:
         """Values of t_c and of t_e of which no two leave every step the same."""
@@ -294,12 +326,13 @@ class ListDecoding:
         best = weight > weight.max() - FAR_OFF
         return _about(t_c, some_c, low[best]), _about(t_e, some_e, edge[best])
 
-    def decoded(self, heard: Heard, t_c: Array, t_e: Array) -> tuple[Symbols, Indices, Array]:
+    def decoded(
+        self, heard: Heard, t_c: Array, t_e: Array, entry: Indices
+    ) -> tuple[Symbols, Indices, Array]:
         """The decodings that differ, which of them each pair of thresholds gives, and the pairs.
 
-        Symbols have shape (decodings, K).
+        Symbols have shape (decodings, K). The first step begins in one of the states ``entry``.
         """
-        entry = np.arange(self._states) if self._state < 0 else np.array([self._state])
         pairs = np.array([(c, e, s) for c in t_c for e in t_e for s in entry])
         low, edge, state = pairs[:, 0], pairs[:, 1], pairs[:, 2].astype(np.intp)
         symbols = np.full((len(heard.cipher), len(pairs)), NOTHING, dtype=np.int8)
@@ -356,18 +389,21 @@ class ListDecoding:
         return found
 
     def _weighed(self, found: Sequence[Parsed], score: Array) -> Array:
-        """What the texts under way add to the scores, log ratios to random bytes."""
-        texts = {one.text for one in found if one.text}
+        """What the newest texts add to the scores, log ratios to random bytes.
+
+        That of a message that is whole too: else a rival whose text is under way would lead.
+        """
+        texts = [one.newest for one in found]
         out = np.zeros(len(score))
-        if len(found) < 2 or not texts:
+        if len(found) < 2 or not any(texts):
             return out
         language: Expectation = self._language()
-        likely = dict.fromkeys(found[i].text for i in np.argsort(-score).tolist() if found[i].text)
+        likely = dict.fromkeys(texts[i] for i in np.argsort(-score).tolist() if texts[i])
         chosen = list(likely)[:WEIGHED]
         bits, _ = language.weighed(chosen, ended=False)
         gain = dict(zip(chosen, bits + 8.0 * np.array([len(t) for t in chosen]), strict=True))
-        for i, one in enumerate(found):
-            out[i] = np.log(2) * gain[one.text] - one.printable if one.text in gain else 0.0
+        for i, text in enumerate(texts):
+            out[i] = np.log(2) * gain[text] - printable(text) if text in gain else 0.0
         return out
 
     def _messages(
@@ -416,7 +452,8 @@ class ListDecoding:
     def let_go(self, steps: Sequence[InferredStep]) -> None:
         """Take the best decoding of the first steps of what was read last for granted."""
         heard = Heard.of(steps, self._size)
-        rows, _, _ = self.decoded(heard, np.array([self.among[0]]), np.array([self.edges[0]]))
+        t_c, t_e = np.array([self.among[0]]), np.array([self.edges[0]])
+        rows, _, _ = self.decoded(heard, t_c, t_e, self.entry)
         read = [self._parsed(row, heard.fresh) for row in rows]
         best = int(np.argmax([one.score for one in read]))
         past = b"" if heard.fresh[0] else self._past

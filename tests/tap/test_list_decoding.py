@@ -102,7 +102,7 @@ def test_the_list_holds_exactly_the_decodings_of_all_thresholds(
     }
     heard = Heard.of(inferred(steps, (0.0, np.inf)).steps, size)
     t_c, t_e = decoding.thresholds(heard, (0.0, np.inf), edges)
-    rows, which, pairs = decoding.decoded(heard, t_c, t_e)
+    rows, which, pairs = decoding.decoded(heard, t_c, t_e, decoding.entry)
     assert {tuple(row.tolist()) for row in rows} == brute
     assert len(rows) == len(brute)
     for row, (low, edge) in zip(which.tolist(), pairs.tolist(), strict=True):

@@ -168,7 +168,7 @@ def test_through_noise_of_her_own_she_is_right_as_often_as_she_says(
     scenario: Scenario, runs: Runs, link: Transfer
 ) -> None:
     """Eight times the encoder's noise: the smoother's probabilities beside her hits, 3 runs."""
-    view = CONDITIONS["her noise 0.001"][1]
+    view = CONDITIONS["Eve's noise 0.001"][1]
     kind = named("smoother")
     sure: list[float] = []
     hits: list[bool] = []
