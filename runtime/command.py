@@ -72,10 +72,26 @@ def entered(command: Callable[[], int]) -> int:
     return leave(_signalled(command))
 
 
+_told_to_end = threading.Event()
+
+
+def end_if_told() -> None:
+    """Raise an interrupt again that a library caught where it came, for a loop that works long.
+
+    Raises
+    ------
+    KeyboardInterrupt
+        When this process was told to end.
+    """
+    if _told_to_end.is_set():
+        raise KeyboardInterrupt
+
+
 def _signalled(command: Callable[[], int]) -> int:
     over = False
 
     def interrupt(_signal: int, _frame: object) -> None:
+        _told_to_end.set()
         if not over:
             raise KeyboardInterrupt
 

@@ -63,7 +63,7 @@ def rows_of(
 
 
 def command(*arguments: str) -> list[str]:
-    return [sys.executable, "-m", "wyner.cli.main", "sweep", *arguments]
+    return [sys.executable, "-m", "wyner", "sweep", *arguments]
 
 
 # --- the file and the grid -----------------------------------------------------------------------
@@ -465,6 +465,38 @@ def test_ctrl_c_keeps_what_there_is_and_exits_130(tmp_path: Path, options: tuple
     said = [line for line in said if not line.startswith("wyner: small, runs: ")]  # its progress
     assert said == [f"wyner: stopped: {len(rows)} rows kept in {output}; --resume goes on"]
     assert b"Traceback" not in error
+
+
+CAUGHT = """
+import contextlib, signal, sys
+from runtime.command import entered
+from wyner.sweeps.workers import SerialExecutor, in_order
+
+def catches(number):
+    if number == 3:
+        with contextlib.suppress(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    return number
+
+def command():
+    for number, _ in in_order(SerialExecutor(), catches, range(9), lambda one: (one,)):
+        print(number)
+    return 0
+
+sys.exit(entered(command))
+"""
+
+
+def test_ctrl_c_that_a_library_caught_ends_the_tasks() -> None:
+    """The models' serialiser catches what is raised while it asks Python for a field."""
+    done = subprocess.run(
+        [sys.executable, "-c", CAUGHT],
+        capture_output=True,
+        text=True,
+        timeout=PATIENCE_S,
+        check=False,
+    )
+    assert (done.returncode, done.stdout.split(), done.stderr) == (130, ["0", "1", "2"], "")
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from contextlib import ExitStack, contextmanager
 from multiprocessing.process import BaseProcess
 from typing import Any, Final, TypeVar
 
+from runtime.command import end_if_told
 from runtime.errors import FAILED, Failure, UsageError, needs
 
 AHEAD: Final = 256
@@ -49,6 +50,7 @@ def in_order(
     under_way: deque[tuple[Task, Future[Answer]]] = deque()
     for task in tasks:
         under_way.append((task, executor.submit(work, *arguments(task))))
+        end_if_told()
         if len(under_way) >= ahead:
             oldest, future = under_way.popleft()
             yield oldest, future.result()
