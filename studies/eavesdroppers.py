@@ -16,7 +16,7 @@ from studies.secrecy.sentences import SENTENCES
 from tap_service.capture.channel import View
 from wyner.simulate.engine import Runs, Transfer
 
-RUNS, SEED = 20, 43
+RUNS, SEED = 20, 2043
 TAPS: Final = ("text", "smoother")
 SHORT: Final = b"Sail at dawn"
 """Where a run is too short for a sentence."""
