@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from protocol.statistics import Interval
 from studies.figures.loop import alpha_of, summaries
-from studies.figures.rows import band, columns, figure, plain_rows
+from studies.figures.rows import band, columns, figure, plain_rows, rate_in
 from wyner.drawing.style import COLOURS, MARKERS
 
 PAPERS_START = "[4.0,-2.0]"
@@ -53,7 +53,7 @@ def draw_rates(figure: Figure, data: Path) -> str:
     axes.plot(alphas, long, "k:", lw=1, label="supremum of long alphabets, any $d$")
     axes.plot(alphas, [math.log2(a) for a in alphas], "k--", lw=1, label="volume bound")
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("message bits a step by the paper's rule; true secrecy 0")
+    axes.set_ylabel(rate_in("bit a step"))
     axes.set_title("The paper's plant: the rate by the paper's rule, by law and scheme")
     axes.set_ylim(0, 3.6)
     axes.legend(fontsize=7, loc="upper left")
@@ -89,7 +89,7 @@ def draw_price(figure: Figure, data: Path) -> str:
     left.set_ylabel(r"mean $|x(k+1)|^2$")
     right.set_ylabel(r"mean $|u(k+1) - u(k)|$")
     for axes in (left, right):
-        axes.set_xlabel("bits a step by the paper's rule (0: quiet)")
+        axes.set_xlabel(rate_in("bit a step"))
         axes.set_ylim(bottom=0)
     left.legend(fontsize=7)
     figure.suptitle("The price of a packed alphabet, from the origin")
@@ -112,7 +112,7 @@ def draw_codes(figure: Figure, data: Path) -> str:
     axes.step(alphas, two, where="post", color=COLOURS[1], label="two steps, best found")
     axes.plot(alphas, [r["volume_bound"] for r in rows], "k--", lw=1, label="volume bound")
     axes.set_xlabel(r"$\alpha$ (just above)")
-    axes.set_ylabel("bits a step by the paper's rule")
+    axes.set_ylabel(rate_in("bit a step"))
     axes.set_title("Codes over two steps, one input, unlimited room")
     axes.set_ylim(bottom=0)
     axes.legend(fontsize=7)
@@ -135,7 +135,7 @@ def draw_blocks(figure: Figure, data: Path) -> str:
     label = "finite offers, certain at their ends too"
     axes.step(alphas, finite, "k:", where="post", lw=1, label=label)
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("bits a step by the paper's rule; true: 0")
+    axes.set_ylabel(rate_in("bit a step"))
     axes.set_title("Keys of the applied inputs: the limit, and codes that reach it")
     axes.set_ylim(0, 3.3)
     axes.legend(fontsize=7, loc="upper left")
