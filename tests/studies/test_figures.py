@@ -33,7 +33,7 @@ PAGES = {
     "dither-price": ROOT / "docs" / "findings.md",
 }
 """Where a figure stands that is not among the findings."""
-CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
+CERTAIN = ("idea", "block-codes", "dither-price")
 """Figures without an estimate: a single step, a search, and a closed form."""
 
 
