@@ -7,7 +7,6 @@ number of rows that came before it.
 """
 
 from collections.abc import Iterator
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -543,7 +542,8 @@ class Trace:
         self.rows.resize(before + len(steps), refcheck=False)
         rows = self.rows[before:]
         for name, (kind, *_) in (self._dtype.fields or {}).items():
-            values: list[Any] = list(map(attrgetter(_ATTRIBUTES.get(name, name)), steps))
+            attribute, missing = _ATTRIBUTES.get(name, name), -1 if name in _NUMBERS else 0
+            values: list[Any] = [getattr(step, attribute, missing) for step in steps]
             if name == "session":
                 values = [
                     self._numbers.setdefault(session, len(self._numbers)) for session in values
@@ -558,6 +558,9 @@ class Trace:
 
 _ATTRIBUTES: Final = {"true_x": "true_x_next"}
 """What a column is called in a line, where it is called otherwise."""
+
+_NUMBERS: Final = frozenset({"j", "cipher", "symbol", "key", "message_symbol", "block"})
+"""Columns that are -1 in a step without a counted offer; others are 0 or not a number there."""
 
 
 class Places:
