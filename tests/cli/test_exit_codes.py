@@ -97,7 +97,6 @@ WRONG: Final[tuple[tuple[tuple[str, ...], str], ...]] = (
     (("new", "x", "--A", "[1 0.1; 0 x]", "--B", "1", "--period", "1"), "--A: row 2: 'x' is no"),
     (("design", "none"), "none: no such file, and no shipped scenario; shipped are"),
     (("design", "mine"), "mine: no such file; did you mean mine.toml?"),
-    (("design", "paper", "--patience", "0"), "--patience: got 0, expected more than 0"),
     (("design", "paper", "--knowledge", "file/k.json"), "--knowledge: file/k.json: cannot be wri"),
     (("design", "unstable.toml"), "unstable.toml: control.gain: K does not stabilise"),
     (("fit", "mine", "-o", "f.toml"), "mine: no such file; did you mean mine.toml?"),

@@ -107,15 +107,14 @@ def test_replay_decodes_and_scores(
     assert report["taps"]["list-decoder"]["message"] == run.payloads[0].decode()
 
 
-def test_the_oracle_in_a_replay_needs_the_scenario(
-    run: Run, run_dir: Path, capsys: pytest.CaptureFixture[str]
+def test_the_oracle_in_a_replay_needs_the_runs_folder(
+    run_dir: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = ("score", run_dir / CAPTURE, "--eavesdropper", "oracle")
-    code, _, err = call(capsys, *asked)
+    code, _, err = call(capsys, "score", run_dir / CAPTURE, "--eavesdropper", "oracle")
     assert code == 2
-    assert err == "wyner: --eavesdropper: oracle: expected --scenario, for alpha\n"
-    report = json.loads(call(capsys, *asked, "--scenario", "sustained", "--json")[1])
-    assert report["taps"]["oracle"]["message"] == run.payloads[0].decode()
+    assert err == "wyner: --eavesdropper: oracle: expected a run's folder, for its alpha\n"
+    report = json.loads(call(capsys, "score", run_dir, "--eavesdropper", "oracle", "--json")[1])
+    assert report["taps"]["oracle"]["exact_message_rate"]["value"] == 1.0
 
 
 def test_secrecy_report(run_dir: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
