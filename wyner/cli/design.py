@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from runtime.errors import DONE, FAILED, Failure, UsageError, writing
-from wyner.cli.drawing import drawable, drawn_to
+from wyner.cli.drawing import add_plot, drawable, plot
 from wyner.cli.results import add_json, show
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="write what the eavesdropper of SCENARIO is told (default: standard output)",
     )
     add_json(parser)
-    parser.add_argument("--plot", metavar="F", help="draw what is shown, as F.png, F.pdf or F.svg")
+    add_plot(parser, "SCENARIO.png here")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     if args.knowledge is not None:
         return _write_knowledge(args.scenario, args.knowledge)
     if args.plot is not None:
-        drawable("--plot", args.plot)
+        drawable(args.plot or "sets.png")
     from controller_service.laws.online import ProgramError
     from controller_service.sets.design import SynthesisError
     from runtime.scenario_file import scenario_of
@@ -61,7 +61,8 @@ def run(args: argparse.Namespace) -> int:
         raise UsageError(f"{args.scenario}: {error}") from None
     show(report, args)
     if args.plot is not None:
-        _plot(args.plot, report, silent=args.json)
+        figure = args.plot or f"{report.scenario.name}.png"
+        plot(figure, (9.0, 4.2), lambda f: _draw(f, report), silent=args.json)
     return FAILED if report.carries_nothing else DONE
 
 
@@ -79,16 +80,11 @@ def _write_knowledge(scenario: str, file: str) -> int:
     return DONE
 
 
-def _plot(text: str, report: "DesignReport", *, silent: bool) -> None:
-    def draw(figure: "Figure") -> str:
-        from wyner.drawing.design import draw_design
-        from wyner.simulate.engine import SimulationError
+def _draw(figure: "Figure", report: "DesignReport") -> str:
+    from wyner.drawing.design import draw_design
+    from wyner.simulate.engine import SimulationError
 
-        try:
-            return draw_design(figure, report.scenario, report.design, report.law)
-        except SimulationError as error:
-            raise Failure(f"--plot: {error}") from None
-
-    path = drawn_to("--plot", text, (9.0, 4.2), draw)
-    if not silent:
-        print(path)
+    try:
+        return draw_design(figure, report.scenario, report.design, report.law)
+    except SimulationError as error:
+        raise Failure(f"--plot: {error}") from None

@@ -1,6 +1,7 @@
 """``wyner sweep --plot``: a figure of any sweep's rows; and how a command saves any figure."""
 
 import argparse
+import sys
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from math import nan
@@ -40,20 +41,25 @@ UNITS: Final = {"s": "s", "hz": "Hz", "bits": "bit", "bytes": "bytes", "steps": 
 """Units that a field's name ends in."""
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Add the options of a sweep's figure."""
-    group = parser.add_argument_group(
-        "figure",
-        "The rows with 95 % intervals. What does not stand on the axes makes a curve each.",
-    )
-    group.add_argument(
+def add_plot(place: "argparse._ActionsContainer", default: str) -> None:
+    """Add ``--plot``, which draws what the command shows."""
+    place.add_argument(
         "--plot",
         nargs="?",
         const="",
         metavar="F",
-        help="draw the rows, as F.png, F.pdf or F.svg (default: beside the rows)",
+        help=f"draw it, as F.png, F.pdf or F.svg (default: {default})",
     )
-    group.add_argument("--x", metavar="COLUMN", help="default: the field with the most values")
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options of a sweep's figure."""
+    group = parser.add_argument_group(
+        "figure",
+        "The rows with 95 % intervals over the field with the most values. What does not stand on "
+        "the axes makes a curve each.",
+    )
+    add_plot(group, "beside the rows")
     group.add_argument(
         "--y",
         metavar="COLUMN",
@@ -63,17 +69,17 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
-    """Read the rows, choose the columns, draw; returns the figure's file."""
+def plot_sweep(path: Path, args: argparse.Namespace, *, silent: bool = False) -> None:
+    """Read the rows, choose the columns, draw."""
     rows, fields = ready(path)
-    x = args.x or _longest(rows, fields)
+    x = _longest(rows, fields)
     ys: list[str] = args.y or [RATE]
-    for option, name in (("--x", x), *(("--y", y) for y in ys)):
+    for name in ys:
         if name not in rows[0]:
             known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
-            raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
+            raise UsageError(f"--y: got {name!r}, expected one of: {known}")
     output = args.plot or str(path.with_suffix(".png"))
-    return drawn_to("--plot", output, (6.4, 4.2), lambda f: draw_rows(f, rows, fields, x, ys))
+    plot(output, (6.4, 4.2), lambda f: draw_rows(f, rows, fields, x, ys), silent=silent)
 
 
 def in_words(column: str) -> str:
@@ -110,7 +116,7 @@ def ready(path: Path) -> tuple[list[Row], list[str]]:
 def _longest(rows: Sequence[Row], fields: Sequence[str]) -> str:
     """The field with the most different numbers."""
     if not fields:
-        raise UsageError("--x: the sweep has no grid, expected a column")
+        raise UsageError("--plot: the sweep has no grid, expected a field that it varies")
 
     def numbers(name: str) -> int:
         values = {_number(row[name]) for row in rows}
@@ -145,7 +151,7 @@ def draw_rows(
     for row in rows:
         at = _number(row[x])
         if at is None:
-            raise UsageError(f"--x: {x}: got {row[x]!r}, expected numbers")
+            raise UsageError(f"--plot: {x}: got {row[x]!r}, expected numbers")
         setting = ", ".join(str(row[name]).strip('"') for name in told)
         for y in ys:
             value = _number(row[y])
@@ -162,7 +168,7 @@ def draw_rows(
             if one[0] == other[0]:
                 which = f" of {label}" if label else ""
                 raise UsageError(
-                    f"--x: {x}: two points{which} at {one[0]:g}, and nothing in the rows tells "
+                    f"--plot: {x}: two points{which} at {one[0]:g}, and nothing in the rows tells "
                     "them apart: sweep them again, or leave one out"
                 )
         columns = [list(column) for column in zip(*points, strict=True)]
@@ -189,7 +195,7 @@ def draw_rows(
     )
 
 
-def drawable(option: str, text: str) -> Path:
+def drawable(text: str) -> Path:
     """The file of a figure, by its name: to be asked before hours of work are drawn into it.
 
     Raises
@@ -200,29 +206,43 @@ def drawable(option: str, text: str) -> Path:
     try:
         from wyner.drawing.style import KINDS
     except ImportError:
-        raise UsageError(needs(option, "matplotlib")) from None
+        raise UsageError(needs("--plot", "matplotlib")) from None
     path = Path(text)
     if path.suffix not in KINDS:
-        raise UsageError(f"{option}: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
+        raise UsageError(f"--plot: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
     return path
 
 
-def drawn_to(
-    option: str, text: str, size: tuple[float, float], draw: "Callable[[Figure], str]"
-) -> Path:
-    """Draw a figure into the file that an option names.
+def plot(
+    text: str,
+    size: tuple[float, float],
+    draw: "Callable[[Figure], str]",
+    *,
+    silent: bool = False,
+) -> None:
+    """Draw a figure into the file of ``--plot`` and print its path.
+
+    Parameters
+    ----------
+    text : str
+        The file's name.
+    size : tuple of float
+        Inches.
+    draw : callable
+        Draws, and returns a note for the bottom of the figure.
+    silent : bool
+        The path goes to standard error: on standard output is one JSON object.
 
     Raises
     ------
     UsageError
-        When matplotlib is missing, or the file's kind is none that can be drawn.
-        When it cannot be written.
+        As `drawable`, and when the file cannot be written.
     """
-    path = drawable(option, text)
+    path = drawable(text)
     from wyner.drawing.style import drawing, save
 
     with drawing(size) as figure:
         figure.supxlabel(draw(figure), fontsize=6.5, color="0.35")
-        with writing(f"{option}: {path}"):
+        with writing(f"--plot: {path}"):
             save(figure, path)
-    return path
+    print(path, file=sys.stderr if silent else sys.stdout)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from runtime.errors import DONE, FAILED, UsageError, reading
+from wyner.cli.drawing import add_plot, drawable, plot
 from wyner.cli.results import add_json, show
 
 if TYPE_CHECKING:
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="these on the captures, in place of what was said live: names, or "
         "path/to/file.py:Name",
     )
-    parser.add_argument("--plot", metavar="F", help="draw the report, as F.png, F.pdf or F.svg")
+    add_plot(parser, "score.png here")
     add_json(parser)
 
 
@@ -44,22 +45,23 @@ def run(args: argparse.Namespace) -> int:
     from tap_service.capture.reading import CaptureError
     from tap_service.command import names_of
     from tap_service.eavesdroppers import KnowledgeError
-    from wyner.cli.drawing import drawn_to
     from wyner.runs.run import RunError
 
     paths, names = [Path(text) for text in args.runs], names_of(args.eavesdropper)
+    if args.plot is not None:
+        drawable(args.plot or "score.png")
     found: Decoded | ScoredRuns
+    scored: ScoredRuns | None = None
     try:
         with reading(", ".join(args.runs)):
             if any(path.is_file() for path in paths):
+                if args.plot is not None:
+                    raise UsageError("--plot: expected runs; of a capture the truth is not known")
                 found = _decode(paths, names)
             else:
                 from wyner.runs.score.scored import score_runs
 
-                found = score_runs(paths, names)
-                if args.plot is not None:
-                    report = found.report
-                    drawn_to("--plot", args.plot, (7.0, 3.6), lambda f: _draw(f, report))
+                scored = found = score_runs(paths, names)
     except (CaptureError, RunError) as error:
         raise UsageError(str(error)) from None
     except KnowledgeError as error:
@@ -67,6 +69,10 @@ def run(args: argparse.Namespace) -> int:
     for note in found.notes:
         print(f"wyner: {note}", file=sys.stderr)
     show(found, args)
+    if args.plot is not None and scored is not None:
+        report = scored.report
+        name = args.plot or "score.png"
+        plot(name, (7.0, 3.6), lambda f: _draw(f, report), silent=args.json)
     return FAILED if found.failed else DONE
 
 

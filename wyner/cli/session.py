@@ -53,6 +53,16 @@ class Outcome(NamedTuple):
     left: bool
     """Whether the screen was left before the run had come to its end."""
 
+    def to_json(self) -> dict[str, Any]:
+        """The summary."""
+        return self.summary
+
+    def __str__(self) -> str:
+        """The summary in words; its last lines are the verdict."""
+        from wyner.runs.score.summary import render
+
+        return render(self.summary)
+
 
 def run_session(
     options: RunOptions,

@@ -199,22 +199,6 @@ class Report:
             "taps": {t.name: t.to_json() for t in self.taps},
         }
 
-    def __str__(self) -> str:
-        """A table with a row for each eavesdropper, remarks, and the verdict."""
-        table = [HEADINGS, *rows(self)]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in table
-        ]
-        for tap in self.taps:
-            told = [*remarks(tap), *map(held_line, tap.keys)]
-            lines += [f"{tap.name}: {remark}" for remark in told]
-        counted = f"{len(self.runs)} run{'' if len(self.runs) == 1 else 's'}"
-        counted += f", {self.transitions} transitions; by the paper's rule "
-        counted += f"{self.claimed_bits:.0f} bits count as secret"
-        return "\n".join([*lines, "", counted, NOTE, self.verdict(), BOUND])
-
     def verdict(self) -> str:
         """In words."""
         strongest = self.strongest

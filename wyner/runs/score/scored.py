@@ -15,7 +15,16 @@ from wyner.runs.run import Run
 from wyner.runs.score.counts import cost_of
 from wyner.runs.score.keys import KeyAudit, audit_keys
 from wyner.runs.score.replay import Replay
-from wyner.runs.score.report import Report, report
+from wyner.runs.score.report import (
+    BOUND,
+    HEADINGS,
+    NOTE,
+    Report,
+    held_line,
+    remarks,
+    report,
+    rows,
+)
 from wyner.runs.score.score import RunScore, read_truth, score, score_run
 
 
@@ -52,8 +61,21 @@ class ScoredRuns:
         }
 
     def __str__(self) -> str:
-        """The report, then the cost of each run, then its key blocks."""
-        lines = [str(self.report)]
+        """A table with a row for each eavesdropper, the verdict, costs and key blocks."""
+        r = self.report
+        table = [HEADINGS, *rows(r)]
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in table
+        ]
+        for tap in r.taps:
+            told = [*remarks(tap), *map(held_line, tap.keys)]
+            lines += [f"{tap.name}: {remark}" for remark in told]
+        counted = f"{len(r.runs)} run{'' if len(r.runs) == 1 else 's'}"
+        counted += f", {r.transitions} transitions; by the paper's rule "
+        counted += f"{r.claimed_bits:.0f} bits count as secret"
+        lines += ["", counted, NOTE, r.verdict(), BOUND]
         for folder, cost in self.costs.items():
             if cost is not None:
                 lines.append(f"control cost of {folder}: {cost:.4g} a step, x' Q x + u' R u")
