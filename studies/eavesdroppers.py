@@ -17,7 +17,7 @@ from tap_service.capture.channel import View
 from wyner.simulate.engine import Runs, Transfer
 
 RUNS, SEED = 20, 2043
-TAPS: Final = ("text", "smoother")
+TAPS: Final = ("text",)
 SHORT: Final = b"Sail at dawn"
 """Where a run is too short for a sentence."""
 
