@@ -6,8 +6,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from runtime.shipped import SCENARIOS
-from wyner.cli.drawing import draw_rows, in_words
 from wyner.cli.main import main
+from wyner.drawing.rows import draw_rows, in_words
 
 HEAD = "scenario,variant,secrecy.alpha,runs,steps,bits_per_second,tap keys known"
 

@@ -11,10 +11,7 @@ from wyner.cli.drawing import add_plot, drawable, plot
 from wyner.cli.results import add_json, show
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from wyner.runs.score.replay import Decoded
-    from wyner.runs.score.report import Report
     from wyner.runs.score.scored import ScoredRuns
 
 
@@ -70,9 +67,11 @@ def run(args: argparse.Namespace) -> int:
         print(f"wyner: {note}", file=sys.stderr)
     show(found, args)
     if args.plot is not None and scored is not None:
+        from wyner.drawing.secrecy import draw_scored
+
         report = scored.report
         name = args.plot or "score.png"
-        plot(name, (7.0, 3.6), lambda f: _draw(f, report), silent=args.json)
+        plot(name, (7.0, 3.6), lambda f: draw_scored(f, report), silent=args.json)
     return FAILED if found.failed else DONE
 
 
@@ -88,12 +87,3 @@ def _decode(paths: Sequence[Path], names: tuple[str, ...]) -> "Decoded":
     replay = Replay(paths[0], names or tuple(live or DEFAULT))
     replay.run()
     return replay.decoded()
-
-
-def _draw(figure: "Figure", report: "Report") -> str:
-    from wyner.drawing.secrecy import draw_report
-
-    axes = figure.subplots()
-    draw_report(axes, report)
-    axes.set_title(report.verdict(), fontsize=9, loc="left")
-    return ""

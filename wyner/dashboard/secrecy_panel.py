@@ -165,24 +165,14 @@ def _broke(tap: TapState) -> str:
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
 
 
-def _unused(tap: TapState) -> int:
-    """Messages that the tap heard and could not use, and steps that it skipped."""
-    its = tap.status
-    return its.foreign + its.late + its.dropped + its.jumped
-
-
 _Judged = tuple[State, TapState, Score]
 
 _COLUMNS: Final[tuple[Column[_Judged], ...]] = (
     Column("keys found %", 12, 0, lambda of: keys_right(of[2])),
-    Column("keys so far", 11, 6, lambda of: count(of[2].scored)),
     Column("secret bit/key", 14, 3, lambda of: figure(of[2].bits_per_key)),
     Column("texts tried", 11, 5, lambda of: _follows(of[1])),
     Column("model error", 11, 4, lambda of: _model_off(of[0], of[1])),
     Column("letters right", 13, 2, lambda of: _message_right(of[0], of[1])),
     Column("whole at step", 14, 1, lambda of: _broke(of[1])),
-    Column("steps behind", 12, 7, lambda of: count(of[1].status.behind)),
-    Column("steps missed", 12, 8, lambda of: count(of[1].status.lost)),
-    Column("not used", 8, 9, lambda of: count(_unused(of[1]))),
 )
 """Left to right."""
