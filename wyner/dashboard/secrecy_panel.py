@@ -88,8 +88,7 @@ def distilled(state: State, width: int) -> list[Text]:
     rests_on = line(claim)
     if against:
         heads = [text.partition(":")[0] for text in against]
-        fewer = ("; ".join(heads[:most]) for most in range(len(heads), 0, -1))
-        red = longest(room, "; ".join(against), *fewer)
+        red = longest(room, "; ".join(against), "; ".join(heads), heads[0])
         left = room - cell_len(red)
         rests_on = line(red, STYLES["bad"]).append(longest(left, f"; {claim}"), "default")
     rows = [labelled("distilled keys", keys), labelled("assumption", rests_on)]
