@@ -31,17 +31,17 @@ if TYPE_CHECKING:
 class TapOptions(ServiceOptions):
     """The service's options, but for what the tap is told of the plant."""
 
-    scenario: str | None = option("derive what the tap knows from a scenario", "S", either="source")
-    knowledge: str | None = option("what the tap knows, as JSON", "FILE", either="source")
+    scenario: str | None = option("derive what Eve knows from this scenario", "S", either="source")
+    knowledge: str | None = option("what Eve knows, as JSON", "FILE", either="source")
     run_dir: str = option("write below D/tap", "D", ...)
     eavesdropper: Sequence[str] = option(
-        "which to run in place of the strongest, by name or as path/to/file.py:Name",
+        "eavesdroppers to run, by name or as path/to/file.py:Name (default: the strongest)",
         "NAME[,NAME...]",
         (),
         many=True,
     )
     view: str | None = option(
-        "what the tap hears, as JSON with the fields of [tap] (default: as the scenario says)",
+        "what reaches the tap, as JSON with the fields of [tap] (default: the scenario's)",
         "FILE",
     )
 

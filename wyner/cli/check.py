@@ -16,9 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = fill(
         "Replay the traces and the capture of a run that has ended through the pure "
-        "functions of the protocol, and say PASS or FAIL for each rule. A rule "
-        "for which the run left nothing to look at is SKIP. Exit code 0 when none fails, 1 when "
-        "one does, 2 when there is no run.",
+        "functions of the protocol, and print PASS or FAIL for each rule; SKIP for a rule that "
+        "does not apply to the run. Exit code 0 when none fails, 1 when one does, 2 when there is "
+        "no run.",
         WIDTH,
     )
     parser.formatter_class = argparse.RawDescriptionHelpFormatter

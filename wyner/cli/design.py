@@ -31,7 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
         metavar="FILE",
-        help="write what the eavesdropper of SCENARIO is told (default: standard output)",
+        help="write what Eve knows of SCENARIO, as JSON (default: standard output)",
     )
     add_json(parser)
     add_plot(parser, "SCENARIO.png here")

@@ -17,7 +17,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "Relay a bus between services that connect as clients (--client BUS). Each bus "
         "gets a router of its own inside the process, so that nothing crosses from one to another. "
         "With --tls, the names in the certificates decide who may publish what; a message that "
-        "they do not allow is dropped without a word. Routers are not joined to one another: all "
+        "they do not allow is dropped and not logged. Routers are not joined to one another: all "
         "services of a bus connect to the same one."
     )
     parser.add_argument(

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Score the eavesdroppers of one or more runs against the plant's traces. Exit 1 when one "
-        "of them failed: nobody knows what it would have had. Of a capture "
-        "alone, show what each makes of it."
+        "Compare the guesses of the eavesdroppers of one or more runs with the plant's traces. "
+        "Exit code 1 when one of them failed. Of a capture alone, for which there is no plant's "
+        "trace, print what each eavesdropper reads."
     )
     parser.add_argument(
         "runs", metavar="RUN", nargs="+", help="a run's folder, or one of several; or a capture"
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="NAME[,NAME...]",
-        help="these on the captures, in place of what was said live: names, or "
+        help="run these on the recorded captures, in place of those that ran live: names, or "
         "path/to/file.py:Name",
     )
     add_plot(parser, "score.png here")

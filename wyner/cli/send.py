@@ -24,20 +24,22 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Queue a message at the controller of a run that goes on, and wait until it has it."
+        "Queue a message at the controller of a running loop, and wait for its reply."
     )
     parser.add_argument(
         "text",
         metavar="TEXT",
         help="the message; - reads it from standard input, @FILE from a file",
     )
-    parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
+    parser.add_argument(
+        "--id", metavar="ID", help="a message of the same id is queued only once (default: random)"
+    )
     parser.add_argument(
         "--timeout",
         type=float,
         default=5.0,
         metavar="S",
-        help="seconds to wait for a run to be there, and then for its answer (default: 5)",
+        help="seconds to wait for a run to start and for its reply (default: 5)",
     )
     add_json(parser)
     add_run_argument(parser)

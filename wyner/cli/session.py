@@ -293,7 +293,7 @@ class Progress:
         if self._silent and now >= self._began + SAID_S:
             name = min(self._silent)
             log = self._supervisor.child(name).log
-            raise Failure(f"{name}: nothing heard of it in {SAID_S:g} s (log: {log})")
+            raise Failure(f"{name}: no status of it within {SAID_S:g} s (log: {log})")
         ended = self._supervisor.child("plant").returned is not None
         arrived = 0 < self.delivered <= self.received and not self.waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived)):

@@ -1,4 +1,4 @@
-"""``wyner status``: what the services of a run last said of themselves, and what is wrong."""
+"""``wyner status``: the last status of each service of a run, and warnings."""
 
 import argparse
 import socket
@@ -15,17 +15,17 @@ CONNECT_S: Final = 3.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Print what the services of a run last said of themselves, and a warning for each thing "
-        "that is wrong. Exit 0 when nothing is, 1 when something is."
+        "Print the last status of each service of a run, and a warning for each problem. Exit code "
+        "0 without a warning, 1 with one."
     )
     parser.add_argument(
-        "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that goes on"
+        "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that is going on"
     )
     add_json(parser)
     parser.add_argument(
         "--endpoint",
         metavar="ENDPOINT",
-        help="instead: whether a router takes connections there, such as tcp/router:7447",
+        help="only check that a router accepts connections there, such as tcp/router:7447",
     )
 
 

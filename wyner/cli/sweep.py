@@ -33,7 +33,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="run on Dask workers: those of the scheduler at ADDRESS, or local ones",
     )
     parser.add_argument("--resume", action="store_true", help="go on with the rows that are there")
-    parser.add_argument("--quick", action="store_true", help="few runs of each point, to look")
+    parser.add_argument(
+        "--quick", action="store_true", help="few runs of each point, for a first look"
+    )
     parser.add_argument("--output", metavar="CSV", help="default: runs/sweeps/NAME.csv")
     add_json(parser)
     add_options(parser)

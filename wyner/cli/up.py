@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--demo",
         action="store_true",
-        help="five short runs, a minute in all, and four lines that say what came of them",
+        help="five short runs, about a minute in all, and a verdict of four lines",
     )
     options.add_arguments(parser, RunOptions)
 

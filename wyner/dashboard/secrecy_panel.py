@@ -117,7 +117,7 @@ def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]], width: 
     """A row for each tap, under the columns that the width has room for."""
     rows = [(tap.status.name, (state, tap, its)) for tap, its in shown]
     found = table("eavesdropper", fitting(_COLUMNS, width - LABEL - 2), rows)
-    return found if shown else [*found, line(" none heard")]
+    return found if shown else [*found, line(" none")]
 
 
 def _follows(tap: TapState) -> str:

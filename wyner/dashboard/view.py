@@ -76,7 +76,7 @@ HELP: Final = (
     "`wyner report` writes the same comparison as a page, once a run is over.",
 )
 
-_NO_TAP: Final = ("no tap heard", "")
+_NO_TAP: Final = ("no tap", "")
 
 _LABEL: Final = re.compile(r" +|\S+(?: \S+)? {2,}")
 """What stands before the text of a line: spaces, or what it is about."""
