@@ -19,9 +19,9 @@ from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
 from wyner.runs.blocks import Blocks, TracedBlock, ended
-from wyner.runs.lines import AppearancesLine
+from wyner.runs.lines import INTERRUPTED, MISSED, AppearancesLine
 from wyner.runs.run import Run
-from wyner.runs.trace import AT_ONCE, INTERRUPTED, MISSED, Places, Trace
+from wyner.runs.trace import AT_ONCE, Places, Trace
 
 KEY_BITS: Final = 8 * NONCE_BYTES
 
