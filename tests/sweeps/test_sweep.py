@@ -172,7 +172,7 @@ def test_an_attack_that_would_be_left_out_is_one_line(
     assert "attack: expected none" in line
     for scenario, said in ((tmp_path / "attacked.toml", "attack"), ("sealed", "distilled keys")):
         with pytest.raises(ValueError, match=said):
-            api.run(str(scenario), steps=2)
+            api.run(str(scenario), steps=2, message=b"Hi")
 
 
 def test_every_shipped_sweep_can_be_read() -> None:
