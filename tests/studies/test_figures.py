@@ -18,7 +18,6 @@ from studies.figures.loop import alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
 from studies.loops import centre_distances, closed_form, gauges_of, system
 from studies.registry import origin, pages, recorded, stale, studies
-from wyner.drawing.style import drawing, save
 from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.code import ROOT
 from wyner.sweeps.grid import Row
@@ -276,15 +275,3 @@ def test_the_closed_form_is_what_the_simulation_does() -> None:
             here = (distance > low) & (distance <= high)
             share = wilson(int(in_diff[here].sum()), int(here.sum()), confidence=0.9999)
             assert share.low <= expected[here].mean() <= share.high
-
-
-def test_a_figure_is_never_drawn_through_a_link(tmp_path: Path) -> None:
-    kept, link = tmp_path / "kept", tmp_path / "figure.svg"
-    kept.write_text("precious")
-    link.symlink_to(kept)
-    with drawing((1, 1)) as figure, pytest.raises(OSError, match="not a regular file"):
-        save(figure, link)
-    assert kept.read_text() == "precious"
-    save(figure, tmp_path / "other.png")
-    assert (tmp_path / "other.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["figure.svg", "kept", "other.png"]
