@@ -10,9 +10,9 @@ from protocol.scenario import Scenario
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
-from tap_service.sandboxed import sandboxed
-from tap_service.status import Listener, unused_of
+from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError, named
+from tap_service.listening import Listener
+from tap_service.status import unused_of
 from wyner.runs.score.by_step import BySteps
 from wyner.runs.score.score import TapOutput
 
@@ -57,14 +57,14 @@ class Replay:
         self.knowledge = heard if scenario is None else scenario.knowledge()
         self.listeners: list[Listener] = []
         for name in names:
-            kind = sandboxed(name)
+            kind = named(name)
             if name == ORACLE:
                 if scenario is None:
                     raise KnowledgeError(f"{ORACLE}: expected --scenario, for alpha")
                 mine = scenario.oracle_knowledge()
             else:
                 mine = self.view.knowledge(self.knowledge, model=kind.told_model)
-            self.listeners.append(Listener.of(kind, mine))
+            self.listeners.append(Listener(kind, mine))
         self.transcript = Transcript()
         self.session = ""
         self.transitions = 0
