@@ -120,7 +120,7 @@ def draw(step: Worked, path: Path) -> None:
             axes.annotate("x(k+1)", t.x_next, xytext=(6, -11), textcoords="offset points")
             axes.set_xlabel("position x_1")
             axes.set_ylabel("speed x_2")
-        wide.set_title("What she sees: both boxes D_e hold x(k+1)", fontsize=9)
+        wide.set_title("What Eve sees: both boxes D_e hold x(k+1)", fontsize=9)
         near.set_title("What the defender sees: one box D_c does", fontsize=9)
         near.margins(0.25)
         save(figure, path)

@@ -14,7 +14,7 @@ SHOWN_STEPS = 12
 
 LINES = {
     ("keyed-coin", "secret"): "key that is secret",
-    ("keyed-coin", "false claim"): "key that the tap has",
+    ("keyed-coin", "false claim"): "key that Eve has",
     ("residual", "nobody"): "no key",
 }
 

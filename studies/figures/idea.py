@@ -24,15 +24,15 @@ TEXTS: Final = (
         "In one small set only: both ends\nknow the coin. That is a key bit.",
     ),
     (
-        "3  She knows the large sets only.",
-        "Both hold the state: she cannot tell,\nthe paper says. But one is nearer.",
+        "3  Eve knows the large sets only.",
+        "Both hold the state: Eve cannot tell,\nthe paper says. But one is nearer.",
     ),
 )
 
 
 @figure("idea", "sets", size=(9.0, 3.6))
 def draw_idea(figure: Figure, data: Path) -> str:
-    """Three panels of one step: what is offered, what both ends see, what she sees."""
+    """Three panels of one step: what is offered, what both ends see, what Eve sees."""
     rows = plain_rows(data / "sets.csv")
     step = {r["name"]: (r["x_1"], r["x_2"]) for r in rows if r["kind"] == "step"}
     w, centres, state = step["D_c"], (step["c_0"], step["c_1"]), step["x(k+1)"]

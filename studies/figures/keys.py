@@ -11,7 +11,7 @@ from studies.figures.rows import bars, figure, plain_rows
 
 @figure("key-controls", "key-controls", size=(7.4, 4.6))
 def draw_controls(figure: Figure, data: Path) -> str:
-    """Blocks that she breaks, with each rule broken and kept."""
+    """Blocks that Eve breaks, with each rule broken and kept."""
     rows = plain_rows(data / "key-controls.csv")
     controls = list(dict.fromkeys(r["control"] for r in rows))
     axes = figure.subplots()
@@ -35,7 +35,7 @@ def draw_controls(figure: Figure, data: Path) -> str:
     axes.invert_yaxis()
     axes.set_xlim(-0.05, 1.05)
     axes.set_xlabel(
-        "share of blocks that she breaks; beside it, the most bits that she holds, or made differ"
+        "share of blocks that Eve breaks; beside it, the most bits that Eve holds, or made differ"
     )
     axes.legend(loc="center", fontsize=7)
     blocks, last = rows[0]["blocks"], rows[0]["last_seed"]

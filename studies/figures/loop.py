@@ -9,7 +9,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from protocol.statistics import Interval, normal_mean, wilson
-from studies.figures.rows import FigureError, band, bars, columns, figure, intervals, plain_rows
+from studies.figures.rows import (
+    FigureError,
+    band,
+    bars,
+    columns,
+    figure,
+    intervals,
+    plain_rows,
+    rate_in,
+)
 from studies.loops import BURN_IN
 from wyner.drawing.style import COLOURS, MARKERS
 from wyner.sweeps.grid import SweepError
@@ -83,7 +92,7 @@ def draw_paper(figure: Figure, data: Path) -> str:
     for place, (start, points) in enumerate(by(printed, start_of).items()):
         curve(axes, points, f"{start}, {points[0].runs} runs", place, marked=True)
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("message rate (bit/s)")
+    axes.set_ylabel(rate_in("bit/s"))
     axes.set_title("Law paper: rate against alpha (the paper's Fig. 7)")
     axes.set_ylim(bottom=0)
     axes.legend(loc="upper left")
@@ -109,7 +118,7 @@ def draw_sustained(figure: Figure, data: Path) -> str:
     half = 0.5 / long[0].first["period_s"]
     axes.axhline(half, color="k", ls="--", lw=1, label="1/2 bit a step, the scheme's ceiling")
     axes.set_xlabel(r"$\alpha$ ($\mathcal{D}_e = \alpha\,\mathcal{D}_c$)")
-    axes.set_ylabel("message rate (bit/s)")
+    axes.set_ylabel(rate_in("bit/s"))
     axes.set_title("Law sustained: rate against alpha")
     axes.set_ylim(0, half * 1.25)
     axes.legend(loc="upper left", ncols=2, fontsize=7)
@@ -165,9 +174,9 @@ def draw_disturbances(figure: Figure, data: Path) -> str:
     _bars(right, [i for i, _ in sent], read, 1, "messages, list-decoder")
     left.set_yticks(y, list(kinds))
     left.invert_yaxis()
-    left.set_xlabel("rate (bit/s)")
+    left.set_xlabel(rate_in("bit/s"))
     middle.set_xlabel("keys other than the coin (%)")
-    right.set_xlabel("the taps get (%)")
+    right.set_xlabel("of it Eve has (%)")
     right.set_xlim(-5, 108)
     left.legend(fontsize=7)
     right.legend(fontsize=7, loc="center left")
@@ -221,7 +230,7 @@ def draw_price(figure: Figure, data: Path) -> str:
                     axes.annotate(f" α = {alpha_of(one):g}", (cost.value, rate.value), fontsize=7)
     left.set_xlabel(r"state cost, mean $|x(k+1)|^2$ a step")
     right.set_xlabel(r"input effort, mean $|u(k)|^2$ a step")
-    left.set_ylabel("message rate (bit/s)")
+    left.set_ylabel(rate_in("bit/s"))
     left.margins(x=0.15)
     right.legend(fontsize=7)
     figure.suptitle("The price of the channel, from the origin")
@@ -246,7 +255,7 @@ def draw_plants(figure: Figure, data: Path) -> str:
     left.axhline(0.5, color="k", ls="--", lw=1)
     left.set_ylim(0, 0.55)
     left.set_xlabel(r"$\alpha$")
-    left.set_ylabel("settled message rate (bit a step)")
+    left.set_ylabel(rate_in("bit a step", "settled "))
     right.set_xscale("symlog", linthresh=1)
     right.set_xlabel("distance of the centres, in units of D_c")
     right.set_ylabel("share of steps below")

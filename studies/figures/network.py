@@ -4,7 +4,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from studies.figures.rows import bars, figure, intervals, plain_rows
+from studies.figures.rows import bars, figure, intervals, plain_rows, rate_in
 from wyner.drawing.style import MARKERS
 
 SHOWN = (
@@ -20,7 +20,7 @@ def draw_network(figure: Figure, data: Path) -> str:
     axes = figure.subplots(2, 2, sharex="col", sharey="row")
     for column, (part, label) in enumerate(SHOWN):
         for row, (name, unit) in enumerate(
-            (("cost", "control cost a step"), ("bits_per_second", "message rate (bit/s)"))
+            (("cost", "control cost a step"), ("bits_per_second", rate_in("bit/s")))
         ):
             plot = axes[row][column]
             for place, fallback in enumerate(dict.fromkeys(r["fallback"] for r in rows)):

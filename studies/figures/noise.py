@@ -11,7 +11,7 @@ from wyner.drawing.style import COLOURS
 
 @figure("noise-bound", "noise-bound", size=(8.0, 4.0))
 def draw_bound(figure: Figure, data: Path) -> str:
-    """Bits left of a coin against her noise: bound, taps and claim; and the law as a lever."""
+    """Bits left of a coin against Eve's noise: bound, taps and claim; and the law as a lever."""
     rows = plain_rows(data / "noise-bound.csv")
     left, right = figure.subplots(1, 2, width_ratios=(3, 2))
     mine = [r for r in rows if r["part"] == "noise"]
@@ -25,7 +25,7 @@ def draw_bound(figure: Figure, data: Path) -> str:
             left.fill_between(x, y, color=COLOURS[0], alpha=0.12, lw=0)
             continue
         bars(left, x, [normal(r["bits"], r["error"]) for r in own], place, label=tap)
-    left.set_xlabel("her noise over the half-width of $\\mathcal{D}_c$")
+    left.set_xlabel("Eve's noise over the half-width of $\\mathcal{D}_c$")
     left.set_ylabel("bits left of a coin")
     left.set_ylim(bottom=0)
     left.legend(fontsize=7, loc="lower right")
@@ -40,7 +40,7 @@ def draw_bound(figure: Figure, data: Path) -> str:
             fontsize=6.5,
         )
     right.set_xlabel("weight of the input (beside: gain g)")
-    right.set_ylabel("bits left at least, noise 1 half-width")
+    right.set_ylabel("bits left at least, Eve's noise 1 half-width")
     right.set_ylim(bottom=0)
     figure.suptitle("Watched through noise: the proof below, taps above, the claim flat")
     blocks = next(r for r in mine if r["tap"] == "told every d")

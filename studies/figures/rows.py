@@ -30,6 +30,11 @@ FIGURES: Final[dict[str, Kind]] = {}
 """The figures."""
 
 
+def rate_in(unit: str, kind: str = "") -> str:
+    """What an axis says of a rate. It is no secrecy: `nearest-centre` names all of these keys."""
+    return f"{kind}rate by the paper's rule ({unit});\nnone of it is secret"
+
+
 def figure(name: str, *data: str, size: tuple[float, float]) -> Callable[[Draw], Draw]:
     """Register a function that draws from the folder of the data, and returns the note."""
 

@@ -33,7 +33,7 @@ code = main(["{0}", sys.argv[1]])
 """
 EXPORT = """
 from wyner.cli.main import main
-code = main(["report", "--steps", "--to", "csv", sys.argv[1]])
+code = main(["report", "--steps", "--output", sys.argv[1] + "/steps.csv", sys.argv[1]])
 """
 HIGHEST = """
 with open("/proc/self/status") as status:

@@ -53,6 +53,16 @@ class Outcome(NamedTuple):
     left: bool
     """Whether the screen was left before the run had come to its end."""
 
+    def to_json(self) -> dict[str, Any]:
+        """The summary."""
+        return self.summary
+
+    def __str__(self) -> str:
+        """The summary in words; its last lines are the verdict."""
+        from wyner.runs.score.summary import render
+
+        return render(self.summary)
+
 
 def run_session(
     options: RunOptions,
@@ -283,7 +293,7 @@ class Progress:
         if self._silent and now >= self._began + SAID_S:
             name = min(self._silent)
             log = self._supervisor.child(name).log
-            raise Failure(f"{name}: nothing heard of it in {SAID_S:g} s (log: {log})")
+            raise Failure(f"{name}: no status of it within {SAID_S:g} s (log: {log})")
         ended = self._supervisor.child("plant").returned is not None
         arrived = 0 < self.delivered <= self.received and not self.waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived)):

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from protocol.secret.blocks import Schedule
-from wyner.runs.lines import BlockLine
-from wyner.runs.trace import TRANSITION, Trace
+from wyner.runs.lines import TRANSITION, BlockLine
+from wyner.runs.trace import Trace
 
 
 class TracedBlock(NamedTuple):

@@ -16,7 +16,7 @@ from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_l
 from wyner.cli.main import main
 from wyner.runs.check import RULES, Result, check, judge
 from wyner.runs.check.evidence import EDGE, Finding, read_evidence
-from wyner.runs.trace import MISSED
+from wyner.runs.lines import MISSED
 
 Event = dict[str, Any]
 

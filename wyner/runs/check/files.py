@@ -17,10 +17,11 @@ from runtime.run_folder import (
 )
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.journals import JournalState
+from wyner.runs.lines import TRANSITION
 from wyner.runs.marks import Segments
 from wyner.runs.run import guess_logs
 from wyner.runs.seal import broken
-from wyner.runs.trace import TRANSITION, Trace
+from wyner.runs.trace import Trace
 
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
 

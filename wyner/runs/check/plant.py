@@ -9,8 +9,8 @@ from protocol.box_observer import Box
 from protocol.convex import Polytope
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
 from wyner.runs.check.paper import f_c, scale
-from wyner.runs.lines import AttackLine, Break
-from wyner.runs.trace import INTERRUPTED, TRANSITION, Rows, Trace
+from wyner.runs.lines import INTERRUPTED, TRANSITION, AttackLine, Break
+from wyner.runs.trace import Rows, Trace
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw

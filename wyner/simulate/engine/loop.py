@@ -279,13 +279,13 @@ class _Many(_Loop):
         self.gauge = Gauge.from_rows(*scenario.test_set.rows())
         hers = scenario.secrecy.disturbance
         self.reach = None if hers is None else Gauge.from_rows(*hers.rows())
-        self.sensors = Streams(seed, runs, SENSOR)
         self.draws = draws or SeededDraws(scenario, seed, runs)
         R = len(runs)
         first = np.array(scenario.initial_state) if start is None else start
         self.x = np.broadcast_to(first, (R, self.n)).T.copy(order="C")
         self.y = self.x
         if self.noise is not None:
+            self.sensors = Streams(seed, runs, SENSOR)
             self.y = self.x + self.drawn()
             self.x = self.y - self.last
         self.following = np.empty((self.n, R))
