@@ -82,7 +82,7 @@ def coins() -> KeyedPair:
 class KeyedLink(RuleBasedStateMachine):
     """Drives a world; subclasses say which."""
 
-    begun: ClassVar[staticmethod[[], KeyedPair]] = staticmethod(made)
+    begun: ClassVar["staticmethod[[], KeyedPair]"] = staticmethod(made)
 
     def __init__(self) -> None:
         super().__init__()
