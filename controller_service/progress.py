@@ -14,19 +14,17 @@ if TYPE_CHECKING:
     from controller_service.sets.design import Progress
 
 PATIENCE_S: Final = 60.0
-"""Seconds that a design may take unless somebody grants it more."""
+"""Seconds that a design may take in a command; the library's `design` takes any time."""
 
 
 @contextmanager
-def shown_progress(
-    patience_s: float = PATIENCE_S, clock: Callable[[], float] = time.monotonic
-) -> "Iterator[Progress]":
+def shown_progress(clock: Callable[[], float] = time.monotonic) -> "Iterator[Progress]":
     """Progress on standard error, where the synthesis takes more than a second.
+
+    The design is refused once it has taken `PATIENCE_S`, with what to change.
 
     Parameters
     ----------
-    patience_s : float
-        The design is refused once it has taken longer, with what to change.
     clock : callable
         Monotonic seconds.
     """
@@ -37,11 +35,11 @@ def shown_progress(
 
         def advance(done: int, total: int) -> None:
             elapsed = clock() - begin
-            if done < total and elapsed > patience_s:
+            if done < total and elapsed > PATIENCE_S:
                 raise SynthesisError(
                     f"control.horizon: {done} of {total} sets took {elapsed:.0f} s, and each takes "
                     f"longer than the one before; control.horizon = {max(1, done)} would do, or "
-                    f"`wyner design FILE --patience {10 * elapsed:.0f}`, once"
+                    "compute it once in Python, which takes any time: wyner.design(FILE)"
                 )
             show(done, total)
 
