@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
-from tap_service.status import absent_record
+from tap_service.status import absent
 from tests.support.recorded_pair import RecordedPair
 from wyner.runs.run import Run
 from wyner.runs.score.score import SILENT, UNFINISHED
@@ -119,7 +119,7 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     run = RecordedPair(tmp_path, PAYLOAD)
     run.until_received(1)
     run.stop()
-    record = absent_record("mine") | {"failed": "step 21: ValueError: no idea", "steps": 21}
+    record = absent("mine")[1] | {"failed": "step 21: ValueError: no idea", "steps": 21}
     (tmp_path / BELIEFS).parent.mkdir(exist_ok=True)
     (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
     summary = summarise(Run.load(tmp_path), PAYLOAD)
