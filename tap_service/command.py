@@ -166,10 +166,9 @@ def run_with_knowledge(
     from runtime.bus import TransportError
     from runtime.recording import Bounds
     from tap_service.capture.channel import View
-    from tap_service.config import TapConfig
+    from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import TapFleet
-    from tap_service.sandboxed import sandboxed
     from tap_service.service import TapService, run_tap
 
     limits = checked(Bounds, total_bytes=options.total_bytes)
@@ -205,8 +204,11 @@ def run_with_knowledge(
         told_here = told if knowledge_of is None else knowledge_of(loop)
         config = config_of(told_here, loop.id, Path(options.run_dir) / loop.id)
         for name in config.names:
-            if sandboxed(name).heavy:
-                raise UsageError(f"--eavesdropper: {name} is heavy; in a fleet expected light ones")
+            if runs_beside(name):
+                raise UsageError(
+                    f"--eavesdropper: {name} needs a process of its own; in a fleet expected "
+                    "set-membership, nearest-centre, oracle or key-solver"
+                )
         return config
 
     try:

@@ -204,8 +204,8 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     Each is looked for before anything starts.
     """
     from tap_service.command import find_each, names_of
-    from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.sandboxed import each_once, sandboxed
+    from tap_service.config import each_once
+    from tap_service.eavesdroppers import KnowledgeError, default_names, named
 
     text = options.eavesdropper
     asked = () if text is None else names_of([text])
@@ -214,7 +214,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     knowledge = scenario.knowledge()
 
     def find(name: str) -> None:
-        sandboxed(name).suits(knowledge)
+        named(name).suits(knowledge)
 
     find_each(asked, find, "--eavesdropper: ")
     its = scenario.tap.eavesdroppers

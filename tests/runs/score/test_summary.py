@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from runtime.run_folder import BELIEFS, PLANT_TRACE, TAP_STATUS
-from tap_service.status import absent_record
+from tap_service.status import absent
 from tests.support.recorded_pair import RecordedPair
 from wyner.runs.run import Run
 from wyner.runs.score.score import SILENT, UNFINISHED
@@ -125,7 +125,7 @@ def test_true_is_told_with_all_that_it_rests_on(folder: Path) -> None:
 
 
 def test_a_tap_that_failed_is_told_in_the_last_lines(folder: Path) -> None:
-    record = absent_record("mine") | {"failed": "step 21: ValueError: no idea", "steps": 21}
+    record = absent("mine")[1] | {"failed": "step 21: ValueError: no idea", "steps": 21}
     (folder / BELIEFS).parent.mkdir(exist_ok=True)
     (folder / BELIEFS).write_text(json.dumps({"mine": record}))
     summary = summarise(Run.load(folder), PAYLOAD)

@@ -11,9 +11,9 @@ from protocol.scenario import Scenario
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
-from tap_service.sandboxed import sandboxed
-from tap_service.status import Listener, unused_of
+from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError, named
+from tap_service.listening import Listener
+from tap_service.status import unused_of
 from wyner.runs.score.by_step import BySteps
 from wyner.runs.score.report import held_line, unused_in_words
 from wyner.runs.score.score import TapOutput
@@ -59,14 +59,14 @@ class Replay:
             ) from None
         self.listeners: list[Listener] = []
         for name in names:
-            kind = sandboxed(name)
+            kind = named(name)
             if name == ORACLE:
                 if scenario is None:
                     raise KnowledgeError(f"{ORACLE}: expected a run's folder, for its alpha")
                 mine = scenario.oracle_knowledge()
             else:
                 mine = self.view.knowledge(self.knowledge, model=kind.told_model)
-            self.listeners.append(Listener.of(kind, mine))
+            self.listeners.append(Listener(kind, mine))
         self.transcript = Transcript()
         self.session = ""
         self.transitions = 0
