@@ -37,13 +37,13 @@ class ControllerOptions(MessageOptions, ServiceOptions):
 
     scenario: str = option("file or shipped name", "S", "sustained")
     pace: str = option(
-        "the plant's: a network's delays are of its clock (default: realtime)", "P", "realtime"
+        "pace of the plant, which sets the clock of network delays (default: realtime)",
+        "P",
+        "realtime",
     )
-    clear_alarm: bool = option(
-        "let a controller offer again whose offers an alarm has ended", default=False
-    )
+    clear_alarm: bool = option("offer inputs again after an alarm has stopped them", default=False)
     folder: str | None = option(
-        "where the files are that the scenario names (default: beside it)", "D"
+        "folder of the files that the scenario names (default: the scenario's own)", "D"
     )
 
 

@@ -25,11 +25,9 @@ class PlantOptions(ServiceOptions):
     pace: str = option("realtime, xN, or fast (lock-step)", "P", "realtime")
     steps: int | None = option("stop at step N", "N", least=1)
     folder: str | None = option(
-        "where the files are that the scenario names (default: beside it)", "D"
+        "folder of the files that the scenario names (default: the scenario's own)", "D"
     )
-    clear_safe: bool = option(
-        "let a plant run again that was sent to its safe state", default=False
-    )
+    clear_safe: bool = option("run a plant again that is in its safe state", default=False)
     attack: str | None = option(
         "attack this plant from a step on, in place of the scenario's [attack]", "KIND@STEP"
     )

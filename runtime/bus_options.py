@@ -66,15 +66,17 @@ class ServiceOptions(BusOptions):
     )
 
     scenario: str | None = option("file or shipped name", "S")
-    run_dir: str | None = option("where journal and traces lie", "D")
-    seed: int | None = option("for experiments: predictable draws", "N", least=0)
+    run_dir: str | None = option("folder of the journal and the traces", "D")
+    seed: int | None = option(
+        "seed of all random numbers, for experiments: nothing is secret then", "N", least=0
+    )
     check: bool = option("check options and scenario, and start nothing", default=False)
     fleet: str | None = option(
         "run many loops: those of FILE, or N of --scenario (docs/deployment.md)", "FILE|N"
     )
-    metrics: str | None = option("answer Prometheus there (docs/deployment.md)", "HOST:PORT")
+    metrics: str | None = option("serve Prometheus metrics there (docs/deployment.md)", "HOST:PORT")
     total_bytes: int | None = option(
-        "room for the recording; its oldest parts are dropped (default: 1 GiB)", "N"
+        "largest size of the recording; its oldest parts are deleted (default: 1 GiB)", "N"
     )
 
 

@@ -1,45 +1,34 @@
 """A process beside a service: started, talked to, ended with its group, and bounded if need be.
 
-The heavy eavesdroppers (:mod:`tap_service.heavy`) run in a :class:`Child`, a user's eavesdropper in
-a :class:`Guest`. A child is asked and answers on a socket of its own, the number of which is its
-last argument. It ends when the other end is closed, so none outlives its service.
+A child is asked and answers on a socket of its own, the number of which is its last argument. It
+ends when the other end is closed, so none outlives its service.
 
-A guest has so much memory, and so many seconds for each answer; then its process group is killed.
-What it answers is read as JSON and never unpickled. It runs with the rights of the user who started
-the service: these bounds are for mistakes, and no wall against malice.
+One that runs a user's code allows itself so much memory, and so many seconds for each answer. It
+runs with the rights of the user who started the service: these bounds are for mistakes, and no wall
+against malice.
 """
 
 import ctypes
-import json
 import os
 import signal
 import subprocess
 import sys
+import time
 import weakref
-from collections.abc import Callable, Sequence
 from contextlib import suppress
 from multiprocessing.connection import Connection, Pipe
 from typing import Any, Final
 
-from runtime.errors import GuestError
-
 END_S: Final = 5.0
 """Seconds that a child has to end by itself once its line is closed, if not told otherwise."""
 
-START_S: Final = 20.0
-"""Seconds that a guest has to be loaded and made."""
-
 MEMORY: Final = 2 * 2**30
-"""Bytes of address space that a guest has."""
+"""Bytes of address space of one that runs a user's code."""
 
-ANSWER: Final = 8 * 2**20
-"""Bytes of a guest's answer at most."""
-
-AFTERWARDS_S: Final = 0.2
-"""Seconds that a guest has once more: its time may have gone by while the machine stood still."""
+LOOK_S: Final = 0.1
+"""Seconds between two looks whether a child that says nothing is still there."""
 
 _PR_SET_PDEATHSIG: Final = 1
-_PR_SET_DUMPABLE: Final = 4
 
 
 class Child:
@@ -48,9 +37,6 @@ class Child:
     Parameters
     ----------
     module : str
-    arguments : sequence of str
-    quiet : bool
-        What it writes to standard error is dropped.
 
     Attributes
     ----------
@@ -59,13 +45,12 @@ class Child:
     pid : int
     """
 
-    def __init__(self, module: str, arguments: Sequence[str] = (), *, quiet: bool = False) -> None:
+    def __init__(self, module: str) -> None:
         self.line, theirs = Pipe()
         self._process = subprocess.Popen(
-            [sys.executable, "-m", module, *arguments, str(theirs.fileno())],
+            [sys.executable, "-m", module, str(theirs.fileno())],
             stdin=subprocess.DEVNULL,
             stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL if quiet else None,
             pass_fds=(theirs.fileno(),),
             process_group=0,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},  # one processor is all it may take
@@ -74,81 +59,48 @@ class Child:
         self.pid = self._process.pid
         self._forgotten = weakref.finalize(self, _end, self._process, self.line, END_S)
 
+    def poll(self, within_s: float) -> bool:
+        """Whether it says something within so many seconds.
+
+        Raises
+        ------
+        EOFError
+            When it ended, and all that it said was taken. A process that it started may still hold
+            the other end of the line.
+        """
+        until = time.monotonic() + within_s
+        while not self.line.poll(min(max(0.0, until - time.monotonic()), LOOK_S)):
+            if self._process.poll() is not None and not self.line.poll():
+                raise EOFError
+            if time.monotonic() >= until:
+                return False
+        return True
+
     def end(self, within_s: float = END_S) -> int:
-        """Close its line; kill its group where it does not end within so many seconds.
+        """Close its line; kill it where it does not end within so many seconds, and its group.
 
         Returns
         -------
         int
             Its exit code; negative is the signal that ended it.
         """
-        self._forgotten.detach()
+        if self._forgotten.detach() is None:  # it was ended before; its number may be another's
+            return self._process.wait()
         return _end(self._process, self.line, within_s)
 
 
 def _end(process: "subprocess.Popen[bytes]", line: Any, within_s: float) -> int:
     line.close()
-    with suppress(ProcessLookupError, PermissionError):  # one that is stopped would not notice
-        os.killpg(process.pid, signal.SIGCONT)
-    try:
-        return process.wait(within_s)
-    except subprocess.TimeoutExpired:
-        with suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-        return process.wait()
+    _signal_group(process, signal.SIGCONT)  # one that is stopped would not notice
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(within_s)
+    _signal_group(process, signal.SIGKILL)
+    return process.wait()
 
 
-class Guest:
-    """Code that a user brought, in a bounded process of its own.
-
-    Parameters
-    ----------
-    module : str
-        Run as a program; it calls :func:`serve`.
-    arguments : sequence of str
-        The program's.
-    """
-
-    def __init__(self, module: str, arguments: Sequence[str] = ()) -> None:
-        self.child = Child(module, arguments, quiet=True)
-        self._ended = False
-
-    def ask(self, what: str, argument: object, within_s: float) -> Any:
-        """Its answer to a question.
-
-        Raises
-        ------
-        GuestError
-            When there is none in time, or it is none; the guest is then at its end. Also with what
-            it raised, and of which ``kind``.
-        """
-        if self._ended:
-            raise GuestError("the process ended")
-        line = self.child.line
-        try:
-            line.send((what, argument))
-            if not (line.poll(within_s) or line.poll(AFTERWARDS_S)):
-                raise TimeoutError
-            answer = json.loads(line.recv_bytes(ANSWER))
-            kind, value = answer["kind"], answer["value"]
-        except TimeoutError:
-            self.end()
-            raise GuestError(f"too slow: no answer within {within_s:g} s") from None
-        except (OSError, EOFError):
-            self.end()
-            raise GuestError("the process ended") from None
-        except (ValueError, LookupError, TypeError, RecursionError):
-            self.end()
-            raise GuestError("an answer that is none") from None
-        if kind != "value":
-            raise GuestError(str(value), str(kind))
-        return value
-
-    def end(self) -> None:
-        """Kill it, and all of its group."""
-        if not self._ended:
-            self._ended = True
-            self.child.end(0.0)
+def _signal_group(process: "subprocess.Popen[bytes]", number: int) -> None:
+    with suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, number)
 
 
 # --- the child's side -----------------------------------------------------------------------------
@@ -173,50 +125,17 @@ def die_with(parent: int) -> None:
         os._exit(1)
 
 
-def leave_no_image() -> None:
-    """Leave no core file, and let no process of this user look into this one's memory."""
+def limit_memory() -> None:
+    """Allow this process :data:`MEMORY`, and no core file."""
     import resource
 
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
-
-
-def limit_memory(size: int) -> None:
-    """Allow so many bytes of address space, and no core file."""
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_AS, (size, size))
+    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
 
 
-def serve(
-    answer: Callable[[str, Any], object], known: Sequence[tuple[type[Exception], str]] = ()
-) -> None:
-    """Answer a guest's questions until nobody asks any more.
+def kill_after(seconds: float) -> None:
+    """End this process, whatever it does, unless it says so again within so many seconds.
 
-    Parameters
-    ----------
-    answer : callable
-        Runs the user's code: (what, argument) to a value that JSON can carry.
-    known : sequence of (type, kind)
-        What some exceptions are told as; all others are told as ``raised``, with their names.
+    The kernel does it, with SIGALRM. 0 takes it back.
     """
-    die_with(os.getppid())
-    ignore_signals()
-    limit_memory(MEMORY)
-    line = line_of_child()
-    while True:
-        try:
-            what, argument = line.recv()
-        except EOFError:
-            os._exit(0)  # threads and atexit functions of the user's code end here as well
-        try:
-            body = json.dumps({"kind": "value", "value": answer(what, argument)}, default=float)
-        except Exception as error:
-            kind = next((kind for type_, kind in known if isinstance(error, type_)), "raised")
-            text = " ".join(str(error).split())
-            if kind == "raised":
-                text = f"{type(error).__name__}: {text}"
-            body = json.dumps({"kind": kind, "value": text[:2000]})
-        line.send_bytes(body.encode())
+    signal.setitimer(signal.ITIMER_REAL, seconds)

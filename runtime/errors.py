@@ -27,20 +27,6 @@ class Failure(Exception):
     """Something that was asked for could not be done, exit code 1; the text is one line."""
 
 
-class GuestError(Failure):
-    """A guest did not answer as it should; the text says how.
-
-    Attributes
-    ----------
-    kind : str
-        What the guest said it was; ``ended`` where it is at its end.
-    """
-
-    def __init__(self, text: str, kind: str = "ended") -> None:
-        super().__init__(text)
-        self.kind = kind
-
-
 @contextmanager
 def reading(what: str) -> Iterator[None]:
     """Within the block, the error of a missing, malformed or senseless field becomes one line.

@@ -30,8 +30,6 @@ def build_parser() -> argparse.ArgumentParser:
     scheme.add_argument("scheme", metavar="FILE.py:NAME")
     scheme.add_argument("--scenario", default="packed", help="what it runs on (packed)")
     scheme.add_argument("--seed", type=int, default=1, help="of its runs (1)")
-    own = commands.add_parser("defence", help="try a defence of your own against every attack")
-    own.add_argument("defence", metavar="FILE.py:NAME")
     return parser
 
 
@@ -54,8 +52,6 @@ def run(args: argparse.Namespace) -> int:
             return FAILED if lines else DONE
         case "scheme":
             _scheme(args.scheme, args.scenario, args.seed)
-        case "defence":
-            _defence(args.defence)
     return DONE
 
 
@@ -111,16 +107,6 @@ def _scheme(name: str, scenario: str, seed: int) -> None:
         print(with_own(name, scenario, seed))
     except (UnknownError, ScenarioError) as error:
         raise UsageError(f"scheme: {error}") from None
-
-
-def _defence(name: str) -> None:
-    from protocol.plugins import UnknownError
-    from studies.attacks.tables import own
-
-    try:
-        print(own(name))
-    except UnknownError as error:
-        raise UsageError(f"--defence: {error}") from None
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -24,14 +24,12 @@ SEED: Final = 7
 ALPHAS: Final = (1.5, 3.0, 8.0)
 INITIAL_STATES: Final = ((1.0, -0.5), (4.0, -2.0), (-12.0, 6.0))
 PLANTS: Final = ("sustained", "double-integrator", "quadruple-tank", "batch-reactor")
-BINS: Final = 40
 MESSAGE: Final = b"We sail at dawn."
 TAP_RUNS, TAP_STEPS = 20, 1500
 BURN_IN: Final = 1000
 """Steps that the candidates' distances leave out: until then the loop is on its way."""
 SHOWN_SETS: Final = (0, 1, 2, 3, 4, 6, 8)
 
-DISTANCE_COLUMNS: Final = "alpha runs steps seed distance transitions in_diff expected"
 TAP_COLUMNS: Final = (
     "variant alpha runs steps seed agreements nearest_right delivered read_by_list_decoder"
 )
@@ -52,37 +50,6 @@ def starting_at(scenario: Scenario, x: Sequence[float]) -> Scenario:
     return scenario.model_copy(update={"plant": plant})
 
 
-def closed_form(delta: Array, D: Sequence[float], D_c: Sequence[float], alpha: float) -> Array:
-    """Probability that x(k+1) is in Diff, two candidates, boxes D within D_c, d uniform in D.
-
-    The true candidate's gauge is at most 1, so that x(k+1) is in Diff when the other's, the largest
-    abs(d_i + delta_i) / w_i, is above 1 and at most alpha: two boxes' overlaps with D, subtracted.
-
-    Parameters
-    ----------
-    delta : array, shape (..., n)
-        c_0 - c_1, the distance of the two centres.
-    D, D_c : sequence of float, shape (n,)
-        Half-widths.
-    alpha : float
-
-    Returns
-    -------
-    array, shape (...)
-    """
-
-    def inside(scale: float) -> Array:
-        share = np.ones(delta.shape[:-1])
-        for i, (w, c) in enumerate(zip(D, D_c, strict=True)):
-            low = np.maximum(-w, -scale * c - delta[..., i])
-            high = np.minimum(w, scale * c - delta[..., i])
-            share = share * np.maximum(0.0, high - low) / (2 * w)
-        return share
-
-    out: Array = inside(alpha) - inside(1.0)
-    return out
-
-
 def centre_distances(runs: Runs) -> Array:
     """c_0 - c_1 of every transition, shape (steps, R, n)."""
     assert runs.candidates is not None
@@ -97,38 +64,6 @@ def gauges_of(scenario: Scenario, v: Array) -> Array:
     H, h = (np.array(a) for a in scenario.defender.disturbance.rows())
     out: Array = np.maximum(0.0, (v @ H.T / h).max(axis=-1))
     return out
-
-
-@study("distance", DISTANCE_COLUMNS)
-def distance_rows(_: None) -> Iterator[tuple[Any, ...]]:
-    """Share of transitions in Diff by the candidates' distance, beside the closed form."""
-    scenario, law = system("sustained")
-    runs, steps = 200, 200
-    sample = simulate_runs(scenario, law, seed=SEED, runs=range(runs), steps=steps, record=True)
-    delta = centre_distances(sample)
-    distance = gauges_of(scenario, delta)
-    edges = np.linspace(0, float(distance.max()) * (1 + 1e-12), BINS + 1)
-    place = np.digitize(distance, edges) - 1
-    D = scenario.plant.disturbance.half_widths
-    D_c = scenario.defender.disturbance.half_widths
-    assert D_c is not None
-    for alpha in ALPHAS:
-        expected = closed_form(delta, D, D_c, alpha)
-        in_diff = (sample.symbol != NO_SYMBOL) & (sample.largest <= alpha)
-        for i in range(BINS):
-            here = place == i
-            if here.any():
-                middle = float(distance[here].mean())
-                yield (
-                    alpha,
-                    runs,
-                    steps,
-                    SEED,
-                    middle,
-                    int(here.sum()),
-                    int(in_diff[here].sum()),
-                    float(expected[here].mean()),
-                )
 
 
 def tap_row(point: Point, runs: int, steps: int) -> tuple[Any, ...]:

@@ -34,7 +34,7 @@ MODULES: Final = (
     "attacks.study", "attacks.tables", "attacks.watermark", "corners", "eavesdroppers", "keys",
     "loops", "missed_steps", "network", "noise", "other_sets", "outputs", "readings",
     "schemes", "secrecy.kinds", "secrecy.study", "secrecy.tables", "settled",
-    "shape", "signalling", "stochastic", "sweeps", "waiting", "yardstick",
+    "shape", "signalling", "stochastic", "sweeps", "yardstick",
 )  # fmt: skip
 """Where studies and tables are."""
 

@@ -1,4 +1,4 @@
-"""Data of docs/findings.md: rates of every law and scheme, the price, codes over two steps."""
+"""Data of docs/findings.md: rates of every law and scheme, the price, codes over blocks."""
 
 import math
 from collections import Counter
@@ -16,10 +16,8 @@ from protocol.arrays import Array
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import Interval, mean_over_runs, normal_mean
 from runtime.scenario_file import scenario_of
-from studies.capacity.betting import DisturbanceLaw, best_bet
 from studies.capacity.blocks import chained_bits, finite_keys
 from studies.capacity.price import dither_price
-from studies.capacity.two_step import best_codes, single_step_keys
 from studies.registry import study
 from wyner.simulate.engine import Runs, follow, simulate_runs
 
@@ -45,13 +43,12 @@ ALPHAS: Final = (
 )
 RATE_COLUMNS: Final = (
     "law scheme alpha candidates spacing runs steps seed agreed carried bits_per_step "
-    "bits_low bits_high expected_bits"
+    "bits_low bits_high"
 )
 PRICE_COLUMNS: Final = (
     "law terminal candidates spacing alpha runs steps seed bits_per_step state_cost "
     "state_low state_high input_effort travel travel_low travel_high largest_input kx ku"
 )
-CODE_COLUMNS: Final = "alpha single_step two_step bits_per_step volume_bound period"
 BLOCK_STEPS: Final = (1, 2, 5, 10, 40)
 BLOCK_COLUMNS: Final = "alpha steps bits_per_step volume_bound finite_bits"
 
@@ -72,7 +69,7 @@ def simulated(scenario: Scenario, *, record: bool = False) -> Runs:
     return simulate_runs(scenario, law, seed=SEED, runs=range(RUNS), steps=STEPS, record=record)
 
 
-def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float, expected: float) -> Any:
+def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float) -> Any:
     size = scenario.secrecy.candidates
     link = follow(runs, [alpha])
     agreed, carried = int(link.agreements.sum()), int(link.message_symbols.sum())
@@ -89,34 +86,24 @@ def _rate(scenario: Scenario, runs: Runs, alpha: float, spacing: float, expected
         agreed,
         carried,
         *rate,
-        expected,
     )
 
 
 @study("signalling-rates", RATE_COLUMNS)
 def rate_rows(_: None) -> Iterator[tuple[Any, ...]]:
-    """Message bits a step over alpha: `sustained` with either scheme, packed, and the best bet."""
+    """Message bits a step over alpha: `sustained` with either scheme, and `packed`."""
     for scheme in ("switched", "pipelined"):
         scenario = changed("sustained", secrecy={"scheme": scheme})
         runs = simulated(scenario)
         for alpha in ALPHAS:
-            yield _rate(scenario, runs, alpha, math.nan, math.nan)
+            yield _rate(scenario, runs, alpha, math.nan)
     base = scenario_of("packed")
     sep = Separation.of(base.B, base.defender.disturbance)
-    widths = np.array(base.defender.disturbance.half_widths)
-    law = DisturbanceLaw.of(base.plant.disturbance)
     for alpha in ALPHAS:
         certain = line_size(sep, alpha)
         if certain > 1:
             scenario = changed("packed", secrecy={"alpha": alpha, "candidates": certain})
-            yield _rate(scenario, simulated(scenario), alpha, 2.0, math.log2(certain))
-        bet = best_bet(np.array(base.B)[:, 0], sep.sigma(), widths, alpha, law, certain=certain)
-        scenario = changed(
-            "packed",
-            secrecy={"alpha": alpha, "candidates": bet.size},
-            control={"alphabet": {"spacing": min(bet.spacing, 1.999)}},
-        )
-        yield _rate(scenario, simulated(scenario), alpha, bet.spacing, bet.bits)
+            yield _rate(scenario, simulated(scenario), alpha, 2.0)
 
 
 @study("signalling-price", PRICE_COLUMNS)
@@ -184,22 +171,6 @@ def _price(name: str, scenario: Scenario, spacing: float) -> tuple[Any, ...]:
 def _mean(values: Array) -> Interval:
     """Mean over runs with its normal interval."""
     return normal_mean(float(values.sum()), float((values * values).sum()), len(values))
-
-
-@study("two-step", CODE_COLUMNS)
-def code_rows(_: None) -> Iterator[tuple[Any, ...]]:
-    """The most keys of one step and of two, just above each alpha."""
-    alphas = sorted([7 / 3, *(round(2.0 + 0.125 * k, 3) for k in range(17))])
-    for alpha, code in zip(alphas, best_codes(alphas), strict=True):
-        period = "; ".join(f"({x:g}, {y:g})" for x, y in code.periods)
-        yield (
-            alpha,
-            single_step_keys(alpha),
-            code.keys,
-            math.log2(code.keys) / 2,
-            math.log2(alpha),
-            period,
-        )
 
 
 @study("block-codes", BLOCK_COLUMNS)

@@ -1,31 +1,29 @@
-"""The heavy eavesdroppers' own process: reads the capture behind the mirror, at its own pace.
+"""The process beside the mirror: reads the capture behind it, at its own pace.
 
 The capture on disk is the queue between the two, so nothing is lost when this process is slow and
 the mirror never waits for it. It rests in proportion to its work, so that it takes a bounded share
 of a core; where it falls further behind than the capture keeps, the reader counts what is missing.
 """
 
-import logging
 import os
 import time
-from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
+from pydantic_core import to_json
+
 from protocol.knowledge import Knowledge
-from protocol.messages import FieldMessage
-from runtime.child import ignore_signals, line_of_child
+from runtime.child import ignore_signals, kill_after, limit_memory, line_of_child
+from runtime.logs import RateLimitedLog, logger
 from runtime.recording import Bounds
-from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
+from runtime.run_folder import CAPTURE
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.recording import RotatingLog
-from tap_service.capture.transcript import Transcript, Transition
-from tap_service.eavesdroppers import Guess
-from tap_service.sandboxed import sandboxed
-from tap_service.status import Listener, belief_record, guess_line, status_of
+from tap_service.listening import Listeners
+from tap_service.status import reports_of
 
 SLICE_S: Final = 0.05
 """Work at a stretch."""
@@ -38,73 +36,37 @@ FAR_BEHIND: Final = 128 * 2**20
 steps, about a minute of lock-step at full speed."""
 
 BELIEF_PERIOD_S: Final = 0.5
-"""Between two looks at what the heavy eavesdroppers believe."""
+"""Between two looks at what the eavesdroppers believe."""
+
+START_S: Final = 20.0
+"""Seconds that a user's eavesdropper has to be loaded and made."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """What the analysis process is told; handed over at its start."""
-
-    run_dir: Path
-    names: tuple[str, ...]
-    knowledge: dict[str, Knowledge]
-    limits: Bounds
-    header: dict[str, Any]
-
-
-class Listeners:
-    """Several eavesdroppers on one transcript.
+    """What such a process is told at its start.
 
     Parameters
     ----------
-    listeners : sequence of Listener
-    log : RotatingLog, optional
-        Where their guesses go.
+    run_dir : Path
+    guesses : Path
+        The log of its guesses, below ``run_dir``.
+    told : dict
+        What each of its eavesdroppers is told.
+    limits : Bounds
+        Of the log.
+    header : dict
+        Of the capture, and of the log.
+    answer_s : float
+        Seconds for each answer of a user's eavesdropper, whose memory is bounded too; 0: any time.
     """
 
-    def __init__(self, listeners: Sequence[Listener], log: RotatingLog | None) -> None:
-        self.listeners = tuple(listeners)
-        self.session = ""
-        self._log = log
-
-    def hear(self, message: FieldMessage, transitions: Iterable[Transition]) -> None:
-        """Hand a message to those that hear them, then each transition that it settles to all."""
-        for listener in self.listeners:
-            listener.hear(message)
-        self.feed(transitions)
-
-    def feed(self, transitions: Iterable[Transition]) -> None:
-        """Let each observe each transition."""
-        for transition in transitions:
-            self.session = transition.session
-            for listener in self.listeners:
-                guess = listener.observe(transition)
-                if guess is not None and self._log is not None:
-                    session, whole = transition.session, transition.whole
-                    self._log.write(guess_line(session, listener.name, guess, whole=whole))
-                self._note(listener, listener.final_guesses())
-
-    def review(self, listener: Listener) -> None:
-        """Log one's second thoughts."""
-        self._note(listener, listener.review())
-
-    def _note(self, listener: Listener, thoughts: Sequence[Guess]) -> None:
-        for guess in thoughts:
-            if self._log is not None:
-                self._log.write(guess_line(self.session, listener.name, guess, "review"))
-
-
-def listeners_of(
-    names: Iterable[str], knowledge: dict[str, Knowledge], log: logging.Logger | None = None
-) -> list[Listener]:
-    """Eavesdroppers by name, each with what she is told; ``log`` is told when one fails.
-
-    Raises
-    ------
-    KnowledgeError
-        When one cannot be found or is not told enough.
-    """
-    return [Listener.of(sandboxed(name), knowledge[name], log) for name in names]
+    run_dir: Path
+    guesses: Path
+    told: dict[str, Knowledge]
+    limits: Bounds
+    header: dict[str, Any]
+    answer_s: float = 0.0
 
 
 def main() -> None:
@@ -118,84 +80,73 @@ def main() -> None:
 
 def analyse(assignment: Assignment, line: Connection) -> None:
     """Wait for a capture of these settings (on a full disk there is none yet), and read it."""
-    from runtime.logs import RateLimitedLog, logger
+    log = logger("tap.analysis")
+    path = assignment.run_dir / assignment.guesses
+    guesses = RotatingLog(path, assignment.header, assignment.limits, log)
+    if assignment.answer_s:
+        limit_memory()
+        kill_after(START_S)
+    listeners = Listeners(assignment.told, guesses.write, log, answer_s=assignment.answer_s)
+    if assignment.answer_s:
+        kill_after(0.0)
+    reader = _reader_of(assignment, line)
+    if reader is not None:
+        _read(reader, listeners, guesses, line)
+    guesses.close()
+    line.send_bytes(b"null")
 
+
+def _reader_of(assignment: Assignment, line: Connection) -> CaptureReader | None:
+    """The capture, once it is there; None where the end comes first."""
     complaints = RateLimitedLog(logger("tap.analysis"))
-    log = RotatingLog(
-        assignment.run_dir / ANALYSIS_GUESSES,
-        assignment.header,
-        assignment.limits,
-        logger("tap.analysis"),
-    )
-    told = logger("tap.analysis")
-    listeners = Listeners(listeners_of(assignment.names, assignment.knowledge, told), log)
-    while True:
-        try:
-            reader = CaptureReader(assignment.run_dir / CAPTURE, assignment.header)
-            break
-        except CaptureError as error:
-            complaints.add(str(error))
-        if line.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
-            complaints.report_held_back(last=True)
-            log.close()
-            line.send(None)
-            return
-    complaints.report_held_back(last=True)
-    transcript = Transcript()
-    finishing = False
+    try:
+        while True:
+            try:
+                return CaptureReader(assignment.run_dir / CAPTURE, assignment.header)
+            except CaptureError as error:
+                complaints.add(str(error))
+            if line.poll(BELIEF_PERIOD_S):  # told to finish, or nobody is there any more
+                return None
+    finally:
+        complaints.report_held_back(last=True)
+
+
+def _read(
+    reader: CaptureReader, listeners: Listeners, guesses: RotatingLog, line: Connection
+) -> None:
+    finishing = last = False
     next_belief = 0.0
-    while True:
+    while not last:
         start = time.monotonic()
-        until = start + SLICE_S
-        empty = False
-        for _t_ns, message in reader.records():
-            listeners.hear(message, transcript.hear(message))
-            if time.monotonic() >= until:
-                break
-        else:
-            empty = True
-        log.flush()
+        empty = _work(reader, listeners, start + SLICE_S)
+        guesses.flush()
         if not finishing and reader.behind_bytes > FAR_BEHIND:
             reader.skip(FAR_BEHIND // 2)
-        if empty and finishing:
-            listeners.feed(transcript.flush())
+        last = empty and finishing
+        if last:
+            listeners.finish()
         now = time.monotonic()
-        if now >= next_belief or (empty and finishing):
-            _report(listeners, reader, transcript, line, last=empty and finishing)
+        if now >= next_belief or last:
+            behind, skipped = reader.behind_steps, reader.skipped
+            for status, record in reports_of(listeners, behind=behind, dropped=skipped, last=last):
+                told = {"status": status.wire().decode(), "record": record}
+                line.send_bytes(to_json(told, inf_nan_mode="strings"))
             spent = time.monotonic() - now
             # a costly look is repeated the more rarely
             next_belief = time.monotonic() + max(BELIEF_PERIOD_S, spent * REST_RATIO)
-        if empty and finishing:
-            log.close()
-            line.send(None)
-            return
         worked = time.monotonic() - start
         pause = 0.0 if finishing else max(worked * REST_RATIO, 0.02 if empty else 0.0)
-        if line.poll(pause):
+        if not last and line.poll(pause):
             finishing = line.recv() == "finish"
 
 
-def _report(
-    listeners: Listeners,
-    reader: CaptureReader,
-    transcript: Transcript,
-    line: Connection,
-    *,
-    last: bool,
-) -> None:
-    behind = reader.behind_steps
-    for listener in listeners.listeners:
-        if last:
-            listeners.review(listener)
-        belief = listener.belief()
-        counts = dict.fromkeys(("seq", "t_ns", "mirrored", "malformed"), 0) | {
-            "behind": behind,
-            "dropped": reader.skipped,
-            **transcript.unused._asdict(),
-        }
-        session = listeners.session
-        record = belief_record(session, listener, belief, last=last, behind=behind, counts=counts)
-        line.send((status_of(listener, belief, counts), record))
+def _work(reader: CaptureReader, listeners: Listeners, until: float) -> bool:
+    """Read until then, or all that is there; whether it is all."""
+    for _t_ns, message in reader.records():
+        listeners.hear(message)
+        if time.monotonic() >= until:
+            return False
+    return True
 
 
 if __name__ == "__main__":

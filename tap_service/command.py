@@ -31,21 +31,18 @@ if TYPE_CHECKING:
 class TapOptions(ServiceOptions):
     """The service's options, but for what the tap is told of the plant."""
 
-    scenario: str | None = option("derive what the tap knows from a scenario", "S", either="source")
-    knowledge: str | None = option("what the tap knows, as JSON", "FILE", either="source")
+    scenario: str | None = option("derive what Eve knows from this scenario", "S", either="source")
+    knowledge: str | None = option("what Eve knows, as JSON", "FILE", either="source")
     run_dir: str = option("write below D/tap", "D", ...)
     eavesdropper: Sequence[str] = option(
-        "which to run in place of the strongest, by name or as path/to/file.py:Name",
+        "eavesdroppers to run, by name or as path/to/file.py:Name (default: the strongest)",
         "NAME[,NAME...]",
         (),
         many=True,
     )
     view: str | None = option(
-        "what the tap hears, as JSON with the fields of [tap] (default: as the scenario says)",
+        "what reaches the tap, as JSON with the fields of [tap] (default: the scenario's)",
         "FILE",
-    )
-    finish: float | None = option(
-        "seconds for the heavy eavesdroppers' last thoughts at the end (default 20)", "S"
     )
 
 
@@ -169,16 +166,13 @@ def run_with_knowledge(
     from runtime.bus import TransportError
     from runtime.recording import Bounds
     from tap_service.capture.channel import View
-    from tap_service.config import FINISH_S, TapConfig
+    from tap_service.config import TapConfig, runs_beside
     from tap_service.eavesdroppers import KnowledgeError, default_names
     from tap_service.fleet import TapFleet
-    from tap_service.sandboxed import sandboxed
     from tap_service.service import TapService, run_tap
 
     limits = checked(Bounds, total_bytes=options.total_bytes)
     own_view = None if options.view is None else read_json("--view", options.view, View)
-    if options.finish is not None and not 0 <= options.finish <= 3600:
-        raise UsageError(f"--finish: got {options.finish}, expected 0 to 3600 seconds")
     check_addresses(options, "tap")
     field, adversary = (
         endpoints_of(options, "tap", "field"),
@@ -202,7 +196,6 @@ def run_with_knowledge(
             view=view,
             loop=loop,
             limits=limits,
-            finish_s=FINISH_S if options.finish is None else options.finish,
         )
         find_each(config.names, config.knowledge_of, where)
         return config
@@ -211,8 +204,11 @@ def run_with_knowledge(
         told_here = told if knowledge_of is None else knowledge_of(loop)
         config = config_of(told_here, loop.id, Path(options.run_dir) / loop.id)
         for name in config.names:
-            if sandboxed(name).heavy:
-                raise UsageError(f"--eavesdropper: {name} is heavy; in a fleet expected light ones")
+            if runs_beside(name):
+                raise UsageError(
+                    f"--eavesdropper: {name} needs a process of its own; in a fleet expected "
+                    "set-membership, nearest-centre, oracle or key-solver"
+                )
         return config
 
     try:

@@ -1,5 +1,6 @@
 """All that a tap is told: what she knows, what she sees, where it is kept."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from dataclasses import field as default
 from pathlib import Path
@@ -9,8 +10,7 @@ from protocol.knowledge import Knowledge
 from protocol.topics import DEFAULT_LOOP
 from runtime.recording import Bounds
 from tap_service.capture.channel import View
-from tap_service.eavesdroppers import DEFAULT, ORACLE, KnowledgeError
-from tap_service.sandboxed import sandboxed
+from tap_service.eavesdroppers import DEFAULT, LADDER, ORACLE, KnowledgeError, named
 
 SILENT_S: Final = 20.0
 """Seconds of silence after which the tap's session is opened again: later than those of the ends,
@@ -58,7 +58,7 @@ class TapConfig:
             if self.oracle_knowledge is None:
                 raise KnowledgeError(f"{ORACLE}: expected a scenario, which has alpha")
             return self.oracle_knowledge
-        return self.view.knowledge(self.knowledge, model=sandboxed(name).told_model)
+        return self.view.knowledge(self.knowledge, model=named(name).told_model)
 
     def header(self) -> dict[str, Any]:
         """The public part of what a recording's header says."""
@@ -72,6 +72,27 @@ class TapConfig:
             "appearances": 1,  # of a message that reach her: she has one link to each end
             "wyner_version": version("wyner"),
         }
+
+
+def runs_beside(name: str) -> bool:
+    """Whether an eavesdropper runs beside the mirror: a heavy one, and each of a user's."""
+    return name not in LADDER or named(name).heavy
+
+
+def each_once(names: Iterable[str]) -> tuple[str, ...]:
+    """The eavesdroppers without those that are named again.
+
+    Raises
+    ------
+    KnowledgeError
+        When two have one name: nobody could tell their guesses apart.
+    """
+    found: dict[str, str] = {}
+    for name in names:
+        its = named(name).name
+        if found.setdefault(its, name) != name:
+            raise KnowledgeError(f"{found[its]} and {name} are both named {its!r}")
+    return tuple(dict.fromkeys(names))
 
 
 def eighth(limits: Bounds) -> Bounds:

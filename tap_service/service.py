@@ -2,7 +2,7 @@
 
 A thin shell. The transport's thread only puts messages on a queue. The main thread takes them off,
 writes each to the capture before anything else, and feeds the eavesdroppers that cost microseconds
-a step; the heavy ones read the capture in a process of their own (:mod:`tap_service.analysis`).
+a step; all others read the capture in processes beside it (:mod:`tap_service.beside`).
 """
 
 import logging
@@ -28,21 +28,12 @@ from runtime.logs import RateLimitedLog, logger
 from runtime.rates import Throttle
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.signals import stop_on_signals
-from tap_service.analysis import Assignment, Listeners, listeners_of
+from tap_service.beside import Beside, assignments_of
 from tap_service.capture.channel import WiretapChannel
 from tap_service.capture.recording import RotatingLog, malformed_line, mirror_line
-from tap_service.capture.transcript import Transcript
-from tap_service.config import SILENT_S, TapConfig, eighth
-from tap_service.heavy import HeavyProcess
-from tap_service.sandboxed import each_once, sandboxed
-from tap_service.status import (
-    absent_record,
-    absent_status,
-    belief_record,
-    beliefs_json,
-    status_of,
-    unused_of,
-)
+from tap_service.config import SILENT_S, TapConfig, each_once, eighth, runs_beside
+from tap_service.listening import Listeners
+from tap_service.status import beliefs_json, facts_of, reports_of
 
 if TYPE_CHECKING:
     from runtime.addresses import Addresses
@@ -90,7 +81,7 @@ class Listens(Protocol):
         """Mirror, guess and publish until ``stopping``; then guess what is left."""
 
     def close(self) -> None:
-        """End the files and the analysis process."""
+        """End the files and the processes beside."""
 
 
 def run_tap(
@@ -136,16 +127,15 @@ class TapService:
         self.log: logging.Logger = logger("tap")
         self._config = config
         each_once(config.names)
-        knowledge = {name: config.knowledge_of(name) for name in config.names}
-        heavy = tuple(name for name in config.names if sandboxed(name).heavy)
-        listeners_of(heavy, knowledge)  # an error is told here, before anything starts
-        light = [name for name in config.names if name not in heavy]
-        self._made = listeners_of(light, knowledge, self.log)
-        self._heavy = heavy, knowledge
+        light = {n: config.knowledge_of(n) for n in config.names if not runs_beside(n)}
+        self.listeners = Listeners(light, self._write_guess, self.log)
+        self._assignments = assignments_of(config)
+        for assignment in self._assignments:
+            Listeners(assignment.told, self._write_guess, self.log)  # an error is told here
+        self.beside: list[Beside] = []
         self._begun = False
         self._clear = config.view.clear
         self._channel = WiretapChannel(config.view)
-        self._transcript = Transcript()
         self.queue: Inbox[tuple[str, bytes, int]] = Inbox()
         self.share(1)
         self._complaints = RateLimitedLog(self.log)
@@ -154,25 +144,21 @@ class TapService:
         self._unheard = 0
         self._seq = 0
         self._records: dict[str, dict[str, Any]] = {}
-        self._heavy_status: dict[str, tuple[TapStatus, int]] = {}
         self._beliefs_file = StatusFile(config.run_dir / BELIEFS)
         self._status_file = StatusFile(config.run_dir / TAP_STATUS)
         self._restarts = _starts_before(config.run_dir)
-        self.heavy: HeavyProcess | None = None
-        self._heavy_names = tuple(sandboxed(name).name for name in heavy)
 
     def begin(self) -> None:
-        """Begin the recordings, and the analysis process; until then nothing is written."""
+        """Begin the recordings, and the processes beside; until then nothing is written."""
         config, header = self._config, self._config.header()
-        guesses = eighth(config.limits)
         self.capture = RotatingLog(config.run_dir / CAPTURE, header, config.limits, self.log)
-        self._guesses = RotatingLog(config.run_dir / GUESSES, header, guesses, self.log)
-        self.listeners = Listeners(self._made, self._guesses)
-        heavy, knowledge = self._heavy
-        if heavy:
-            assignment = Assignment(config.run_dir, heavy, knowledge, guesses, header)
-            self.heavy = HeavyProcess(assignment, self.log)
+        guesses = config.run_dir / GUESSES
+        self._guesses = RotatingLog(guesses, header, eighth(config.limits), self.log)
+        self.beside = [Beside(assignment, self.log) for assignment in self._assignments]
         self._begun = True
+
+    def _write_guess(self, line: bytes) -> None:
+        self._guesses.write(line)
 
     # --- the wire ---------------------------------------------------------------------------------
 
@@ -268,15 +254,14 @@ class TapService:
         if len(self.queue) > self._busy_length:
             self._unheard += 1
             return
-        self.listeners.hear(message, self._transcript.hear(message))
+        self.listeners.hear(message)
 
     def finish(self) -> None:
-        """Settle what is left, at the end: the queue, held messages, the heavy ones' backlog."""
+        """Settle what is left, at the end: the queue, held messages, the backlog beside."""
         while self.queue:
             self.work(0.0)
         for seen_ns, seen in self._channel.rest():
             self._see(seen_ns, seen)
-        self.listeners.feed(self._transcript.flush())
         self.capture.close()
         if self._unheard:
             self.log.warning(
@@ -284,80 +269,41 @@ class TapService:
                 "wyner score RUN --eavesdropper NAME guesses at all of them",
                 self._unheard,
             )
-        for listener in self.listeners.listeners:
-            self.listeners.review(listener)
+        self.listeners.finish()
         self._guesses.flush()
         self.publish(last=True)
         self.write_beliefs()
-        if self.heavy is not None:
-            for report in self.heavy.finish(self._config.finish_s):
-                self._note(*report)
+        deadline = time.monotonic() + self._config.finish_s
+        for process in self.beside:
+            process.finish()
+        for process in self.beside:
+            for _ in process.last_reports(deadline, self.capture.written):
+                self.publish(last=True)
                 self.write_beliefs()
-            self._note_down()
-            self.publish(last=True)
-            self.write_beliefs()
+        self.publish(last=True)
+        self.write_beliefs()
 
     # --- what is told -----------------------------------------------------------------------------
 
-    def _counts(self) -> dict[str, int]:
-        """The service's own figures, which are in every status."""
-        self._seq += 1
-        return {
-            "seq": self._seq,
-            "t_ns": time.time_ns(),
-            "mirrored": self.capture.written,
-            "dropped": self._dropped(),
-            "malformed": self._complaints.total,
-        }
-
-    def _note(self, status: TapStatus, record: dict[str, Any]) -> None:
-        self._heavy_status[status.name] = status, self.capture.written
-        self._records[status.name] = record
-
-    def _note_down(self) -> None:
-        """Where nobody runs in the heavy ones' process: what each said last is not said anew."""
-        if self.heavy is None or not self.heavy.down:
-            return
-        for name in self._heavy_names:
-            status, written = self._heavy_status.get(name, (absent_status(name), 0))
-            status = status.model_copy(update={"failed": self.heavy.down})
-            self._heavy_status[name] = status, written
-            record = self._records.get(name) or absent_record(name)
-            self._records[name] = record | {
-                "failed": self.heavy.down,
-                "behind": self._unread(status, written),
-                "symbols": None,
-            }
-
-    def _unread(self, status: TapStatus, written: int) -> int:
-        """Steps that a heavy one has not looked at: those of her report, and captured since."""
-        return status.behind + max(self.capture.written - written, 0) // 2
-
     def publish(self, *, last: bool = False) -> None:
         """Publish the status of every eavesdropper."""
-        statuses = []
-        for listener in self.listeners.listeners:
-            belief = listener.belief()
-            counts = self._counts() | {"behind": self._behind(), "restarts": self._restarts}
-            counts |= self._transcript.unused._asdict()
-            session = self.listeners.session
-            record = belief_record(session, listener, belief, last=last, counts=counts)
-            self._records[listener.name] = record
-            statuses.append(status_of(listener, belief, counts))
-        if self.heavy is not None and not last:
-            for report in self.heavy.reports():
-                self._note(*report)
-            self._note_down()
-        for status, written in self._heavy_status.values():
-            counts = self._counts() | {"behind": self._unread(status, written)}
-            counts["dropped"] += status.dropped
-            if self.heavy is not None:
-                counts["restarts"] = self._restarts + self.heavy.restarts
-            told = status.model_copy(update=counts)
-            self._records[told.name]["unused"] = unused_of(told.model_dump())
-            statuses.append(told)
-        if self._put is not None:
-            for status in statuses:
+        reports = list(reports_of(self.listeners, behind=self._behind(), last=last))
+        for process in self.beside:
+            reports += process.reports(self.capture.written)
+        for its, record in reports:
+            self._seq += 1
+            status = its.model_copy(
+                update={
+                    "seq": self._seq,
+                    "t_ns": time.time_ns(),
+                    "mirrored": self.capture.written,
+                    "dropped": its.dropped + self._dropped(),
+                    "malformed": self._complaints.total,
+                    "restarts": its.restarts + self._restarts,
+                }
+            )
+            self._records[status.name] = record | facts_of(status)
+            if self._put is not None:
                 self._put(status.wire())
         self._complaints.report_held_back(last=last)
 
@@ -367,15 +313,15 @@ class TapService:
 
     def _health(self) -> str:
         """Whether she keeps up, as a line; hearing nothing is no fault of hers."""
-        failed = {x.name: x.failed for x in self.listeners.listeners if x.failed}
-        failed |= {s.name: s.failed for s, _ in self._heavy_status.values() if s.failed}
+        records = self._records.values()
+        failed = [f"{one['name']} failed: {one['failed']}" for one in records if one["failed"]]
         if failed:
-            return f"bad: {'; '.join(f'{name} failed: {why}' for name, why in failed.items())}"
-        behind = max(self._behind(), *(self._unread(*x) for x in self._heavy_status.values()), 0)
+            return f"bad: {'; '.join(failed)}"
+        behind = max(self._behind(), *(one["behind"] for one in records), 0)
         if behind > TOO_FAR_BEHIND:
             return f"bad: {behind} steps behind: more eavesdroppers than this machine can feed"
         told = f"{self.capture.written} messages captured, {behind} steps behind"
-        unused = self._transcript.unused
+        unused = self.listeners.transcript.unused
         lost = unused.foreign + unused.late + self._dropped()
         if lost or unused.jumped:
             told += (
@@ -408,13 +354,13 @@ class TapService:
             self._complaints.add(f"{BELIEFS}: {error.strerror}")
 
     def close(self) -> None:
-        """End the files and the analysis process."""
+        """End the files and the processes beside."""
         if not self._begun:
             return
         self.capture.close()
         self._guesses.close()
-        if self.heavy is not None:
-            self.heavy.close()
+        for process in self.beside:
+            process.close()
         self._complaints.report_held_back(last=True)
 
 

@@ -6,11 +6,11 @@ docs/tutorial.md and draws docs/figures/worked-step.svg; a test says when they a
 
 import sys
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
+import numpy as np
 
 from controller_service.laws.registry import cached_design
 from protocol.agreement import predict
@@ -19,7 +19,8 @@ from protocol.scenario import Scenario
 from runtime.errors import DONE, USAGE
 from runtime.files import write_atomically
 from runtime.scenario_file import scenario_of
-from wyner.drawing.style import COLOURS, drawing, save
+from wyner.drawing.axes import draw_agreement
+from wyner.drawing.style import drawing, save
 from wyner.simulate.network import Simulation
 
 DOCS: Final = Path(__file__).resolve().parents[1] / "docs"
@@ -100,48 +101,25 @@ def refreshed(page: str, step: Worked) -> str:
 
 
 def draw(step: Worked, path: Path) -> None:
-    """Both centres, the next state, and the sets D_c and D_e around each centre."""
+    """Both centres, the next state, and the sets D_c and D_e around each centre; a closer look."""
     t, scenario = step.agreed, step.scenario
     widths = scenario.defender.disturbance.half_widths
     assert widths is not None
-    alpha = scenario.secrecy.alpha
+    centres = np.array([predict(scenario.A, scenario.B, t.x, u) for u in t.candidates])
+    box = np.array(list(product((-1, 1), repeat=2))) * widths
     with drawing((8.4, 3.9)) as figure:
         wide, near = figure.subplots(1, 2)
-        for axes, outer in ((wide, True), (near, False)):
-            for i, u in enumerate(t.candidates):
-                centre = predict(scenario.A, scenario.B, t.x, u)
-                colour = COLOURS[i]
-                _box(axes, centre, widths, 1.0, colour, fill=True)
-                if outer:
-                    _box(axes, centre, widths, alpha, colour, fill=False)
-                axes.plot(*centre, "+", color=colour, markersize=8)
-                axes.annotate(f"c_{i}", centre, xytext=(5, 4), textcoords="offset points")
-            axes.plot(*t.x_next, "o", color="black", markersize=5)
-            axes.annotate("x(k+1)", t.x_next, xytext=(6, -11), textcoords="offset points")
+        for axes in (wide, near):
+            draw_agreement(axes, centres, np.array(t.x_next), box, scenario.secrecy.alpha * box)
             axes.set_xlabel("position x_1")
             axes.set_ylabel("speed x_2")
+        near.set_xlim(centres[:, 0].min() - 2 * widths[0], centres[:, 0].max() + 2 * widths[0])
+        near.set_ylim(centres[:, 1].min() - 2 * widths[1], centres[:, 1].max() + 2 * widths[1])
+        wide.get_legend().remove()
+        near.legend(fontsize=7, loc="lower right")
         wide.set_title("What Eve sees: both boxes D_e hold x(k+1)", fontsize=9)
         near.set_title("What the defender sees: one box D_c does", fontsize=9)
-        near.margins(0.25)
         save(figure, path)
-
-
-def _box(
-    axes: Axes,
-    centre: Sequence[float],
-    widths: Sequence[float],
-    scale: float,
-    colour: str,
-    *,
-    fill: bool,
-) -> None:
-    w, h = (scale * v for v in widths)
-    corner = (centre[0] - w, centre[1] - h)
-    axes.add_patch(Rectangle(corner, 2 * w, 2 * h, fill=False, edgecolor=colour, lw=1.2))
-    if fill:
-        axes.add_patch(Rectangle(corner, 2 * w, 2 * h, facecolor=colour, alpha=0.2, lw=0))
-    axes.update_datalim([corner, (corner[0] + 2 * w, corner[1] + 2 * h)])
-    axes.autoscale_view()
 
 
 def main(argv: Sequence[str]) -> int:

@@ -35,13 +35,6 @@ Kind = Callable[[np.random.Generator], Attack]
 """Makes the attack of one simulation with the generator that it draws from."""
 
 
-SentAndOffered = tuple[Array, Array]
-Learner = Callable[[Sequence[SentAndOffered]], Words]
-
-MEMORY: Final = 2
-"""Steps before the onset that a learner is given."""
-
-
 @dataclass(frozen=True, eq=False, repr=False)
 class Attacked(Brief):
     """What became of each run.
@@ -95,15 +88,11 @@ class Keys:
         Digits of a keyed coin that are given, and not drawn, from the first step on.
     believed : int array, shape (steps, R), optional
         What she takes them for; :data:`~attacker_service.base.UNKNOWN` where she does not know.
-    learn : callable, optional
-        Makes a session's key of what she heard before the onset, oldest first: of each step the
-        measurement as it was sent, shape (R, n), and the candidates, shape (R, M, m).
     """
 
     held: Flags
     digits: Integers | None = None
     believed: Integers | None = None
-    learn: Learner | None = None
 
 
 class _Ends:
@@ -130,8 +119,6 @@ class _Ends:
         ]
         self._following = self._drawn(0)
         self._step = self._following
-        self._sent: Array | None = None
-        self._heard: list[SentAndOffered] = []
 
     def _drawn(self, k: int) -> list[Integers]:
         """Keys of step k."""
@@ -164,26 +151,12 @@ class _Ends:
             return np.asarray(self._keys.believed[k])
         return np.where(self._keys.held, coin, UNKNOWN)
 
-    def listen(self, candidates: Array) -> None:
-        """Before the onset: the offer that answers the last measurement on the wire."""
-        if self._keys.learn is not None and self._sent is not None:
-            self._heard = [*self._heard, (self._sent, candidates)][-MEMORY:]
-
-    def onset(self) -> None:
-        """She makes what she can of what she heard."""
-        if self._keys.learn is not None:
-            learned = self._keys.learn(self._heard)
-            for hers in self._her_session:
-                if hers.shape == learned.shape:
-                    hers[:] = learned
-
     def carry(self, k: int, x: Array, attack: BusAttack | None) -> tuple[Array, Flags]:
         """x(k) over the wire: what is read, and where that alarms."""
         wires = []
         for i, d in enumerate(self._chain):
             wires.append(d.encode(k, self._session[i], self._following[i], x))
             x = wires[-1].values
-        self._sent = x
         tags = [wire.tag for wire in wires]
         if attack is not None:
             x, tags = self._rewritten(k, x, tags, attack)
@@ -309,10 +282,6 @@ class _Attacked(Between):
     def read(self, k: int, reading: Array, u: Array) -> Array:
         """x(k) after an attack on the sensor, the wire and one on it."""
         attack, attacked = self._attack, k >= self._onset
-        if k <= self._onset:
-            self._ends.listen(self._candidates)
-        if k == self._onset:
-            self._ends.onset()
         if isinstance(attack, SensorAttack):
             if attacked:
                 believed = self._ends.believed(k - 1)

@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from protocol.agreement import INSIDE
 from protocol.arrays import Array, Flags, Integers
-from protocol.plugins import load_class
 
 Words = NDArray[np.uint32]
 Number = TypeVar("Number", int, NDArray[Any])
@@ -243,24 +242,6 @@ class Coding(Defence):
         return Opened(turned(back, wire.values), np.zeros(wire.values.shape[:-1], bool))
 
 
-class StaticCoding(Coding):
-    """One matrix for the whole session, which is learnt from two steps."""
-
-    name: ClassVar[str] = "static-coding"
-
-    def __init__(self, states: int, candidates: int) -> None:
-        super().__init__(states, candidates)
-        self.session_words, self.step_words = self.step_words, 0
-
-    def encode(self, k: int, session: Words, step: Integers, x: Array) -> Wire:  # noqa: ARG002
-        """S x."""
-        return super().encode(k, session, session, x)
-
-    def decode(self, k: int, session: Words, step: Integers, wire: Wire) -> Opened:  # noqa: ARG002
-        """S' of what came."""
-        return super().decode(k, session, session, wire)
-
-
 # --- a one-time tag of 32 bits on each message ----------------------------------------------------
 
 
@@ -335,18 +316,6 @@ class Mac(Defence):
         return tag_of(session[..., 0], step[..., 0].astype(np.uint32), words)
 
 
-DEFENCES: Final = {
-    kind.name: f"{__name__}:{kind.__name__}"
-    for kind in (Residual, KeyedCoin, Coding, StaticCoding, Mac)
+DEFENCES: Final[dict[str, type[Defence]]] = {
+    kind.name: kind for kind in (Residual, KeyedCoin, Coding, Mac)
 }
-
-
-def make_defence(name: str, states: int, candidates: int) -> Defence:
-    """The defence of this name, or of ``path/to/file.py:Name``.
-
-    Raises
-    ------
-    UnknownError
-        In one line, when there is none, or it is no defence.
-    """
-    return load_class(name, DEFENCES, Defence)(states, candidates)

@@ -2,7 +2,7 @@
 
 Who has the keys is worked out, not stated. Of distilled keys she has what the copies that she heard
 give away (:func:`tap_service.inference.key_solver.bits_held`); keys of the paper's own channel she
-reads with the eavesdropper `nearest-centre`; one matrix for all steps she solves for.
+reads with the eavesdropper `nearest-centre`.
 """
 
 import hashlib
@@ -21,8 +21,7 @@ from protocol.arrays import Array, Flags
 from protocol.scenario import Scenario
 from protocol.secret.bound import Assumption
 from studies.attacks.attacked import ONSET, Attacked, Keys, attack_runs
-from studies.attacks.defences import make_defence
-from studies.attacks.learner import rotation_learner
+from studies.attacks.defences import DEFENCES
 from studies.attacks.watermark import gaussian_passes, packed
 from studies.registry import study
 from studies.signalling import changed
@@ -44,7 +43,7 @@ TRANSITIONS: Final = 256
 CLAIM: Final = Assumption(0.3)
 """What is claimed of every distilled key here: she misses three copies of ten at least."""
 
-Who = Literal["nobody", "secret", "false claim", "nearest-centre", "learnt"]
+Who = Literal["nobody", "secret", "false claim", "nearest-centre"]
 """Who has the key besides both ends: ``secret``: the claim is true, nobody else. ``nobody``: there
 is none, the coin is private."""
 
@@ -154,7 +153,6 @@ def tasks() -> Iterator[Task]:
     for attack in ("covert, 0.3", "covert, 0.1"):
         yield Task("bus", attack, (), "nobody", steps=60)
         yield Task("bus", attack, coin, "secret", steps=60)
-        yield Task("bus", attack, ("static-coding", *coin), "learnt", steps=60)
         for who in both:
             yield Task("bus", attack, ("coding", *coin), who, runs=RUNS, steps=60)
         yield Task("bus", attack, ("coding",), "secret", runs=RUNS, steps=60)
@@ -245,8 +243,6 @@ def attacked(task: Task) -> tuple[Attacked, Keys]:
     start = None
     if task.key == "nearest-centre":
         keys, start = read_keys(scenario, law, task.runs, task.onset + task.steps)
-    elif task.key == "learnt":
-        keys = Keys(np.zeros(task.runs, bool), learn=rotation_learner(law))
     elif task.key == "nobody":
         keys = Keys(np.zeros(task.runs, bool))
     else:
@@ -256,7 +252,7 @@ def attacked(task: Task) -> tuple[Attacked, Keys]:
         scenario,
         law,
         maker(task.attack, scenario),
-        [make_defence(name, scenario.n, task.candidates) for name in task.defences],
+        [DEFENCES[name](scenario.n, task.candidates) for name in task.defences],
         keys,
         seed=[SEED, number],
         steps=task.steps,
@@ -290,7 +286,7 @@ def measure(task: Task) -> Iterator[dict[str, object]]:
     found, keys = attacked(task)
     scenario, _ = loop_of(task.scenario, task.candidates, task.disturbance)
     passed = theory(task, scenario)
-    bits = sum(make_defence(name, scenario.n, task.candidates).key_bits for name in task.defences)
+    bits = sum(DEFENCES[name](scenario.n, task.candidates).key_bits for name in task.defences)
     honest = task.runs * (task.onset - 1 + (task.steps if task.attack == "none" else 0))
     unseen = [] if task.attack == "none" else found.undetected().tolist()
     yield {

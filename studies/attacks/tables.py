@@ -1,11 +1,9 @@
-"""The tables of attacks in docs/findings.md, and the lines of a defence of one's own."""
+"""The tables of attacks in docs/findings.md."""
 
 from collections.abc import Sequence
 from typing import Final
 
 from protocol.statistics import wilson
-from studies.attacks.attacked import ONSET
-from studies.attacks.study import SETTLED, Task, attacked
 from studies.registry import Lines, Row, table
 
 SHOWN: Final = (1, 2, 3, 5)
@@ -17,11 +15,7 @@ KEYS: Final = {
     "secret": "secret",
     "false claim": "false claim, Eve hears all",
     "nearest-centre": "the paper's, read by `nearest-centre`",
-    "learnt": "learnt from two steps",
 }
-
-OWN_RUNS: Final = 1000
-OWN_ATTACKS: Final = ("ghost", "ghost who sees exactly", "replay", "stuck", "covert, 0.3")
 
 
 def unseen(row: Row) -> list[int]:
@@ -93,26 +87,3 @@ def honest_table(rows: Sequence[Row]) -> Lines:
     total = sum(int(r["honest_steps"]) for r in mine)
     lines.append(("all", f"{total:,}", str(sum(int(r["false_alarms"]) for r in mine))))
     return lines
-
-
-def own(defence: str) -> str:
-    """Shares unseen of every attack under a defence of a user's own, a line each.
-
-    Raises
-    ------
-    UnknownError
-        When there is no such defence.
-    """
-    lines = []
-    for attack in OWN_ATTACKS:
-        for key in ("secret", "false claim"):
-            onset = SETTLED if attack == "replay" else ONSET
-            task = Task("own", attack, (defence,), key, runs=OWN_RUNS, onset=onset)
-            found, _ = attacked(task)
-            left = found.undetected()
-            has = "key secret" if key == "secret" else "Eve has the key"
-            shown = ", ".join(f"{n}: {share(int(left[n]), OWN_RUNS)}" for n in SHOWN)
-            lines.append(f"{attack}, {has}: unseen after {shown}")
-            if found.false_alarms:
-                lines.append(f"  {found.false_alarms} honest steps alarmed")
-    return "\n".join(lines)

@@ -1,16 +1,19 @@
 """The figures of docs/findings.md: rates, agreements, disturbances, price, plants, sets."""
 
+import itertools
 import json
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
-from typing import Final
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from protocol.arrays import Array
 from protocol.statistics import Interval, normal_mean, wilson
 from studies.figures.rows import (
     FigureError,
+    Rows,
     band,
     bars,
     columns,
@@ -20,12 +23,11 @@ from studies.figures.rows import (
     rate_in,
 )
 from studies.loops import BURN_IN
+from wyner.drawing.axes import draw_agreement
+from wyner.drawing.axes import draw_sets as draw_outlines
 from wyner.drawing.style import COLOURS, MARKERS
 from wyner.sweeps.grid import SweepError
 from wyner.sweeps.results import Summary, read_rows, summarise
-
-FEWEST: Final = 20
-"""Transitions below which a bin of the figure ``distance`` is left out."""
 
 
 def summaries(data: Path, name: str) -> list[Summary]:
@@ -123,30 +125,6 @@ def draw_sustained(figure: Figure, data: Path) -> str:
     axes.set_ylim(0, half * 1.25)
     axes.legend(loc="upper left", ncols=2, fontsize=7)
     return note_of([*short, *long])
-
-
-@figure("distance", "distance", size=(6.4, 4.0))
-def draw_distance(figure: Figure, data: Path) -> str:
-    """Probability of Diff against the candidates' distance, closed form beside simulation."""
-    rows = [r for r in plain_rows(data / "distance.csv") if r["transitions"] >= FEWEST]
-    axes = figure.subplots()
-    for place, alpha in enumerate(sorted({r["alpha"] for r in rows})):
-        mine = [r for r in rows if r["alpha"] == alpha]
-        x, expected = columns(mine, "distance", "expected")
-        shares = [wilson(r["in_diff"], r["transitions"]) for r in mine]
-        label = f"closed form, α = {alpha:g}"
-        axes.plot(x, expected, color=COLOURS[place], lw=1.2, label=label)
-        bars(axes, x, shares, place, lw=0.8, capsize=0)
-    axes.set_xlabel("distance of the two centres, g(c₀ − c₁), in units of D_c")
-    axes.set_ylabel("probability that x(k+1) is in Diff")
-    axes.set_title("When agreements happen (law sustained)")
-    axes.set_ylim(0, 1.05)
-    axes.legend(loc="center right")
-    first = rows[0]
-    return (
-        f"{first['runs']} runs of {first['steps']} steps, seed {first['seed']}; bars: 95 % Wilson "
-        f"intervals of each bin of at least {FEWEST} steps, taken as independent"
-    )
 
 
 @figure("disturbances", "disturbances", "taps", size=(9.0, 4.2))
@@ -277,52 +255,21 @@ def draw_sets(figure: Figure, data: Path) -> str:
     """Some T_i with trajectories through them; Fig. 4 for one step."""
     rows = plain_rows(data / "sets.csv")
     left, right = figure.subplots(1, 2)
-    names = {r["name"]: None for r in rows if r["kind"] == "set"}
-    for name in names:
-        ring = [r for r in rows if r["kind"] == "set" and r["name"] == name]
-        x = [r["x_1"] for r in (*ring, ring[0])]
-        y = [r["x_2"] for r in (*ring, ring[0])]
-        left.plot(x, y, color="0.6", lw=0.8)
-        top = max(ring, key=lambda r: r["x_2"])
-        left.annotate(f"${name}$", (top["x_1"], top["x_2"]), fontsize=7, color="0.3", clip_on=True)
-    tracks = {r["name"]: None for r in rows if r["kind"] == "trajectory"}
-    for place, name in enumerate(tracks):
-        track = [r for r in rows if r["kind"] == "trajectory" and r["name"] == name]
-        x, y = [r["x_1"] for r in track], [r["x_2"] for r in track]
-        law = name.split()[0]
-        left.plot(
-            x,
-            y,
-            color=COLOURS[place],
-            marker=".",
-            ms=3,
-            lw=0.8,
-            label=f"law {law}, x₁(0) = {x[0]:g}",
-        )
-    left.set_xlabel("$x_1$")
-    left.set_ylabel("$x_2$")
+    named = {kind: points(rows, kind) for kind in ("set", "trajectory", "step")}
+    outlines = {int(name.removeprefix("T_")): ring for name, ring in named["set"].items()}
+    draw_outlines(left, outlines, np.array(list(named["trajectory"].values())))
+    for line, name in zip(left.lines[len(outlines) :], named["trajectory"], strict=True):
+        law, start = name.split()
+        line.set_label(f"law {law}, x₁(0) = {start}")
     left.set_xlim(-3, 7)
     left.set_ylim(-11, 9)
     left.legend(fontsize=7, loc="upper right")
-    step = {r["name"]: r for r in rows if r["kind"] == "step"}
-    w = step["D_c"]["x_1"], step["D_c"]["x_2"]
-    for place, name in enumerate(("c_0", "c_1")):
-        c = step[name]["x_1"], step[name]["x_2"]
-        right.plot(*c, marker="+", ms=8, color=COLOURS[place], ls="none")
-        right.annotate(f" ${name}$", c, color=COLOURS[place])
-        for scale, style in ((1.0, "-"), (3.0, "--")):
-            x = [c[0] + s * scale * w[0] for s in (-1, 1, 1, -1, -1)]
-            y = [c[1] + s * scale * w[1] for s in (-1, -1, 1, 1, -1)]
-            who = f"Reach$^{'c' if scale == 1 else 'e'}(x, u_{place})$"
-            label = who if scale == 1 else f"{who}, α = 3"
-            right.plot(x, y, style, color=COLOURS[place], lw=1, label=label)
-    right.plot(step["x(k+1)"]["x_1"], step["x(k+1)"]["x_2"], "k*", ms=9, label="x(k+1), in Diff")
-    right.set_xlabel("$x_1$")
-    right.set_ylabel("$x_2$")
-    centres = [step["c_0"], step["c_1"]]
-    low = min(c["x_2"] for c in centres) - 3.4 * w[1]
-    high = max(c["x_2"] for c in centres) + 5.0 * w[1]
-    middle = sum(c["x_1"] for c in centres) / 2
+    step = {name: of[0] for name, of in named["step"].items()}
+    w, centres = step["D_c"], np.array([step["c_0"], step["c_1"]])
+    box = np.array(list(itertools.product((-1, 1), repeat=2))) * w
+    draw_agreement(right, centres, step["x(k+1)"], box, 3 * box)
+    low, high = centres[:, 1].min() - 3.4 * w[1], centres[:, 1].max() + 5.0 * w[1]
+    middle = centres[:, 0].mean()
     right.set_ylim(low, high)
     right.set_xlim(middle - (high - low) / 2, middle + (high - low) / 2)
     right.set_aspect("equal")
@@ -330,6 +277,14 @@ def draw_sets(figure: Figure, data: Path) -> str:
     figure.suptitle(
         "Sets with trajectories through them, and one step of them (the paper's Fig. 4)"
     )
-    return (
-        f"one run each, seed {rows[0]['seed']}; right: step {step['c_0']['index']} of law sustained"
-    )
+    (at,) = {r["index"] for r in rows if r["kind"] == "step"}
+    return f"one run each, seed {rows[0]['seed']}; right: step {at}, law sustained; dashed: α = 3"
+
+
+def points(rows: Rows, kind: str) -> dict[str, Array]:
+    """The points of each name, shape (points, 2)."""
+    found: dict[str, list[list[float]]] = {}
+    for row in rows:
+        if row["kind"] == kind:
+            found.setdefault(row["name"], []).append([row["x_1"], row["x_2"]])
+    return {name: np.array(of) for name, of in found.items()}

@@ -1,4 +1,4 @@
-"""Figures of the packed alphabets: rates against alpha, the price, codes over two steps."""
+"""Figures of the packed alphabets: rates against alpha, the price, codes over blocks."""
 
 import math
 from pathlib import Path
@@ -16,7 +16,7 @@ PAPERS_START = "[4.0,-2.0]"
 
 @figure("signalling-rates", "signalling-rates", "fig7-paper", size=(7.4, 4.6))
 def draw_rates(figure: Figure, data: Path) -> str:
-    """Bits a step over alpha: the two laws of Fig. 7, either scheme, packed, and the best bet."""
+    """Bits a step over alpha: the two laws of Fig. 7, either scheme, and packed."""
     rows = plain_rows(data / "signalling-rates.csv")
     axes = figure.subplots()
     paper = [
@@ -30,20 +30,13 @@ def draw_rates(figure: Figure, data: Path) -> str:
         ],
         "sustained, switched": _points(rows, law="sustained", scheme="switched"),
         "sustained, pipelined": _points(rows, law="sustained", scheme="pipelined"),
-        "packed, spacing 2: certain for every d in $\\mathcal{D}_c$": _points(
-            [r for r in rows if r["spacing"] == 2.0], law="packed"
-        ),
-        "packed, closer: the best bet on d uniform in $\\mathcal{D}$": _points(
-            [r for r in rows if r["spacing"] < 2.0], law="packed"
-        ),
+        "packed: certain for every d in $\\mathcal{D}_c$": _points(rows, law="packed"),
     }
     for place, (label, points) in enumerate(curves.items()):
         axes.plot(
             [a for a, _ in points],
             [b for _, b in points],
             marker=MARKERS[place],
-            ls="" if place == 4 else "-",
-            mfc="none" if place == 4 else None,
             color=COLOURS[place],
             drawstyle="steps-post" if place == 3 else "default",
             label=label,
@@ -98,25 +91,6 @@ def draw_price(figure: Figure, data: Path) -> str:
         f"{r['runs']} runs of {r['steps']} steps a point, seed {r['seed']}; bands: 95 % normal "
         "intervals over runs"
     )
-
-
-@figure("two-step", "two-step", size=(6.4, 3.8))
-def draw_codes(figure: Figure, data: Path) -> str:
-    """Keys of one step and of two, beside the volume bound."""
-    rows = plain_rows(data / "two-step.csv")
-    axes = figure.subplots()
-    alphas = [r["alpha"] for r in rows]
-    single = [math.log2(r["single_step"]) for r in rows]
-    axes.step(alphas, single, where="post", color=COLOURS[0], label="one step, exact")
-    two = [r["bits_per_step"] for r in rows]
-    axes.step(alphas, two, where="post", color=COLOURS[1], label="two steps, best found")
-    axes.plot(alphas, [r["volume_bound"] for r in rows], "k--", lw=1, label="volume bound")
-    axes.set_xlabel(r"$\alpha$ (just above)")
-    axes.set_ylabel(rate_in("bit a step"))
-    axes.set_title("Codes over two steps, one input, unlimited room")
-    axes.set_ylim(bottom=0)
-    axes.legend(fontsize=7)
-    return "Codes by exact clique search on grids of a quarter and of a third of D_c's half-length"
 
 
 @figure("block-codes", "block-codes", size=(6.8, 4.2))

@@ -6,18 +6,15 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
-from matplotlib.figure import Figure
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
 from runtime.scenario_file import load_scenario
 from runtime.shipped import scenario_file_of
 from wyner.advice.rate import long_runs, settled_rate
-from wyner.advice.why import APART, FULL, OFTEN, Why, packed, packs, remedies_for, why
+from wyner.advice.why import FULL, OFTEN, Why, packed, packs, remedies_for, why
 from wyner.cli.main import main
-from wyner.drawing.design import draw_design
 
 
 def reasons(scenario: Scenario) -> Why:
@@ -147,25 +144,6 @@ def test_a_small_alpha_is_named() -> None:
     found = reasons(tight)
     assert found.beyond.value > found.agreed.value
     assert any("secrecy.alpha" in remedy for remedy in found.remedies)
-
-
-def test_the_legend_of_a_design_names_what_is_in_sight_and_covers_none_of_it(
-    tmp_path: Path,
-) -> None:
-    scenario = shipped("sustained")
-    design = cached_design(scenario)
-    figure = Figure(figsize=(10, 4.6))
-    draw_design(figure, scenario, design, make_law(scenario, design))
-    left, right = figure.axes
-    sets, distances = left.get_legend(), right.get_legend()
-    assert sets is not None
-    assert distances is not None
-    named = [text.get_text() for text in sets.get_texts()]
-    assert named == ["T_0", f"T_1 to T_{design.horizon}: those in sight", "a run"]
-    figure.savefig(tmp_path / "drawn.png")
-    below = distances.get_window_extent().transformed(right.transData.inverted()).y0
-    assert below > np.max(np.asarray(right.lines[0].get_ydata()))
-    assert below > APART
 
 
 @pytest.mark.long

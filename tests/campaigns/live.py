@@ -238,9 +238,8 @@ class LiveLoop:
         def shown(name: str, *buses: str) -> list[str]:
             return [f"--tls={bus}={self.folder}/certs/{name}" for bus in buses if tls]
 
-        guards = [f"--guard={bus}" for bus in buses if tls]
         listens = [f"--listen={bus}={at}" for bus, at in buses.items()]
-        self._add("router", [*listens, *guards, *shown("router", *buses)])
+        self._add("router", [*listens, *shown("router", *buses)])
 
         def client(name: str, *names: str) -> list[str]:
             clients = [f"--client={bus}" for bus in names]

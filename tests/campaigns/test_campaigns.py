@@ -11,7 +11,7 @@ import pytest
 from runtime.addresses import Addresses
 from runtime.zenoh_bus import open_bus
 from tests.campaigns import exhaustive, live, schedules
-from tests.secret.test_stream_through_deaths import WRONG
+from tests.secret.test_keys_machine import WRONG
 
 
 @pytest.mark.parametrize("networks", [[], ["--networks"]], ids=["", "networks"])

@@ -33,26 +33,6 @@ half_widths = [6.0]
 alpha = 4.0
 """
 
-ONE_STATE = """
-name = "one"
-[plant]
-A = [[1.1]]
-B = [[0.5]]
-period_s = 0.1
-initial_state = [0.5]
-[plant.disturbance]
-half_widths = [0.01]
-[defender.disturbance]
-half_widths = [0.02]
-[control]
-horizon = 6
-gain = [[-1.0]]
-[control.inputs]
-half_widths = [1.0]
-[secrecy]
-alpha = 4.0
-"""
-
 
 @pytest.fixture(autouse=True)
 def apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from tests.support.rehearsal import Rehearsal
 from wyner.cli.main import main
 from wyner.dashboard.headless import COUNTED, Reporter
 from wyner.dashboard.model import State, reduce_all
-from wyner.runs.score.attacked import AttackCounts
+from wyner.runs.score.attacked import NO_INTERVAL
 
 
 @pytest.mark.parametrize(
@@ -108,7 +108,7 @@ def test_of_an_attack_and_its_options() -> None:
     """The demo told the ghost's share of the corner as if it had been measured."""
     attack = {"kind": "ghost", "onset": 5, "options": {"share": 1.0}}
     assert list(bare_figures(attack))
-    assert list(bare_figures(AttackCounts(attack=attack).as_json())) == []
+    assert list(bare_figures(attack | NO_INTERVAL)) == []
 
 
 def test_lines_in_a_pipe_say_once_what_their_figures_rest_on() -> None:

@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from contextlib import chdir
 from pathlib import Path
 
 import pytest
@@ -10,8 +11,24 @@ import pytest
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from wyner.cli.main import main
+from wyner.cli.new import sampled
+from wyner.fit.first_scenario import FirstScenario
 
-ROOT = Path(__file__).resolve().parents[2]
+
+def new(path: Path, *arguments: str) -> int:
+    """`wyner new` in a folder."""
+    with chdir(path.parent):
+        return main(["new", path.stem, *arguments])
+
+
+def first(
+    path: Path, A: list[list[float]], B: list[list[float]], period_s: float, width: float
+) -> bool:
+    """A new scenario of a continuous plant, its D of this half-width in each state."""
+    matrices = sampled(A, B, period_s)
+    text, starts = FirstScenario(path.stem, *matrices, period_s, [1.0], [width] * len(A)).text()
+    path.write_text(text)
+    return starts
 
 
 def test_the_shipped_scenarios_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
@@ -56,7 +73,7 @@ def test_the_same_plant_in_other_units_gets_the_same_design(
         path = tmp_path / f"p{k}.toml"
         A, B = [[0, p / q], [9.81 * q / p, -0.1]], [[0], [q]]
         written = ["--A", json.dumps(A), "--B", json.dumps(B), "--period", "0.05", "--continuous"]
-        assert main(["new", "p", *written, "--output", str(path)]) == 0
+        assert new(path, *written) == 0
         capsys.readouterr()
         assert main(["design", str(path), "--json"]) == 0
         made = json.loads(capsys.readouterr().out)
@@ -67,7 +84,7 @@ def test_the_same_plant_in_other_units_gets_the_same_design(
     assert designs[0][-1] > 1
 
 
-MOTOR = ["--A", "[[0, 1, 0], [0, -10, 1], [0, -0.02, -2]]", "--B", "[[0], [0], [2]]"]
+MOTOR = [[0.0, 1.0, 0.0], [0.0, -10.0, 1.0], [0.0, -0.02, -2.0]], [[0.0], [0.0], [2.0]]
 """A textbook's motor: position, speed and current."""
 
 
@@ -101,8 +118,7 @@ def test_a_regulator_that_is_too_slow_names_the_state_and_the_remedies_help(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "motor.toml"
-    fast = ["new", "motor", *MOTOR, "--continuous", "--period", "0.001", "--disturbance", "1e-7"]
-    assert main([*fast, "--output", str(path)]) == 0
+    first(path, *MOTOR, 0.001, 1e-7)
     made = path.read_text()
     text = with_weights(made, "[1.0, 1.0, 1.0]")
     path.write_text(text)
@@ -115,19 +131,19 @@ def test_a_regulator_that_is_too_slow_names_the_state_and_the_remedies_help(
         assert main(["design", str(path)]) == 0
 
 
-TWO_MASSES = ["--A", "[0 0 1 0; 0 0 0 1; -2 1 -0.02 0.01; 1 -2 0.01 -0.02]", "--B", "[0; 0; 1; 0]"]
+TWO_MASSES = (
+    [[0.0, 0.0, 1.0, 0.0], [0.0, 0.0, 0.0, 1.0], [-2, 1, -0.02, 0.01], [1, -2, 0.01, -0.02]],
+    [[0.0], [0.0], [1.0], [0.0]],
+)
 """Two masses between three springs, damped by one per cent, the first one pushed."""
 
 
-@pytest.mark.parametrize(("disturbance", "needs_less"), [("1e-6", False), ("0.01", True)])
+@pytest.mark.parametrize(("disturbance", "needs_less"), [(1e-6, False), (0.01, True)])
 def test_a_refusal_names_a_gain_that_does(
-    disturbance: str, needs_less: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    disturbance: float, needs_less: bool, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = tmp_path / "masses.toml"
-    continuous = [*TWO_MASSES, "--continuous", "--period", "0.05", "--disturbance", disturbance]
-    assert main(["new", "masses", *continuous, "--output", str(path)]) == 0
-    out = capsys.readouterr().out
-    assert ("no terminal set yet" in out) == needs_less
+    assert first(path, *TWO_MASSES, 0.05, disturbance) != needs_less
     text = path.read_text()
     if not needs_less:
         text = with_weights(text, "[1.0, 1.0, 1.0, 1.0]")
@@ -146,7 +162,7 @@ def test_a_mode_that_no_input_moves_is_named(
 ) -> None:
     path = tmp_path / "apart.toml"
     matrices = ["--A", "[2 0; 0 0.5]", "--B", "[0; 1]", "--period", "1"]
-    assert main(["new", "apart", *matrices, "--output", str(path)]) == 0
+    assert new(path, *matrices) == 0
     assert main(["design", str(path)]) == 2
     told = "plant.B: no input moves the mode of A with eigenvalue 2, seen most in x_1"
     assert told in capsys.readouterr().err
@@ -167,7 +183,7 @@ def test_a_mode_that_no_input_moves_is_named(
 def test_a_matrix_may_be_written_as_matlab_or_numpy_write_it(text: str, tmp_path: Path) -> None:
     path = tmp_path / "own.toml"
     matrices = ["--A", text, "--B", "[0; 1]", "--period", "0.5"]
-    assert main(["new", "own", *matrices, "--output", str(path)]) == 0
+    assert new(path, *matrices) == 0
     scenario = load_scenario(path)
     assert scenario.A == ((0.0, 1.0), (-2.0, -0.5))
     assert scenario.B == ((0.0,), (1.0,))
@@ -178,7 +194,7 @@ def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(
 ) -> None:
     path = tmp_path / "wild.toml"
     matrices = ["--A", "[[3, 0], [0, 3]]", "--B", "[[1], [1]]", "--period", "1"]
-    assert main(["new", "wild", *matrices, "--output", str(path)]) == 0
+    assert new(path, *matrices) == 0
     assert "says why it has no terminal set yet" in capsys.readouterr().out
     assert main(["design", str(path)]) == 2
 
@@ -230,7 +246,6 @@ def test_a_plant_without_a_terminal_set_is_written_and_it_is_said(
         ),
         (["x", "--A", "[[1]]", "--B", "[[1]]", "--period", "inf"], "--period: got inf"),
         (["x", "--input", "nan"], "--input: got nan"),
-        (["x", "--disturbance", "1e200"], "--disturbance: got 1e+200"),
     ],
 )
 def test_what_is_wrong_is_told_in_a_line(
@@ -291,10 +306,6 @@ def test_from_a_sweep_with_a_tap_of_ones_own_to_a_figure(
         assert drawn.stat().st_size > 5_000
     for arguments, told in (
         ([str(rows), "--plot", "--y", "nothing"], "--y: got 'nothing', expected one of: scenario"),
-        (
-            [str(rows), "--plot", "--x", "scenario"],
-            "--x: scenario: got 'sustained', expected numbers",
-        ),
         ([str(rows)], "FILE: got rows"),
         ([str(rows), "--plot", "a.gif"], "ends in .png, .pdf, .svg"),
         ([str(sweep), "--output", str(tmp_path / "t.csv"), "--plot", "a.gif"], "ends in .png"),

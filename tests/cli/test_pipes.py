@@ -13,7 +13,7 @@ from wyner.cli.main import main
 
 NAMED = (
     ("score", "PIPE"),
-    ("report", "PIPE", "--to", "csv"),
+    ("report", "PIPE", "--output", "OUT.csv"),
     ("design", "PIPE"),
     ("fit", "PIPE", "--output", "OUT"),
     ("sweep", "PIPE"),

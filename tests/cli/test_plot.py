@@ -6,8 +6,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from runtime.shipped import SCENARIOS
-from wyner.cli.drawing import draw_rows, in_words
 from wyner.cli.main import main
+from wyner.drawing.rows import draw_rows, in_words
 
 HEAD = "scenario,variant,secrecy.alpha,runs,steps,bits_per_second,tap keys known"
 
@@ -71,7 +71,7 @@ def test_two_points_that_nothing_tells_apart_are_no_curve(
     rows = rows_file(tmp_path, "s,,1.0,5,10,2.0,0.5", "s,,1.0,5,10,9.0,0.5")
     assert main(["sweep", str(rows), "--plot"]) == 2
     assert capsys.readouterr().err == (
-        "wyner: --x: secrecy.alpha: two points at 1, and nothing in the rows tells them apart: "
+        "wyner: --plot: secrecy.alpha: two points at 1, and nothing in the rows tells them apart: "
         "sweep them again, or leave one out\n"
     )
     assert not rows.with_suffix(".png").exists()

@@ -2,21 +2,20 @@
 
 import threading
 import time
-from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
-from protocol.messages import SendCommand, SendReply
+from protocol.messages import SendReply
 from runtime.bus_options import BusOptions
 from runtime.errors import Failure, UsageError
 from wyner.cli import options, send
 from wyner.cli.main import main
 from wyner.cli.options import joined
-from wyner.cli.send import print_reply
 from wyner.deployment import running
 from wyner.deployment.running import RunningLoop, announced
+from wyner.deployment.sending import Queued
 
 RUN = RunningLoop("/runs/a/run", "sustained", "loop", *(f"tcp/127.0.0.1:{p}" for p in (1, 2, 3)))
 NOBODY = "tcp/127.0.0.1:9"
@@ -28,29 +27,6 @@ def alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     monkeypatch.setattr(options, "CONTROLLER_MANAGEMENT", NOBODY)
     monkeypatch.setattr(send, "CONTROLLER_MANAGEMENT", NOBODY)
-
-
-class CrowdedBus:
-    """A bus on which each command brings answers to many others too."""
-
-    def __init__(self, others: int, from_s: float) -> None:
-        self.others, self.from_s = others, from_s
-        self.said = 0
-        self.hear: Callable[[str, bytes, int], None]
-
-    def subscribe(self, _key: str, handler: Callable[[str, bytes, int], None]) -> None:
-        self.hear = handler
-
-    def publisher(self, _key: str) -> "CrowdedBus":
-        return self
-
-    def put(self, payload: bytes) -> None:
-        self.said += 1
-        mine = SendCommand.model_validate_json(payload).id
-        names = [f"other-{i}" for i in range(self.others)]
-        for name in (*names, *[mine] * (time.monotonic() >= self.from_s)):
-            reply = SendReply(id=name, accepted=True, queued=1)
-            self.hear("", reply.wire(), 0)
 
 
 @pytest.mark.usefixtures("alone")
@@ -108,11 +84,11 @@ def test_the_run_of_another_folder_is_refused_unless_it_is_named(
     assert "--connect management=tcp/127.0.0.1:9" in said
 
 
-def test_the_answer_names_the_run_and_the_loop(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_answer_names_the_run_and_the_loop() -> None:
     reply = SendReply(id="m", accepted=True, queued=2)
-    print_reply(reply, 22, "loop", "runs/a", as_json=False)
-    print_reply(reply, 22, "boiler-1", None, as_json=False)
-    assert capsys.readouterr().out.splitlines() == [
-        "queued as m at run runs/a, loop loop: 22 bytes, 2 not delivered yet",
-        "queued as m at loop boiler-1: 22 bytes, 2 not delivered yet",
-    ]
+    assert str(Queued(reply, 22, "loop", "runs/a")) == (
+        "queued as m at run runs/a, loop loop: 22 bytes, 2 not delivered yet"
+    )
+    assert str(Queued(reply, 22, "boiler-1", None)) == (
+        "queued as m at loop boiler-1: 22 bytes, 2 not delivered yet"
+    )

@@ -36,7 +36,7 @@ def test_a_service_that_never_says_anything_is_a_failure(monkeypatch: pytest.Mon
     assert not watching.over()
     monkeypatch.setattr(session, "SAID_S", 0.0)
     watching.controller_said("", b"{}", 0)
-    with pytest.raises(Failure, match=r"^plant: nothing heard of it in 0 s \(log: run/pl"):
+    with pytest.raises(Failure, match=r"^plant: no status of it within 0 s \(log: run/pl"):
         watching.over()
     watching.plant_said("", b"{}", 0)
     assert not watching.over()

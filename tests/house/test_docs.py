@@ -16,7 +16,6 @@ from tools.diagrams import DOCUMENTS as GENERATED
 from tools.diagrams import refreshed
 from tools.scenario_reference import missing, page
 from wyner.cli.main import build_parser, commands
-from wyner.runs.check import RULES
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCUMENTS = sorted((ROOT / "docs").glob("*.md"))
@@ -68,13 +67,6 @@ def test_a_row_names_things_that_are_there(item: str, function: str, test: str) 
     assert name in names_in(ROOT / path), item
 
 
-def test_the_protocol_document_names_every_rule_of_a_check() -> None:
-    table = (ROOT / "docs" / "protocol.md").read_text(encoding="utf-8")
-    first_cells = re.findall(r"^\| ([a-z0, -]+) \|", table, re.MULTILINE)
-    named = {name.strip() for cell in first_cells for name in cell.split(",")}
-    assert {rule.name for rule in RULES} <= named
-
-
 @cache
 def anchors(page: Path) -> list[str]:
     """What a link may name after the page, as the site and the forges make it of the headings."""
@@ -94,17 +86,6 @@ def test_every_link_within_the_project_leads_somewhere(page: Path) -> None:
         assert target.exists(), link
         if anchor:
             assert anchors(target).count(anchor) == 1, link
-
-
-def test_the_index_has_every_page_once() -> None:
-    """Pages once stood in the contents twice: by name, and again under a pattern."""
-    trees = re.findall(
-        r"```\{toctree\}\n(.*?)```", (ROOT / "docs" / "index.md").read_text(), re.DOTALL
-    )
-    rows = [row for tree in trees for row in tree.splitlines() if row and not row.startswith(":")]
-    named = [row for row in rows if "/" not in row]
-    made = {"command-reference", "scenario-reference"}  # when the site is built
-    assert sorted(named) == sorted({p.stem for p in DOCUMENTS if p.stem != "index"} | made)
 
 
 def is_there(command: str) -> bool:
@@ -153,11 +134,3 @@ def typed(page: Path) -> list[str]:
 def test_what_a_page_tells_to_type_is_a_command(page: Path) -> None:
     for line in typed(page):
         assert is_there(line.partition(" '&'")[0].partition(" '|'")[0]), line
-
-
-@pytest.mark.parametrize("page", sorted((ROOT / "docs").rglob("*.md")), ids=lambda path: path.stem)
-def test_every_formula_can_be_drawn_without_a_script(page: Path) -> None:
-    convert = pytest.importorskip("docutils.utils.math.latex2mathml").tex2mathml
-    text = re.sub(r"```.*?```|`[^`]*`", "", page.read_text(encoding="utf-8"), flags=re.DOTALL)
-    for displayed, inline in re.findall(r"\$\$(.+?)\$\$|\$([^$]+)\$", text, re.DOTALL):
-        assert "<math" in convert((displayed or inline).strip())

@@ -9,7 +9,7 @@ import pytest
 
 from runtime.recording import LineWriter, decode, dumps, raw_lines
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES
-from tests.support.long_run import make_run
+from tests.support.recorded_pair import make_run
 from wyner.runs.run import Run
 
 pytestmark = pytest.mark.long
@@ -33,7 +33,7 @@ code = main(["{0}", sys.argv[1]])
 """
 EXPORT = """
 from wyner.cli.main import main
-code = main(["report", "--steps", "--to", "csv", sys.argv[1]])
+code = main(["report", "--steps", "--output", sys.argv[1] + "/steps.csv", sys.argv[1]])
 """
 HIGHEST = """
 with open("/proc/self/status") as status:

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
-from protocol.schemes.base import COVER, Carry, decrypt, encrypt
+from protocol.schemes.base import Carry, decrypt, encrypt
 from protocol.schemes.switched import INITIAL, MESSAGE, TEST, State, Switched
 from protocol.schemes.table import StateTable, advance_many
 
@@ -50,16 +50,6 @@ def test_every_arrow_of_the_figure(row: Row, size: int) -> None:
         assert scheme.pad(before) == carry.pad
 
 
-def test_state_1_tests_and_state_2_carries() -> None:
-    scheme = Switched(2)
-    assert scheme.initial == INITIAL == State(TEST, NO_SYMBOL)
-    assert scheme.tests(INITIAL)
-    assert not scheme.tests(State(MESSAGE, 0))
-    assert scheme.advance(INITIAL, NO_SYMBOL) == (INITIAL, COVER)
-    for symbol in (NO_SYMBOL, 0, 1):
-        assert scheme.advance(State(MESSAGE, 1), symbol) == (INITIAL, Carry(NO_SYMBOL, 1))
-
-
 @pytest.mark.parametrize("size", [2, 5])
 def test_an_arrow_that_is_looked_up_is_the_arrow(size: int) -> None:
     scheme = Switched(size)
@@ -95,57 +85,11 @@ def test_a_symbol_comes_back_under_its_key(case: tuple[int, int, int]) -> None:
     assert decrypt(encrypt(symbol, key, size), key, size) == symbol
 
 
-def test_two_symbols_are_exclusive_or() -> None:
-    for a in (0, 1):
-        for b in (0, 1):
-            assert encrypt(a, b, 2) == a ^ b == decrypt(a, b, 2)
-
-
 @given(sizes, st.integers(0, 15))
 def test_a_uniform_key_hides_the_symbol(size: int, symbol: int) -> None:
     """Shannon: over all keys every cipher symbol comes up once, whatever the message."""
     ciphers = Counter(encrypt(symbol % size, key, size) for key in range(size))
     assert ciphers == Counter(range(size))
-
-
-transcripts = sizes.flatmap(
-    lambda size: st.tuples(
-        st.just(size),
-        st.lists(st.integers(0, size - 1), max_size=60),  # the message
-        st.lists(  # each transition's test result and random symbol
-            st.tuples(st.integers(-1, size - 1), st.integers(0, size - 1)), max_size=200
-        ),
-    )
-)
-
-
-@given(transcripts)
-def test_both_ends_keep_in_step(
-    case: tuple[int, list[int], list[tuple[int, int]]],
-) -> None:
-    size, message, results = case
-    sender = receiver = INITIAL
-    scheme = Switched(size)
-    cipher = results[0][1] if results else 0
-    unsent = iter([*message, *(0 for _ in results)])
-    recovered: list[int] = []
-    used: list[int] = []
-    agreed: list[int] = []
-    for j, (symbol, _) in enumerate(results):
-        assert sender == receiver
-        sender, ours = scheme.advance(sender, symbol)
-        receiver, theirs = scheme.advance(receiver, symbol)
-        assert ours == theirs
-        if theirs.pad != NO_SYMBOL:
-            used.append(j)
-            recovered.append(decrypt(cipher, theirs.pad, size))
-        if ours.agreed != NO_SYMBOL:
-            agreed.append(j)
-        pad = scheme.pad(sender)
-        cipher = results[j][1] if pad == NO_SYMBOL else encrypt(next(unsent), pad, size)
-    assert recovered == [*message, *(0 for _ in results)][: len(recovered)]
-    assert used == [j + 1 for j in agreed if j + 1 < len(results)]  # one key, the next symbol
-    assert 2 * len(recovered) <= len(results)  # the paper's ceiling: a symbol in two steps
 
 
 @given(st.lists(st.lists(st.integers(-1, 2), min_size=4, max_size=4), min_size=1, max_size=40))

@@ -1,6 +1,5 @@
 """What would refute theorem 1 of docs/findings.md, and the attacked engine beside a plain loop."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,6 @@ from attacker_service.attacks import named
 from attacker_service.base import Model
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from protocol.plugins import UnknownError
 from protocol.scenario import Scenario
 from protocol.statistics import clopper_pearson
 from studies.attacks.attacked import Attacked, Keys, Kind, attack_runs
@@ -19,10 +17,7 @@ from studies.attacks.defences import (
     Defence,
     KeyedCoin,
     Mac,
-    StaticCoding,
-    make_defence,
 )
-from studies.attacks.learner import rotation_learner
 from studies.signalling import changed
 from tests.support.size import size
 from wyner.simulate.engine.loop import SimulationError
@@ -133,14 +128,6 @@ def test_covert_is_caught_by_a_fresh_secret_matrix_and_by_a_tag(
     assert (run(packed, covert, Mac(2, 4)).alarmed == 2).all()
 
 
-def test_one_matrix_is_learnt_from_two_steps(packed: tuple[Scenario, CandidateLaw]) -> None:
-    covert = making(packed[0], "covert", input=0.3)
-    keys = Keys(np.zeros(50, bool), learn=rotation_learner(packed[1]))
-    assert (run(packed, covert, StaticCoding(2, 4), keys=keys, steps=40).alarmed == 0).all()
-    guessed = run(packed, covert, StaticCoding(2, 4), steps=40)
-    assert (guessed.alarmed > 0).mean() > 0.7
-
-
 # --- the loop itself ------------------------------------------------------------------------------
 
 
@@ -157,36 +144,3 @@ def test_a_plant_that_the_engine_cannot_step_is_one_line() -> None:
     _, law = of(changed("packed"))
     with pytest.raises(SimulationError, match=r"plant.kind: got '.*', expected 'linear'"):
         attack_runs(scenario, law, None, (), Keys(np.zeros(2, bool)), seed=[7], steps=2)
-
-
-# --- a defence of one's own -----------------------------------------------------------------------
-
-TOY = '''
-"""Alarms where x(k+1) is nearer to the edge of D_c than a disturbance of this plant ever comes."""
-
-from studies.attacks.defences import Defence
-
-
-class Suspicious(Defence):
-    name = "suspicious"
-
-    def alarm(self, session, step, gauges):
-        return gauges.min(-1) > 0.84
-'''
-
-
-def test_a_defence_in_a_file_of_ones_own(
-    packed: tuple[Scenario, CandidateLaw], tmp_path: Path
-) -> None:
-    (tmp_path / "mine.py").write_text(TOY)
-    mine = make_defence(f"{tmp_path / 'mine.py'}:Suspicious", 2, 4)
-    assert mine.key_bits == 0
-    assert run(packed, None, mine, runs=500, steps=50).false_alarms == 0  # D is 0.83 of D_c
-    push = making(packed[0], "bias", push=1.0)
-    assert (run(packed, push, mine).alarmed == 1).all()
-    assert (run(packed, making(packed[0], "bias", push=0.8), mine).alarmed == 0).all()
-    with pytest.raises(UnknownError, match=r"got 'nothing', expected residual, keyed-coin"):
-        make_defence("nothing", 2, 4)
-    (tmp_path / "none.py").write_text("Suspicious = 3\n")
-    with pytest.raises(UnknownError, match="expected a class Suspicious that extends"):
-        make_defence(f"{tmp_path / 'none.py'}:Suspicious", 2, 4)

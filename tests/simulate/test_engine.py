@@ -11,13 +11,11 @@ from hypothesis import strategies as st
 
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
-from plant_service.disturbance import disturbance
 from protocol.agreement import NO_SYMBOL
-from protocol.scenario import Disturbance, Scenario
+from protocol.scenario import Scenario
 from protocol.schemes.base import decrypt, encrypt
-from protocol.schemes.framing import Deframer, encode_frame
 from protocol.schemes.switched import INITIAL, Switched
-from protocol.streams import CIPHER, COIN, DISTURBANCE, SeededSymbols, Stream
+from protocol.streams import CIPHER, Stream
 from runtime.scenario_file import load_scenario
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import Belief, Eavesdropper, Guess
@@ -25,18 +23,15 @@ from wyner.simulate.engine import (
     Runs,
     SimulationError,
     chunks,
-    cipher_symbols,
     follow,
     simulate_runs,
     transfer,
 )
-from wyner.simulate.engine.draws import SeededDraws, disturbances
 from wyner.simulate.engine.link import carries
 from wyner.simulate.engine.taps import listen
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "runtime" / "scenarios"
 ALPHAS = [1.0, 1.5, 3.0, 4.5, 8.0]
-KINDS = ("uniform", "corners", "truncated-gaussian", "gaussian", "constant", "sinusoid")
 
 
 @cache
@@ -54,38 +49,6 @@ def varied(scenario: Scenario, **tables: dict[str, Any]) -> Scenario:
 
 
 # --- draws ---------------------------------------------------------------------------------------
-
-
-def test_draws_in_blocks_are_the_streams_of_each_run() -> None:
-    scenario = load_scenario(SCENARIOS / "sustained.toml")
-    spec, draws = scenario.plant.disturbance, SeededDraws(scenario, 5, range(3, 6))
-    blocks = [draws.block(k, steps) for k, steps in ((0, 7), (7, 300), (307, 1))]
-    d, coins = (np.concatenate(parts) for parts in zip(*blocks, strict=True))
-    assert d.shape == (308, 2, 3)
-    for place, run in enumerate(range(3, 6)):
-        stream = Stream(5, DISTURBANCE, width=2, run=run)
-        coin = SeededSymbols(5, COIN, run=run)
-        for k in (0, 1, 6, 7, 255, 256, 307):
-            assert tuple(d[k, :, place]) == disturbance(spec, k, stream.at(k))
-            assert coins[k, place] == coin.symbol(k, 2)
-
-
-def test_cipher_symbols_are_the_stream_of_each_run() -> None:
-    table = cipher_symbols(9, range(2, 4), 600, 3)
-    stream = Stream(9, CIPHER, run=3)
-    assert table[:, 1].tolist() == [int(stream.at(j)[0] * 3) for j in range(600)]
-    assert set(table.ravel()) == {0, 1, 2}
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_disturbances_are_the_plants_own(kind: Any) -> None:
-    spec = Disturbance(kind=kind, half_widths=(0.1, 0.03), deviation=0.7, bias=-0.4, cycle_steps=7)
-    uniforms = np.random.default_rng(1).random((40, 2, 3))
-    uniforms[0] = 0.0
-    many = disturbances(spec, 11, uniforms)
-    for k in range(40):
-        for r in range(3):
-            assert tuple(many[k, :, r]) == disturbance(spec, 11 + k, uniforms[k, :, r].tolist())
 
 
 # --- the loop ------------------------------------------------------------------------------------
@@ -214,20 +177,6 @@ def test_counts_and_transfer_are_those_of_the_scheme(
     assert t.agreed[:, 0].tolist() == keys
     assert t.message_symbol[:, 0].tolist() == recovered_steps
     assert recovered_all[: len(message)] == message[:p]
-
-
-def test_a_framed_message_arrives_whole_in_every_run() -> None:
-    scenario, law = system("sustained")
-    runs = simulate_runs(scenario, law, seed=1, runs=range(6), steps=1500)
-    t = transfer(runs, payloads=[b"Hold the line.", b"ok"])
-    for r in range(6):
-        deframer = Deframer(2)
-        found = [deframer.push(int(v)) for v in t.message_symbol[:, r] if v != NO_SYMBOL]
-        assert [payload for payload in found if payload is not None] == [
-            b"Hold the line.",
-            b"ok",
-        ]
-        assert t.p[-1, r] >= len(encode_frame(b"Hold the line.", 2))
 
 
 def test_one_simulation_serves_every_alpha_and_more_alpha_is_never_less_diff() -> None:

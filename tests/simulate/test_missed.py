@@ -1,6 +1,5 @@
 """The network table: the same steps missed wherever it is passed, and as many as expected."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from runtime.errors import UsageError
 from runtime.network import check_delays, round_trip_s
 from runtime.shipped import SCENARIOS
 from tests.support.recorded_pair import law_of
-from tests.support.size import size
 from wyner.api import design, run
 from wyner.simulate.engine import simulate_runs, transfer
 from wyner.simulate.missed import missed_steps
@@ -88,23 +86,6 @@ def test_the_engine_misses_the_steps_that_the_two_ends_miss(name: str, fallback:
         assert t.coin == together.coin[t.k, 0]
         assert t.symbol == link.agreed[t.k, 0]
         assert t.cipher == link.cipher[t.k, 0]
-
-
-def _has_two(both: Simulation) -> bool:
-    return len(both.history.inbox) == 2
-
-
-def test_delays_up_to_three_periods_lose_nothing_and_lock_nothing() -> None:
-    """Both messages arrive, at most four measurements leave a step."""
-    late = {"delay": "uniform", "delay_s": 0.15, "jitter_s": 0.15, "loss": 0.1}
-    scenario = networked({"to_plant": late, "to_controller": {"loss": 0.1}})
-    _, law = law_of("sustained")
-    for seed in range(size(3, 6)):
-        both = Simulation(scenario, law, seed=seed, payloads=(b"a", b"b"), step_s=0.1)
-        history = both.run(until=partial(_has_two, both), seconds=2000.0)
-        assert history.inbox == [b"a", b"b"], seed
-        assert not history.rewritten
-        assert len(history.offered) <= 4 * (both.k + 1)
 
 
 @pytest.mark.parametrize(

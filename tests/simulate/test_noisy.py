@@ -5,14 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.agreement import NO_SYMBOL, Gauge, predict
+from protocol.agreement import Gauge, predict
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.recorded_pair import law_of
-from wyner.api import design, run
 from wyner.runs.score.counts import costs
-from wyner.simulate.engine import simulate_runs
 
 
 def noisy(**changes: dict[str, Any]) -> Scenario:
@@ -58,48 +56,9 @@ def test_the_engine_runs_as_the_two_ends_do(network: dict[str, Any] | None) -> N
         assert max(np.abs(np.subtract(t.truth.x_next, t.x_next))) <= 0.02 + 1e-12
 
 
-def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:
-    """20 runs of 500 steps, seed 1, d in the corners of D_c and n in those of N; all agree."""
-    scenario = noisy(
-        plant={
-            "disturbance": {"kind": "corners", "half_widths": [0.12, 0.12]},
-            "noise": {"kind": "corners", "half_widths": [0.024, 0.024]},
-        }
-    )
-    _, law = law_of("noisy")
-    runs = simulate_runs(scenario, law, seed=1, runs=range(20), steps=500)
-    agreed = (runs.symbol != NO_SYMBOL) & (runs.largest <= scenario.secrecy.alpha)
-    assert agreed.mean() == 1.0
-    assert (runs.symbol == runs.coin).all()
-
-
 def test_deaths_and_a_bad_network_break_nothing() -> None:
     """Exactly once, and one state whatever is counted again: 4 seeds."""
     assert len(list(through_deaths_and_losses(*law_of("noisy")))) == 4
-
-
-class Stepped:
-    """The paper's plant as somebody's own."""
-
-    def reset(self, seed: int | None) -> tuple[float, ...]:
-        self.x: tuple[float, ...] = (1.0, -0.5)
-        return self.x
-
-    def step(self, u: tuple[float, ...], period_s: float) -> tuple[float, ...]:
-        scenario, _ = law_of("noisy")
-        self.x = predict(scenario.A, scenario.B, self.x, u)
-        return self.x
-
-
-def test_a_plant_of_ones_own_is_read_through_noise() -> None:
-    scenario = noisy(plant={"disturbance": {"enters": "none"}})
-    own = run(design(scenario), steps=60, runs=2, seed=3, plant=Stepped())
-    assert own.record.truth is not None
-    assert own.record.x is not None
-    off = np.abs(own.record.truth - own.record.x)
-    assert 0.015 < off.max() <= 0.02
-    assert (own.key >= 0).mean() > 0.4
-    assert ((own.key == own.coin) | (own.key < 0)).all()
 
 
 @pytest.mark.parametrize(

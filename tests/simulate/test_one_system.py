@@ -93,7 +93,17 @@ def test_engine_and_cores_are_one_system(name: str) -> None:
     compare(system.scenario, system.law, seed, run, system.folder, STEPS)
 
 
-@pytest.mark.parametrize("changes", [POLYTOPE, *DISTURBED])
+OWN_SHAPE = {"secrecy": {"alpha": 1.0, "disturbance": {"half_widths": [0.24, 0.96]}}}
+"""Eve's set is not the two ends' made larger."""
+
+
+@pytest.mark.parametrize("name", ["paper", "sustained", "packed", "quadruple-tank"])
+def test_and_so_they_are_past_the_first_block_of_draws(name: str) -> None:
+    system = design(name)
+    compare(system.scenario, system.law, 11, 2, system.folder, 300)
+
+
+@pytest.mark.parametrize("changes", [POLYTOPE, OWN_SHAPE, *DISTURBED])
 def test_and_so_are_those_of_every_disturbance_and_set(changes: dict[str, Any]) -> None:
     data = load("sustained").model_dump(mode="json", exclude_none=True)
     for table, fields in changes.items():

@@ -5,14 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from protocol.agreement import NO_SYMBOL, predict
+from protocol.agreement import predict
 from protocol.link.session import CountedTransition
 from protocol.scenario import Scenario, ScenarioError, parse_scenario
 from tests.simulate.beside import beside_the_engine, through_deaths_and_losses
 from tests.support.recorded_pair import law_of
 from tests.support.size import size
 from wyner import api
-from wyner.simulate.engine import simulate_runs
 
 LOSSES = {"to_plant": {"loss": 0.3}, "to_controller": {"loss": 0.3}}
 BURSTS = {
@@ -85,20 +84,6 @@ def test_a_plant_of_ones_own_gives_the_engines_run_to_the_last_bit(
     for mine, theirs in pairs:
         assert np.array_equal(mine, theirs, equal_nan=True)
     assert own.agreements.sum() > 60
-
-
-def test_no_key_is_wrong_when_every_draw_is_a_corner() -> None:
-    """10 runs of 500 steps, seed 1, d in the corners of D_c and n in those of N."""
-    scenario = encoder(
-        plant={
-            "disturbance": {"kind": "corners", "half_widths": [0.000468, 0.00906]},
-            "noise": {"kind": "corners", "half_widths": [0.00012]},
-        }
-    )
-    runs = simulate_runs(scenario, law_of("encoder")[1], seed=1, runs=range(10), steps=500)
-    agreed = (runs.symbol != NO_SYMBOL) & (runs.largest <= scenario.secrecy.alpha)
-    assert agreed.mean() > 0.99
-    assert (runs.symbol == runs.coin)[agreed].all()
 
 
 def test_deaths_and_a_bad_network_break_nothing() -> None:

@@ -8,15 +8,13 @@ import pytest
 from controller_service.laws.registry import cached_design, make_law
 from controller_service.sets.alphabet import choose_alphabet, largest_certain
 from controller_service.sets.separation import AlphabetError, Separation
-from plant_service.adapters.registry import open_plant
 from protocol.agreement import NO_SYMBOL
-from protocol.link.session import rules_of
 from protocol.scenario import ConvexSet, Scenario
 from studies.signalling import changed
 from tap_service.eavesdroppers import named, reading
 from tap_service.eavesdroppers.fitted_box import FittedBox
 from tap_service.inference.fitted_shape import fitted_widths
-from wyner.simulate.engine import Runs, follow, simulate_runs, transfer
+from wyner.simulate.engine import Runs, simulate_runs, transfer
 from wyner.simulate.engine.link import Transfer
 from wyner.simulate.engine.taps import transcript
 
@@ -115,32 +113,6 @@ def test_a_fit_of_noise_alone_is_not_trusted_to_be_smaller_than_the_noise() -> N
     d = rng.uniform(-1, 1, (200, 1, 2))
     along = np.concatenate([d, -d], axis=2).repeat(2, axis=1)
     assert fitted_widths(along) == pytest.approx(np.abs(along).max(axis=(0, 1)), rel=0.05)
-
-
-def test_one_run_at_a_time_is_the_same_as_all_together() -> None:
-    scenario = shaped((0.24, 0.96), 2.0, 4)
-    law = make_law(scenario, cached_design(scenario))
-    engine = simulate_runs(scenario, law, seed=3, runs=range(2), steps=80, record=True)
-    scalar = simulate_runs(
-        scenario, law, seed=3, runs=range(2), steps=80, plant=lambda: open_plant(scenario)
-    )
-    assert (engine.symbol == scalar.symbol).all()
-    assert (engine.largest == scalar.largest).all()
-    agreed = follow(engine, [1.0]).agreements
-    assert (agreed == follow(scalar, [1.0]).agreements).all()
-    # and the engine's verdicts are the rule's
-    judge = rules_of(scenario).judge
-    assert engine.x is not None
-    assert engine.candidates is not None
-    for k in range(80):
-        verdict = judge(
-            tuple(engine.x[k, :, 0].tolist()),
-            tuple(tuple(u) for u in engine.candidates[k, :, :, 0].tolist()),
-            (),
-            tuple(engine.x[k + 1, :, 0].tolist()),
-        )
-        possible = engine.largest[k, 0] <= 1.0
-        assert verdict.symbol == (engine.symbol[k, 0] if possible else NO_SYMBOL)
 
 
 # --- the alphabet --------------------------------------------------------------------------------

@@ -9,14 +9,10 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
-from protocol.schemes.framing import Deframer, frame_length
+from protocol.schemes.framing import Deframer
 from runtime.scenario_file import scenario_of
-from tap_service.eavesdroppers.nearest_centre import NearestCentre
-from tests.support.safety import violations
 from tests.support.size import size
 from wyner.simulate.engine import follow, simulate_runs, transfer
-from wyner.simulate.engine.taps import listen, transcript
-from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
 RUNS, STEPS = range(20), size(150, 500)
@@ -108,42 +104,3 @@ def test_two_hundred_candidates() -> None:
     assert runs.coin.max() > 127
     history = Simulation(scenario, law, seed=1, payloads=(b"both ends",)).run(steps=60)
     assert history.inbox == [b"both ends"]
-    faults = Faults(loss=0.1, repeat=0.1, crash=0.03, until_s=30)  # half frames out of journals
-    sim = Simulation(
-        scenario, law, seed=2, payloads=(b"long enough to die in " * 4,), faults=faults
-    )
-    # a plant that dies over the last step puts it together again when it is back
-    history = sim.run(seconds=200, until=lambda: bool(sim.history.delivered and sim.history.inbox))
-    assert history.crashes > 0
-    assert list(violations(history, (b"long enough to die in " * 4,))) == []
-    assert history.inbox == [b"long enough to die in " * 4]
-
-
-@pytest.mark.parametrize("kind", ["uniform D", "corners of D_c"])
-@pytest.mark.parametrize("name", ["packed", "packed-quadruple-tank"])
-def test_nearest_centre_names_every_key_and_has_the_message(name: str, kind: str) -> None:
-    """Claimed 2 or 4 bits a step; true 0: she reads along, at the plant's own step."""
-    message = b"The old mill, at nine."
-    scenario, law = system(name, SHIPPED[name], 8.0)
-    if kind == "corners of D_c":
-        widths = scenario.defender.disturbance.half_widths
-        scenario, law = system(name, SHIPPED[name], 8.0, {"kind": "corners", "half_widths": widths})
-    steps = 2 + frame_length(len(message), SHIPPED[name])
-    runs = simulate_runs(scenario, law, seed=3, runs=range(3), steps=steps, record=True)
-    link = transfer(runs, payloads=[message])
-    for place in range(3):
-        (heard,) = listen(runs, link, [NearestCentre], place)
-        assert heard.agreements == heard.right == steps
-        assert heard.delivered == heard.read == 1
-        tap, deframer, plant_has_it = (
-            NearestCentre(scenario.knowledge()),
-            Deframer(SHIPPED[name]),
-            -1,
-        )
-        for t, symbol in zip(
-            transcript(runs, link, place), link.message_symbol[:, place].tolist(), strict=True
-        ):
-            tap.observe(t)
-            if symbol != NO_SYMBOL and deframer.push(symbol) is not None:
-                plant_has_it = t.k
-        assert tap.belief().solved_k == plant_has_it > 0

@@ -1,22 +1,17 @@
 """The study of the attacks: its rows say what the theorems say, and what is measured again."""
 
-import shutil
-from pathlib import Path
-
 import numpy as np
 import pytest
 
 from protocol.statistics import clopper_pearson
 from studies.__main__ import main
-from studies.attacks import study, tables
+from studies.attacks import study
 from studies.attacks.study import EYES, seen_through, tasks
 from studies.attacks.tables import unseen
 from studies.registry import Row, recorded, studies
 from studies.signalling import changed
-from tests.house.test_docs import ROOT
 
 RARE = 1e-6
-PAGE = ROOT / "docs" / "findings.md"
 
 
 @pytest.fixture(scope="module")
@@ -66,7 +61,6 @@ def test_the_limit_and_the_baseline(rows: list[Row]) -> None:
         assert unseen(bus[attack, "coding + keyed-coin", "secret"])[10] == 0
         for defence, key in (
             ("residual", "nobody"),
-            ("static-coding + keyed-coin", "learnt"),
             ("coding + keyed-coin", "false claim"),
             ("mac", "false claim"),
         ):
@@ -106,27 +100,10 @@ def test_an_eye_is_as_sharp_as_one_that_is_drawn() -> None:
         assert seen_through(noise, scenario) == pytest.approx(stated, abs=5e-4)
 
 
-@pytest.mark.slow
-def test_the_defence_of_the_page_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = shutil.copy(ROOT / "examples" / "own" / "edge.py", tmp_path)
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(tables, "OWN_RUNS", 50)
-    assert main(["defence", f"{Path(file).name}:Edge"]) == 0
-    said = capsys.readouterr().out
-    assert "ghost, key secret: unseen after 1: 0 (below 0.0713)" in said  # she pushes to the edge
-    assert "covert, 0.3, key secret: unseen after 1: 1 (above 0.9287)" in said
-    assert "honest steps alarmed" not in said
-    assert "studies defence examples/own/edge.py:Edge" in PAGE.read_text()
-
-
 @pytest.mark.parametrize(
     ("arguments", "line"),
     [
         (["measure", "attacks", "--jobs", "0"], "--jobs: got 0, expected at least 1"),
-        (["defence", "no.py:None"], "--defence: no.py: no such file"),
-        (["defence", "nothing"], "--defence: got 'nothing', expected residual, keyed-coin"),
     ],
 )
 def test_what_cannot_be_is_one_line(

@@ -9,17 +9,13 @@ import pytest
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from protocol.agreement import NO_SYMBOL
-from protocol.statistics import normal_mean, wilson
+from protocol.statistics import normal_mean
 from studies import DATA, FIGURES_FOLDER
 from studies.__main__ import main
 from studies.figures import FIGURES, draw
 from studies.figures.loop import alpha_of, start_of, summaries
 from studies.figures.rows import plain_rows
-from studies.loops import centre_distances, closed_form, gauges_of, system
 from studies.registry import origin, pages, recorded, stale, studies
-from wyner.drawing.style import drawing, save
-from wyner.simulate.engine import simulate_runs
 from wyner.sweeps.code import ROOT
 from wyner.sweeps.grid import Row
 from wyner.sweeps.results import read_table
@@ -33,7 +29,7 @@ PAGES = {
     "dither-price": ROOT / "docs" / "findings.md",
 }
 """Where a figure stands that is not among the findings."""
-CERTAIN = ("idea", "two-step", "block-codes", "dither-price")
+CERTAIN = ("idea", "block-codes", "dither-price")
 """Figures without an estimate: a single step, a search, and a closed form."""
 
 
@@ -112,11 +108,11 @@ def test_a_wrong_name_and_missing_data_are_told_in_a_line(
 ) -> None:
     assert figures(["nothing"]) == 2
     assert "got 'nothing', expected undetected" in capsys.readouterr().err
-    assert figures(["distance", "--data", str(tmp_path)]) == 1
+    assert figures(["network", "--data", str(tmp_path)]) == 1
     assert figures(["price", "--data", str(tmp_path)]) == 1
     errors = capsys.readouterr().err.splitlines()
     assert errors == [
-        f"wyner: {tmp_path / 'distance.csv'}: cannot be read: No such file or directory",
+        f"wyner: {tmp_path / 'network.csv'}: cannot be read: No such file or directory",
         f"wyner: {tmp_path / 'price.csv'}: cannot be read: No such file or directory",
     ]
     shutil.copy(DATA / "price.csv", tmp_path)
@@ -184,9 +180,7 @@ def without_version(path: Path) -> list[Row]:
     return rows
 
 
-@pytest.mark.parametrize(
-    "name", ["sets", "distance", "fig7-paper", "fig7-paper-20", "fig7-sustained"]
-)
+@pytest.mark.parametrize("name", ["sets", "fig7-paper", "fig7-paper-20", "fig7-sustained"])
 def test_the_shipped_data_are_what_the_code_gives(name: str, tmp_path: Path) -> None:
     studies()[name].measure(tmp_path / "now.csv")
     assert without_version(tmp_path / "now.csv") == without_version(DATA / f"{name}.csv")
@@ -258,33 +252,3 @@ def settled_rates() -> dict[tuple[str, str, float], tuple[float, float]]:
         key: (sum(a for a, _ in rates) / len(rates), sum(b for _, b in rates) / len(rates))
         for key, rates in found.items()
     }
-
-
-# --- what the figures say ------------------------------------------------------------------------
-
-
-def test_the_closed_form_is_what_the_simulation_does() -> None:
-    scenario, law = system("sustained")
-    runs = simulate_runs(scenario, law, seed=99, runs=range(150), steps=100, record=True)
-    delta = centre_distances(runs)
-    distance = gauges_of(scenario, delta)
-    for alpha in (1.5, 3.0, 8.0):
-        expected = closed_form(delta, (0.1, 0.1), (0.12, 0.12), alpha)
-        assert ((expected >= -1e-12) & (expected <= 1 + 1e-12)).all()
-        in_diff = (runs.symbol != NO_SYMBOL) & (runs.largest <= alpha)
-        for low, high in ((0.0, 0.5), (0.5, 1.5), (1.5, 2.5), (2.5, 20.0)):
-            here = (distance > low) & (distance <= high)
-            share = wilson(int(in_diff[here].sum()), int(here.sum()), confidence=0.9999)
-            assert share.low <= expected[here].mean() <= share.high
-
-
-def test_a_figure_is_never_drawn_through_a_link(tmp_path: Path) -> None:
-    kept, link = tmp_path / "kept", tmp_path / "figure.svg"
-    kept.write_text("precious")
-    link.symlink_to(kept)
-    with drawing((1, 1)) as figure, pytest.raises(OSError, match="not a regular file"):
-        save(figure, link)
-    assert kept.read_text() == "precious"
-    save(figure, tmp_path / "other.png")
-    assert (tmp_path / "other.png").read_bytes().startswith(b"\x89PNG")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["figure.svg", "kept", "other.png"]

@@ -8,7 +8,7 @@ import pytest
 
 from controller_service.laws.registry import cached_design, make_law
 from protocol.messages import Measurement, Offer
-from studies import DATA, corners, missed_steps, network, outputs, waiting
+from studies import DATA, corners, missed_steps, network, outputs
 from studies.__main__ import main
 from tap_service.capture.transcript import Transcript
 from tools.reproduce import same
@@ -78,23 +78,6 @@ def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) ->
         assert 0 <= row["later_low"] <= row["later"] / row["keys_of"] <= row["later_high"] <= 1
         if row["tap"] == "smoother" and row["condition"] == "clear":
             assert row["later"] > 0.9 * row["keys_of"]
-
-
-def test_who_waits_resolves_what_one_reading_hides_and_nothing_within_the_offers_condition(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    """60 steps, seed 5: at alpha 2.5 her own box calls symbols secret that four readings tell."""
-    monkeypatch.setattr(waiting, "STEPS", 60)
-    small, large = (
-        dict(zip(waiting.COLUMNS.split(), row, strict=True))
-        for alpha in (2.5, 12.0)
-        for row in waiting.waiting_rows(alpha)
-    )
-    assert small["within"] == 0
-    assert small["one_step_resolved"] > 0.2 * small["one_step_secret"] > 0
-    assert large["within"] == 1
-    assert large["offer_secret"] > 40
-    assert large["offer_resolved"] == 0
 
 
 @pytest.mark.long

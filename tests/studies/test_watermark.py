@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from scipy.optimize import linprog
 
 from studies.attacks.watermark import (
@@ -50,18 +48,6 @@ def test_no_distribution_is_cheaper(size: int, variance: float) -> None:
     assert found == pytest.approx(variance, abs=5e-6)
     assert least(1 / size) == pytest.approx(variance, abs=1e-12)
     assert packed(size) == pytest.approx(variance, abs=1e-12)
-
-
-@given(st.lists(st.tuples(st.integers(-40, 40), st.integers(1, 100)), min_size=1, max_size=12))
-def test_no_dither_that_is_drawn_is_cheaper(atoms: list[tuple[int, int]]) -> None:
-    """Windows of ten points, each end included: what the fabricator may choose among."""
-    places = np.array([p for p, _ in atoms], float)
-    weights = np.array([w for _, w in atoms], float)
-    weights /= weights.sum()
-    mean = places @ weights
-    variance = ((places - mean) ** 2) @ weights / 100
-    mu = max(weights[(places >= at) & (places <= at + 10)].sum() for at in places)
-    assert variance >= least(min(mu, 1.0)) - 1e-12
 
 
 def test_a_gaussian_needs_twice_the_variance() -> None:

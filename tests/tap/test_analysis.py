@@ -1,5 +1,6 @@
-"""The heavy eavesdroppers' process: what it skips when it is far behind, and what it waits for."""
+"""The process beside the mirror: what it skips when it is far behind, and what it waits for."""
 
+import json
 import logging
 import threading
 from collections.abc import Iterator
@@ -12,9 +13,9 @@ import pytest
 from protocol.messages import TapStatus
 from runtime import recording
 from runtime.recording import Bounds, parts_of
-from runtime.run_folder import CAPTURE
+from runtime.run_folder import ANALYSIS_GUESSES, CAPTURE
 from studies.secrecy.runs import Run, simulate
-from tap_service import analysis
+from tap_service import analysis, listening
 from tap_service.analysis import Assignment, analyse
 from tap_service.capture import reading as capture
 from tap_service.capture.channel import View
@@ -41,7 +42,7 @@ def heard(monkeypatch: pytest.MonkeyPatch) -> list[object]:
             messages.append(message)
             return super().hear(message)
 
-    monkeypatch.setattr(analysis, "Transcript", Counting)
+    monkeypatch.setattr(listening, "Transcript", Counting)
     monkeypatch.setattr(analysis, "SLICE_S", 0.0)
     monkeypatch.setattr(analysis, "REST_RATIO", 0.0)
     monkeypatch.setattr(analysis, "BELIEF_PERIOD_S", 0.01)
@@ -68,8 +69,9 @@ def record(run: Run, run_dir: Path, part_bytes: int, view: View) -> None:
 
 @contextmanager
 def started(run: Run, run_dir: Path) -> Iterator[Connection]:
-    knowledge = {NAME: run.scenario.knowledge()}
-    given = Assignment(run_dir, (NAME,), knowledge, Bounds(free_bytes=0), header(run, View()))
+    told = {NAME: run.scenario.knowledge()}
+    limits = Bounds(free_bytes=0)
+    given = Assignment(run_dir, ANALYSIS_GUESSES, told, limits, header(run, View()))
     mine, hers = Pipe()
 
     def run_until_nobody_listens() -> None:
@@ -90,7 +92,7 @@ def started(run: Run, run_dir: Path) -> Iterator[Connection]:
 def status_when_caught_up(pipe: Connection) -> TapStatus:
     while True:
         assert pipe.poll(20.0)
-        status: TapStatus = pipe.recv()[0]
+        status = TapStatus.model_validate_json(json.loads(pipe.recv_bytes())["status"])
         assert status.behind < 1000  # about 300 steps, and no bytes
         if status.behind == 0:
             return status
@@ -153,5 +155,5 @@ def test_it_ends_also_while_it_waits(run: Run, tmp_path: Path, heard: list[objec
     with started(run, tmp_path) as pipe:
         pipe.send("finish")
         assert pipe.poll(20.0)
-        assert pipe.recv() is None
+        assert pipe.recv_bytes() == b"null"
     assert heard == []

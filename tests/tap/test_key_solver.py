@@ -18,7 +18,7 @@ from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.eavesdroppers.key_solver import KeySolver
-from tap_service.status import Listener
+from tap_service.listening import Listener
 from tests.support.held_memory import kept
 from tests.support.keyed_pair import KeyedPair, keyed_rules
 from tests.support.mail import Mail
@@ -101,7 +101,7 @@ def solver_of(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE
 
 def held_by(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeysHeld:
     """Feed her as the tap does."""
-    listener = Listener.of(named("key-solver"), knowledge)
+    listener = Listener(named("key-solver"), knowledge)
     transcript = Transcript()
     for message in messages:
         listener.hear(message)
@@ -190,7 +190,7 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     schedule = schedule_of(claim)
     assert schedule is not None
     world = Recorded(claim, lambda _: False)
-    listener = Listener.of(named("key-solver"), KNOWLEDGE.model_copy(update={"keys": claim}))
+    listener = Listener(named("key-solver"), KNOWLEDGE.model_copy(update={"keys": claim}))
     transcript = Transcript()
     most = list[tuple[int, int]]()
     last = size(36, 60)

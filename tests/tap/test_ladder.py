@@ -27,14 +27,8 @@ from tap_service.eavesdroppers import (
     reading,
 )
 from tap_service.eavesdroppers.base import MessageSymbols
-from tap_service.status import (
-    Listener,
-    belief_record,
-    beliefs_json,
-    sound_belief,
-    sound_guess,
-    status_of,
-)
+from tap_service.listening import Listener, sound_belief, sound_guess
+from tap_service.status import beliefs_json, report_of
 from tests.support.size import size
 from wyner.runs.score.score import SILENT, EavesdropperScore, TapOutput, score
 
@@ -329,7 +323,7 @@ class Odd(Eavesdropper):
 
 def odd(**answers: object) -> Listener:
     run = simulate(3, 0)
-    listener = Listener.of(Odd, run.scenario.knowledge())
+    listener = Listener(Odd, run.scenario.knowledge())
     for name, answer in answers.items():
         setattr(listener.tap, name, answer)
     for transition in heard_by(run, CLEAR):
@@ -386,9 +380,9 @@ def test_message_symbols_that_are_none_stop_her_alone_at_the_end(
     symbols: object, expected: str
 ) -> None:
     listener = odd(symbols=symbols)
-    early = belief_record("s", listener, listener.belief(), last=False)
+    _, early = report_of("s", listener, last=False)
     assert (early["failed"], early["symbols"]) == ("", None)
-    last = belief_record("s", listener, listener.belief(), last=True)
+    _, last = report_of("s", listener, last=True)
     assert last["failed"].startswith(f"message_symbols: {expected}")
     assert last["symbols"] is None
 
@@ -412,14 +406,8 @@ def test_numbers_of_another_kind_are_taken_as_plain_ones() -> None:
     )
     assert not listener.failed
     assert list(listener.tail) == [Guess(3, (0.25, 0.75), 0.5)] * 3
-    belief = listener.belief()
-    status = status_of(
-        listener,
-        belief,
-        dict.fromkeys(("seq", "t_ns", "mirrored", "dropped", "behind", "malformed"), 0),
-    )
+    status, record = report_of("s", listener, last=True)
     assert status.tail_symbol == (1, 1, 1)
-    record = belief_record("s", listener, belief, last=True)
     assert from_json(beliefs_json({"odd": record}))["odd"]["symbols"] == [[1, 0]]
 
 
@@ -436,7 +424,7 @@ def test_one_who_cannot_be_made_is_one_line() -> None:
     knowledge = simulate(1, 0).scenario.knowledge()
     for kind, expected in ((Fragile, "ValueError: no way"), (Abstract, "TypeError: ")):
         with pytest.raises(KnowledgeError, match=f"{kind.name}: cannot be made: {expected}") as e:
-            Listener.of(kind, knowledge)
+            Listener(kind, knowledge)
         assert "\n" not in str(e.value)
 
 
@@ -463,7 +451,7 @@ def test_one_who_fails_stops_alone() -> None:
             raise AssertionError("not asked any more")
 
     run = simulate(3, 0)
-    listener = Listener.of(Broken, run.scenario.knowledge())
+    listener = Listener(Broken, run.scenario.knowledge())
     for transition in heard_by(run, CLEAR):
         assert listener.observe(transition) is None
     assert listener.failed == "step 0: RuntimeError: no idea"

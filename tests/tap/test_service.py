@@ -30,7 +30,7 @@ from runtime.recording import Bounds
 from runtime.run_folder import ANALYSIS_GUESSES, BELIEFS, CAPTURE, GUESSES, TAP_STATUS
 from runtime.zenoh_bus import ZenohBus
 from studies.secrecy.runs import Run, simulate
-from tap_service import heavy
+from tap_service import beside
 from tap_service import service as tap
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureReader
@@ -298,8 +298,7 @@ def test_ctrl_c_in_a_terminal_is_not_for_the_heavy_eavesdroppers_process(
     run: Run, tmp_path: Path
 ) -> None:
     wire = Wire(config(run, tmp_path, names=("list-decoder",)))
-    assert wire.service.heavy is not None
-    child = wire.service.heavy.process
+    child = wire.service.beside[0].process
     assert os.getpgid(child.pid) == child.pid != os.getpgid(0)  # from its start on
     wire.finish()
     assert child.end(PATIENCE_S) == 0
@@ -310,7 +309,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A dead one has nothing new to say; what she said last must not look like what Eve says."""
-    monkeypatch.setattr(heavy, "REST_S", 0.3)
+    monkeypatch.setattr(beside, "REST_S", 0.3)
     run = simulate(1000, 11)
     half = len(run.messages) // 2
     wire = Wire(config(run, tmp_path, names=("list-decoder",)))
@@ -324,8 +323,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         wire.send(message)
     wait_for(lambda: (its := newest()) is not None and its.steps > 400, "a first look")
     said = wire.statuses[-1]
-    assert wire.service.heavy is not None
-    process = wire.service.heavy.process
+    process = wire.service.beside[0].process
     with log_of("tap") as knowledge_of:
         os.kill(process.pid, signal.SIGKILL)
         for message in run.messages[half:]:
@@ -341,7 +339,7 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
         assert "her process died" in health_in(tmp_path)
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
     assert any("started again" in line for line in knowledge_of)
-    assert wire.service.heavy.process is not process
+    assert wire.service.beside[0].process is not process
     wire.finish()
     record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
     assert (record["failed"], record["behind"]) == ("", 0)
@@ -354,10 +352,9 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
 def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
     run: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(heavy, "RESTARTS", 0)
+    monkeypatch.setattr(beside, "RESTARTS", 0)
     wire = Wire(config(run, tmp_path, names=("nearest-centre", "list-decoder")))
-    assert wire.service.heavy is not None
-    process = wire.service.heavy.process
+    process = wire.service.beside[0].process
     os.kill(process.pid, signal.SIGKILL)  # before it has said a word
     for message in run.messages:
         wire.send(message)

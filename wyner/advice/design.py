@@ -244,7 +244,7 @@ class DesignReport:
         return ["settled rate: not simulated, as plant code runs in the plant alone"]
 
 
-def design_report(scenario: Scenario, folder: Path, patience_s: float) -> DesignReport:
+def design_report(scenario: Scenario, folder: Path) -> DesignReport:
     """Compute or read the design, and simulate the loop.
 
     Parameters
@@ -252,8 +252,6 @@ def design_report(scenario: Scenario, folder: Path, patience_s: float) -> Design
     scenario : Scenario
     folder : Path
         Where the files are that the scenario names.
-    patience_s : float
-        A design that takes longer is refused.
 
     Raises
     ------
@@ -261,7 +259,7 @@ def design_report(scenario: Scenario, folder: Path, patience_s: float) -> Design
         When there are no sets, or no law on them.
     """
     begin = time.perf_counter()
-    with shown_progress(patience_s) as progress:
+    with shown_progress() as progress:
         design = cached_design(scenario, progress)
     law = make_law(scenario, design)
     ready = time.perf_counter() - begin

@@ -2,9 +2,13 @@
 
 import argparse
 from pathlib import Path
+from typing import Final
 
 from runtime.errors import DONE, Failure, UsageError
 from runtime.services import BUSES, SERVICES
+
+DAYS: Final = 365
+"""Of validity."""
 
 
 def default_names() -> list[str]:
@@ -21,7 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
         "Make an authority in FOLDER and, for each service, a folder with ca.pem, "
-        "cert.pem and key.pem to give to --tls. What is there and valid for another day is kept."
+        "cert.pem and key.pem to give to --tls. They are valid for a year; what is there and valid "
+        "for another day is kept."
     )
     parser.add_argument("folder", type=Path, metavar="FOLDER", help="where they are written")
     parser.add_argument(
@@ -31,9 +36,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a service and the host names or addresses under which it is reached; may be "
         f"repeated (default: {', '.join(default_names())}, "
         "each on this machine and in the containers)",
-    )
-    parser.add_argument(
-        "--days", type=int, default=365, metavar="N", help="days of validity (default: 365)"
     )
 
 
@@ -47,8 +49,6 @@ def run(args: argparse.Namespace) -> int:
     )
 
     problems = []
-    if not 1 <= args.days <= 36500:
-        problems.append(f"--days: got {args.days}, expected 1 to 36500")
     hosts: dict[str, list[str]] = {}
     for text in args.name or default_names():
         name, separator, listed = text.partition("=")
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     if problems:
         raise UsageError(problems)
     try:
-        made = ensure_certificates(args.folder, hosts, args.days)
+        made = ensure_certificates(args.folder, hosts, DAYS)
     except CertificateError as error:
         raise Failure(f"{args.folder}: {error}") from None
     for name in hosts:

@@ -14,12 +14,13 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill
 from typing import Any, Final
 
 from runtime.errors import DONE, FAILED, INTERRUPTED
 from runtime.options import run_dir_of
 from runtime.scenario_file import scenario_of
+from wyner.cli.results import show
 from wyner.cli.session import Outcome, run_session
 from wyner.deployment.one_machine import RunOptions
 
@@ -28,6 +29,9 @@ PACE: Final = 5.0
 """Times the plant's clock: a minute in all, and slow enough to be read."""
 
 ATTACKED_PACE: Final = 7.0
+
+WIDTH: Final = 79
+"""Columns of a line of verdict."""
 
 SLOWEST: Final = 8
 """What a pace is divided by at most. A run that showed nothing, as a busy machine missed its steps,
@@ -81,11 +85,7 @@ def run_demo(args: argparse.Namespace) -> int:
     told = _acts(args)
     if told.interrupted:
         return INTERRUPTED
-    if args.json:
-        whole = {"verdict": told.lines, "as_it_must": told.good, "runs": told.summaries}
-        print(json.dumps(whole))
-    else:
-        print("\n".join(row for line in told.lines for row in _rows(line)))
+    show(told, args)
     return DONE if told.good else FAILED
 
 
@@ -98,6 +98,14 @@ class _Outcome:
     good: bool = True
     interrupted: bool = False
     slower: int = 1
+
+    def to_json(self) -> dict[str, Any]:
+        """The verdict, whether every run came out as it must, and each run's summary."""
+        return {"verdict": self.lines, "as_it_must": self.good, "runs": self.summaries}
+
+    def __str__(self) -> str:
+        """A line of verdict for each run, broken between words."""
+        return "\n".join(fill(line, WIDTH, subsequent_indent="   ") for line in self.lines)
 
 
 def _acts(args: argparse.Namespace) -> _Outcome:
@@ -150,13 +158,6 @@ def _shown(
         told.slower *= 2
         shutil.rmtree(folder)
         begins = f"{_missed(outcome.summary)}: once more, at half the pace."
-
-
-def _rows(line: str) -> list[str]:
-    """A line of the verdict, broken between words where a terminal is narrower."""
-    if not sys.stdout.isatty():
-        return [line]
-    return wrap(line, max(40, shutil.get_terminal_size().columns - 1), subsequent_indent="   ")
 
 
 def _options(args: argparse.Namespace, scenario: str, folder: Path, slower: int) -> RunOptions:

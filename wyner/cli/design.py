@@ -1,11 +1,12 @@
 """``wyner design``: a scenario's sets, gains and settled rate; the list of shipped scenarios."""
 
 import argparse
-import json
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from runtime.errors import DONE, FAILED, Failure, UsageError
-from wyner.cli.drawing import drawable, drawn_to
+from runtime.errors import DONE, FAILED, Failure, UsageError, writing
+from wyner.cli.drawing import add_plot, drawable, plot
+from wyner.cli.results import add_json, show
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -15,8 +16,6 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
-    from controller_service.progress import PATIENCE_S
-
     parser.description = (
         "Compute the sets T_0..T_N of SCENARIO (or read them from the cache), check "
         "them, and estimate the rate at which the link settles by seeded simulations of the loop. "
@@ -32,31 +31,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="?",
         const="",
         metavar="FILE",
-        help="write what the eavesdropper of SCENARIO is told (default: standard output)",
+        help="write what Eve knows of SCENARIO, as JSON (default: standard output)",
     )
-    parser.add_argument("--json", action="store_true", help="one object on standard output")
-    parser.add_argument(
-        "--patience",
-        type=float,
-        default=PATIENCE_S,
-        metavar="S",
-        help=f"refuse a design that will take longer (default: {PATIENCE_S:g} seconds)",
-    )
-    parser.add_argument("--plot", metavar="F", help="draw what is shown, as F.png, F.pdf or F.svg")
+    add_json(parser)
+    add_plot(parser, "SCENARIO.png here")
 
 
 def run(args: argparse.Namespace) -> int:
     """Show the design, or what else was asked for."""
-    from wyner.cli.scenarios import list_scenarios, write_knowledge
-
     if args.scenario is None:
-        return list_scenarios(as_json=args.json)
+        from wyner.advice.scenarios import shipped_scenarios
+
+        show(shipped_scenarios(), args)
+        return DONE
     if args.knowledge is not None:
-        return write_knowledge(args.scenario, args.knowledge)
-    if not args.patience > 0:
-        raise UsageError(f"--patience: got {args.patience:g}, expected more than 0")
+        return _write_knowledge(args.scenario, args.knowledge)
     if args.plot is not None:
-        drawable("--plot", args.plot)
+        drawable(args.plot or "sets.png")
     from controller_service.laws.online import ProgramError
     from controller_service.sets.design import SynthesisError
     from runtime.scenario_file import scenario_of
@@ -65,25 +56,35 @@ def run(args: argparse.Namespace) -> int:
 
     folder = scenario_file_of(args.scenario).parent
     try:
-        report = design_report(scenario_of(args.scenario), folder, args.patience)
+        report = design_report(scenario_of(args.scenario), folder)
     except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{args.scenario}: {error}") from None
-    print(json.dumps(report.to_json()) if args.json else report)
+    show(report, args)
     if args.plot is not None:
-        _plot(args.plot, report, silent=args.json)
+        figure = args.plot or f"{report.scenario.name}.png"
+        plot(figure, (9.0, 4.2), lambda f: _draw(f, report), silent=args.json)
     return FAILED if report.carries_nothing else DONE
 
 
-def _plot(text: str, report: "DesignReport", *, silent: bool) -> None:
-    def draw(figure: "Figure") -> str:
-        from wyner.drawing.design import draw_design
-        from wyner.simulate.engine import SimulationError
+def _write_knowledge(scenario: str, file: str) -> int:
+    """Write as JSON what Eve is told of a scenario; to standard output where ``file`` is empty."""
+    from runtime.files import PUBLIC_FILE, write_atomically
+    from runtime.scenario_file import scenario_of
 
-        try:
-            return draw_design(figure, report.scenario, report.design, report.law)
-        except SimulationError as error:
-            raise Failure(f"--plot: {error}") from None
+    text = scenario_of(scenario).knowledge().model_dump_json(indent=2) + "\n"
+    if not file:
+        print(text, end="")
+        return DONE
+    with writing(f"--knowledge: {file}"):
+        write_atomically(Path(file), text.encode(), PUBLIC_FILE)
+    return DONE
 
-    path = drawn_to("--plot", text, (9.0, 4.2), draw)
-    if not silent:
-        print(path)
+
+def _draw(figure: "Figure", report: "DesignReport") -> str:
+    from wyner.drawing.design import draw_design
+    from wyner.simulate.engine import SimulationError
+
+    try:
+        return draw_design(figure, report.scenario, report.design, report.law)
+    except SimulationError as error:
+        raise Failure(f"--plot: {error}") from None

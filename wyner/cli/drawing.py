@@ -1,195 +1,62 @@
-"""``wyner sweep --plot``: a figure of any sweep's rows; and how a command saves any figure."""
+"""The option ``--plot``: how a command draws what it shows."""
 
 import argparse
-from collections.abc import Callable, Sequence
-from itertools import pairwise
-from math import nan
+import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING
 
 from runtime.errors import UsageError, needs, writing
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-Row = dict[str, Any]
 
-FILE: Final = "file"
-"""The column of `wyner.sweeps.grid.FILE`, which takes long to load."""
-
-RATE: Final = "bits_per_second"
-LOGARITHMIC_FROM: Final = 1000.0
-"""An x axis whose last value is so many times the first is logarithmic."""
-
-AIR: Final = 0.06
-"""Share of the vertical axis beyond what is drawn, so that no curve lies on the frame."""
-
-WORDS: Final = {
-    RATE: "message rate (bit/s), which is not secrecy",
-    "secret_bits_per_second_at_most": "secret at most (bit/s)",
-    "state_cost": "state cost: mean of x'x a step",
-    "input_effort": "input effort: mean of u'u a step",
-    "agreed": "agreements, share of tested steps",
-    "secrecy.alpha": "alpha, size of D_e in D_c",
-    "runs": "runs",
-    "steps": "steps",
-}
-"""Columns as an axis calls them."""
-
-UNITS: Final = {"s": "s", "hz": "Hz", "bits": "bit", "bytes": "bytes", "steps": "steps"}
-"""Units that a field's name ends in."""
+def add_plot(place: "argparse._ActionsContainer", default: str) -> None:
+    """Add ``--plot``, which draws what the command shows."""
+    place.add_argument(
+        "--plot",
+        nargs="?",
+        const="",
+        metavar="F",
+        help=f"draw it, as F.png, F.pdf or F.svg (default: {default})",
+    )
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
     """Add the options of a sweep's figure."""
     group = parser.add_argument_group(
         "figure",
-        "The rows with 95 % intervals. What does not stand on the axes makes a curve each.",
+        "The rows with 95 % intervals over the field with the most values. What does not stand on "
+        "the axes makes a curve each.",
     )
-    group.add_argument(
-        "--plot",
-        nargs="?",
-        const="",
-        metavar="F",
-        help="draw the rows, as F.png, F.pdf or F.svg (default: beside the rows)",
-    )
-    group.add_argument("--x", metavar="COLUMN", help="default: the field with the most values")
+    add_plot(group, "beside the rows")
     group.add_argument(
         "--y",
         metavar="COLUMN",
         action="append",
-        help=f"default: {RATE}; or state_cost, input_effort, 'NAME keys known', 'NAME messages "
-        "read' (repeatable)",
+        help="default: bits_per_second; or state_cost, input_effort, 'NAME keys known', 'NAME "
+        "messages read' (repeatable)",
     )
 
 
-def draw_sweep(path: Path, args: argparse.Namespace) -> Path:
-    """Read the rows, choose the columns, draw; returns the figure's file."""
+def plot_sweep(path: Path, args: argparse.Namespace, *, silent: bool = False) -> None:
+    """Read the rows, choose the columns, draw."""
+    drawable(args.plot or "rows.png")
+    from wyner.drawing.rows import RATE, draw_rows, longest, ready
+
     rows, fields = ready(path)
-    x = args.x or _longest(rows, fields)
+    x = longest(rows, fields)
     ys: list[str] = args.y or [RATE]
-    for option, name in (("--x", x), *(("--y", y) for y in ys)):
+    for name in ys:
         if name not in rows[0]:
             known = ", ".join(c for c in rows[0] if not c.endswith(("low", "high")))
-            raise UsageError(f"{option}: got {name!r}, expected one of: {known}")
+            raise UsageError(f"--y: got {name!r}, expected one of: {known}")
     output = args.plot or str(path.with_suffix(".png"))
-    return drawn_to("--plot", output, (6.4, 4.2), lambda f: draw_rows(f, rows, fields, x, ys))
+    plot(output, (6.4, 4.2), lambda f: draw_rows(f, rows, fields, x, ys), silent=silent)
 
 
-def in_words(column: str) -> str:
-    """A column as an axis calls it, with its unit: ``plant.period_s`` is "plant: period (s)"."""
-    if column in WORDS:
-        return WORDS[column]
-    if column.endswith((" keys known", " messages read")):
-        return f"{column}, share"
-    *path, name = column.split(".")
-    words, _, unit = name.rpartition("_")
-    told = f"{words} ({UNITS[unit]})" if words and unit in UNITS else name
-    return ": ".join([*path, told]).replace("_", " ")
-
-
-def ready(path: Path) -> tuple[list[Row], list[str]]:
-    """The rows with rates and intervals of a sweep's file, and the fields of its grid."""
-    from wyner.sweeps.grid import SweepError
-    from wyner.sweeps.results import fields_in, read_rows, read_table, ready_rows, summarise
-
-    try:
-        rows = read_table(path)
-        if "runs_by_symbols" in rows[0]:
-            rows = read_rows(path)
-            fields = fields_in(rows)
-            return ready_rows(summarise(rows), fields), fields
-    except SweepError as error:
-        raise UsageError(error.problems) from None
-    names = list(rows[0])
-    if "runs" not in names or RATE not in names:
-        raise UsageError(f"{path}: expected the rows of `wyner sweep`, or its -rates.csv")
-    return rows, names[names.index("variant") + 1 : names.index("runs")]
-
-
-def _longest(rows: Sequence[Row], fields: Sequence[str]) -> str:
-    """The field with the most different numbers."""
-    if not fields:
-        raise UsageError("--x: the sweep has no grid, expected a column")
-
-    def numbers(name: str) -> int:
-        values = {_number(row[name]) for row in rows}
-        return 0 if None in values else len(values)
-
-    return max(fields, key=numbers)
-
-
-def _number(value: object) -> float | None:
-    try:
-        return float(str(value))
-    except ValueError:
-        return None
-
-
-def draw_rows(
-    figure: "Figure",
-    rows: Sequence[Row],
-    fields: Sequence[str],
-    x: str,
-    ys: Sequence[str],
-) -> str:
-    """A curve for each column and each setting of the other fields; returns the note."""
-    from wyner.drawing.style import COLOURS, MARKERS
-
-    others = [name for name in ("scenario", "variant", *fields) if name != x]
-    told = [name for name in others if len({row[name] for row in rows}) > 1]
-    if len({row["scenario"] for row in rows}) == len({row.get(FILE) for row in rows}):
-        told = [name for name in told if name != FILE]  # the scenario's name says it
-    axes = figure.subplots()
-    curves: dict[str, list[tuple[float, float, float, float]]] = {}
-    for row in rows:
-        at = _number(row[x])
-        if at is None:
-            raise UsageError(f"--x: {x}: got {row[x]!r}, expected numbers")
-        setting = ", ".join(str(row[name]).strip('"') for name in told)
-        for y in ys:
-            value = _number(row[y])
-            if value is None:  # nothing was agreed or delivered there
-                continue
-            low = _number(row.get(f"{y}_low", row.get(f"{y} low", "")))
-            high = _number(row.get(f"{y}_high", row.get(f"{y} high", "")))
-            label = " / ".join(part for part in (y if len(ys) > 1 else "", setting) if part)
-            ends = (nan if low is None else low, nan if high is None else high)
-            curves.setdefault(label, []).append((at, value, *ends))
-    for place, (label, points) in enumerate(curves.items()):
-        points.sort()
-        for one, other in pairwise(points):
-            if one[0] == other[0]:
-                which = f" of {label}" if label else ""
-                raise UsageError(
-                    f"--x: {x}: two points{which} at {one[0]:g}, and nothing in the rows tells "
-                    "them apart: sweep them again, or leave one out"
-                )
-        columns = [list(column) for column in zip(*points, strict=True)]
-        colour, marker = COLOURS[place % len(COLOURS)], MARKERS[place % len(MARKERS)]
-        axes.fill_between(columns[0], columns[2], columns[3], color=colour, alpha=0.18, lw=0)
-        axes.plot(columns[0], columns[1], color=colour, marker=marker, lw=1, label=label or None)
-    if any(curves):
-        axes.legend()
-    places = [point[0] for points in curves.values() for point in points]
-    if places and min(places) > 0 and max(places) >= LOGARITHMIC_FROM * min(places):
-        axes.set_xscale("log")
-    axes.set_xlabel(in_words(x))
-    axes.set_ylabel(in_words(ys[0]) if len(ys) == 1 else "share")
-    drawn = [v for points in curves.values() for point in points for v in point[1:]]
-    shares = all(y == "agreed" or y.endswith((" keys known", " messages read")) for y in ys)
-    top = 1.0 if shares else max(drawn, default=0.0)
-    top = max([top, *drawn]) or 1.0
-    axes.set_ylim(-AIR * top, (1 + AIR) * top)
-    runs = sorted({int(row["runs"]) for row in rows})
-    shown = str(runs[0]) if len(runs) == 1 else f"{runs[0]} to {runs[-1]}"
-    return (
-        f"{shown} runs of {rows[0]['steps']} steps a point; bands: 95 % intervals, where there are "
-        "any"
-    )
-
-
-def drawable(option: str, text: str) -> Path:
+def drawable(text: str) -> Path:
     """The file of a figure, by its name: to be asked before hours of work are drawn into it.
 
     Raises
@@ -200,29 +67,43 @@ def drawable(option: str, text: str) -> Path:
     try:
         from wyner.drawing.style import KINDS
     except ImportError:
-        raise UsageError(needs(option, "matplotlib")) from None
+        raise UsageError(needs("--plot", "matplotlib")) from None
     path = Path(text)
     if path.suffix not in KINDS:
-        raise UsageError(f"{option}: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
+        raise UsageError(f"--plot: got {text!r}, expected a name that ends in {', '.join(KINDS)}")
     return path
 
 
-def drawn_to(
-    option: str, text: str, size: tuple[float, float], draw: "Callable[[Figure], str]"
-) -> Path:
-    """Draw a figure into the file that an option names.
+def plot(
+    text: str,
+    size: tuple[float, float],
+    draw: "Callable[[Figure], str]",
+    *,
+    silent: bool = False,
+) -> None:
+    """Draw a figure into the file of ``--plot`` and print its path.
+
+    Parameters
+    ----------
+    text : str
+        The file's name.
+    size : tuple of float
+        Inches.
+    draw : callable
+        Draws, and returns a note for the bottom of the figure.
+    silent : bool
+        The path goes to standard error: on standard output is one JSON object.
 
     Raises
     ------
     UsageError
-        When matplotlib is missing, or the file's kind is none that can be drawn.
-        When it cannot be written.
+        As `drawable`, and when the file cannot be written.
     """
-    path = drawable(option, text)
+    path = drawable(text)
     from wyner.drawing.style import drawing, save
 
     with drawing(size) as figure:
         figure.supxlabel(draw(figure), fontsize=6.5, color="0.35")
-        with writing(f"{option}: {path}"):
+        with writing(f"--plot: {path}"):
             save(figure, path)
-    return path
+    print(path, file=sys.stderr if silent else sys.stdout)

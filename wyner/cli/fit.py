@@ -1,24 +1,22 @@
 """``wyner fit``: a model and a D_c, from a recording or from a plant that is run for it."""
 
 import argparse
-import json
 import sys
 import tomllib
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from protocol.statistics import STATED
 from runtime.errors import DONE, Failure, UsageError, writing
 from runtime.files import write_atomically
+from wyner.cli.results import add_json, show
 
 if TYPE_CHECKING:
     from wyner.fit.fitting import Plan
+    from wyner.fit.written import FromPlant, FromRecording
 
 
 RECORDED_VIOLATION: Final = 0.01
 """Share of recorded steps that may leave D_c, for its scale."""
-
-CONFIDENCE: Final = 0.999
 
 OF_A_PLANT: Final = (
     "sessions",
@@ -47,14 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--states", metavar="NAMES", help="columns of the states: a,b,c")
     parser.add_argument("--inputs", metavar="NAMES", help="columns of the inputs: u or u1,u2")
     parser.add_argument("--period", type=float, metavar="S", help="seconds from row to row")
-    parser.add_argument("--json", action="store_true", help="one object on standard output")
+    add_json(parser)
     numbers: tuple[tuple[str, float, str], ...] = (
         ("--sessions", 100, "sessions that scale D_c, and as many that certify it"),
         ("--steps", 200, "steps of a session under the law"),
         ("--excite-steps", 100, "steps of one with random inputs; few for an unstable plant"),
         ("--seed", 1, "seed of excitation, coins and disturbance"),
         ("--amplitude", 0.3, "of the random inputs, as a share of U"),
-        ("--confidence", 0.999, "of what is said of D_c"),
     )
     for option, default, text in numbers:
         kind, metavar = (int, "N") if isinstance(default, int) else (float, "P")
@@ -76,23 +73,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Fit, write, tell."""
+    """Fit, write the scenario, print what it rests on."""
     if args.output.is_dir() or not args.output.parent.is_dir():
         raise UsageError(f"--output: got {str(args.output)!r}, expected a file in a folder")
-    if (args.states, args.inputs, args.period) != (None, None, None):
-        return _fit_recording(args)
-    if Path(args.scenario).suffix.lower() in (".csv", ".mat"):
+    recorded = (args.states, args.inputs, args.period) != (None, None, None)
+    if not recorded and Path(args.scenario).suffix.lower() in (".csv", ".mat"):
         raise UsageError(
             f"{args.scenario}: a recording wants --states NAMES, --inputs NAMES and --period S"
         )
-    return _fit_plant(args)
+    found = _fit_recording(args) if recorded else _fit_plant(args)
+    with writing(f"--output: {args.output}"):
+        write_atomically(args.output, found.text.encode())
+    show(found, args)
+    return DONE
 
 
-def _fit_recording(args: argparse.Namespace) -> int:
+def _fit_recording(args: argparse.Namespace) -> "FromRecording":
     from protocol.scenario.reading import LARGEST_NUMBER
-    from wyner.fit.first_scenario import HORIZONS, WIDER, FirstScenario
+    from wyner.fit.first_scenario import HORIZONS
     from wyner.fit.identification import FitError
     from wyner.fit.recording import fit_recording, read_recording
+    from wyner.fit.written import FromRecording
 
     if None in (args.states, args.inputs, args.period):
         raise UsageError("expected --states, --inputs and --period together")
@@ -103,9 +104,7 @@ def _fit_recording(args: argparse.Namespace) -> int:
             option = name.replace("_", "-")
             raise UsageError(f"--{option}: is for a plant that is run, and not for a recording")
     violation = RECORDED_VIOLATION if args.violation is None else args.violation
-    confidence = CONFIDENCE if args.confidence is None else args.confidence
     _check_share("violation", violation)
-    _check_share("confidence", confidence)
     states, inputs = _names("--states", args.states), _names("--inputs", args.inputs)
     if (len(states), len(inputs)) not in HORIZONS:
         raise UsageError(
@@ -118,66 +117,17 @@ def _fit_recording(args: argparse.Namespace) -> int:
     except FitError as error:
         raise UsageError(str(error)) from None
     try:
-        found = fit_recording(recording, violation=violation, confidence=confidence)
+        found = fit_recording(recording, violation=violation)
     except FitError as error:
         raise Failure(str(error)) from None
-    identified, scaled, held_out = found.steps
-    promise = (
-        f"a step leaves D_c with probability at most {found.violation:.3g}, confidence "
-        f"{found.confidence:g}: {found.exceeded} of {held_out} steps held out did"
-    )
-    origin = (
-        f"A, B and D_c by `wyner fit` from {path.name}: states {', '.join(states)}; inputs "
-        f"{', '.join(inputs)}.\nUnder the recorded inputs {promise}."
-    )
-    widths = found.half_widths / WIDER
-    text, starts = FirstScenario(
-        args.output.stem,
-        found.model.A.tolist(),
-        found.model.B.tolist(),
-        args.period,
-        found.bounds.tolist(),
-        widths.tolist(),
-        origin,
-    ).text()
-    with writing(f"--output: {args.output}"):
-        write_atomically(args.output, text.encode())
-    warnings = found.warnings()
-    if not starts:
-        warnings.append(f"there is no terminal set yet: `wyner design {args.output}` says why")
-    if args.json:
-        told = {
-            "output": str(args.output),
-            "A": found.model.A.tolist(),
-            "B": found.model.B.tolist(),
-            "standard_errors": found.model.errors.tolist(),
-            "half_widths": found.half_widths.tolist(),
-            "steps": {"identified": identified, "scaled": scaled, "held_out": held_out},
-            "exceeded": found.exceeded,
-            "violation": found.violation,
-            "confidence": found.confidence,
-            "warnings": warnings,
-        }
-        bare = {"violation": STATED, "confidence": STATED}
-        print(json.dumps({**told, "no_interval": bare}))
-        return DONE
-    print(f"A and B from {identified} steps, condition {found.model.condition:.3g}")
-    for i, name in enumerate(states):
-        row = [*found.model.A[i].tolist(), *found.model.B[i].tolist()]
-        terms = (f"{v:+.5g} {of}" for v, of in zip(row, (*states, *inputs), strict=True))
-        errors = ", ".join(f"{e:.1g}" for e in found.model.errors[i])
-        print(f"  next {name} = {' '.join(terms)}   (standard errors {errors})")
-    print("D_c half-widths " + "  ".join(f"{w:.4g}" for w in found.half_widths))
-    print(promise)
-    for line in warnings:
-        print(f"warning: {line}")
-    print(f"wrote {args.output}; `wyner design {args.output}` says what the loop carries")
-    return DONE
+    return FromRecording(path, args.output, args.period, recording, found)
 
 
-def _fit_plant(args: argparse.Namespace) -> int:
+def _fit_plant(args: argparse.Namespace) -> "FromPlant":
+    from controller_service.laws.base import CandidateLaw
     from controller_service.laws.online import ProgramError
-    from controller_service.laws.registry import make_law, synthesise
+    from controller_service.laws.registry import cached_design, make_law
+    from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
     from plant_service.adapters import Operated
     from plant_service.adapters.registry import open_plant
@@ -185,7 +135,7 @@ def _fit_plant(args: argparse.Namespace) -> int:
     from runtime.shipped import scenario_file_of
     from wyner.fit.fitting import fit
     from wyner.fit.identification import FitError
-    from wyner.fit.toml import as_toml
+    from wyner.fit.written import FromPlant
     from wyner.simulate.engine import SimulationError
 
     plan = _plan(args)
@@ -194,12 +144,17 @@ def _fit_plant(args: argparse.Namespace) -> int:
     def opened(scenario: Scenario) -> Operated:
         return open_plant(scenario, path.parent)
 
+    def law_of(scenario: Scenario) -> CandidateLaw:
+        # The same fit again, as after Ctrl-C, makes the same sets and finds them in the cache.
+        with shown_progress() as progress:
+            return make_law(scenario, cached_design(scenario, progress))
+
     try:
         found = fit(
             _tables(path),
             str(path),
             opened,
-            lambda s: make_law(s, synthesise(s)),
+            law_of,
             plan,
             lambda line: print(f"wyner: {line}", file=sys.stderr),
             path.parent,
@@ -210,33 +165,7 @@ def _fit_plant(args: argparse.Namespace) -> int:
         raise UsageError(f"{path}: {error}") from None
     except (FitError, SimulationError) as error:
         raise Failure(str(error)) from None
-    c = found.scenario.defender.calibration
-    assert c is not None
-    N = found.scenario.defender.noise
-    what = "D_c" if N is None else "W = D_c + N - A N"
-    promise = (
-        f"a session of {c.steps} steps leaves {what} with probability at most {c.violation:.3g}, "
-        f"confidence {c.confidence:g}: {c.exceeded} of {c.sessions} fresh sessions did"
-    )
-    if N is not None:
-        promise += f"; D_c itself rests on N, {'stated' if plan.noise is None else 'fitted'}"
-    head = f"Written by wyner fit, seed {plan.seed}.\n{promise[0].upper()}{promise[1:]}."
-    with writing(f"--output: {args.output}"):
-        write_atomically(args.output, as_toml(found.tables, head).encode())
-    widths = found.scenario.defender.disturbance.half_widths
-    assert widths is not None
-    if args.json:
-        told = {"output": str(args.output), "seed": plan.seed, "half_widths": list(widths)}
-        told |= {} if N is None else {"noise": N.model_dump(exclude_none=True)}
-        bare = {"violation": STATED, "confidence": STATED}
-        print(json.dumps({**told, "calibration": c.model_dump(), "no_interval": bare}))
-        return DONE
-    print(f"D_c half-widths {' '.join(f'{w:.4g}' for w in widths)}")
-    if N is not None and N.half_widths is not None:
-        print(f"N half-widths {' '.join(f'{w:.4g}' for w in N.half_widths)}")
-    print(promise)
-    print(f"wrote {args.output}")
-    return DONE
+    return FromPlant(args.output, found, plan)
 
 
 def _names(option: str, text: str) -> tuple[str, ...]:
@@ -276,7 +205,7 @@ def _plan(args: argparse.Namespace) -> "Plan":
         given |= {"calibration": args.sessions, "fresh": args.sessions}
         given |= {"pilot": few, "excite_sessions": few}
     plan = Plan(**given)
-    for name in ("amplitude", "violation", "confidence"):
+    for name in ("amplitude", "violation"):
         _check_share(name, getattr(plan, name))
     if args.noise is not None and not 0 < args.noise < float("inf"):
         raise UsageError(f"--noise: got {args.noise:g}, expected above 0")

@@ -35,14 +35,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--input", type=float, default=1.0, metavar="V", help="bound of each input (default 1)"
     )
-    parser.add_argument(
-        "--disturbance",
-        type=float,
-        metavar="V",
-        help="half-width of D in each state (default: a twentieth of what an input does in a "
-        "step, or less where that leaves no terminal set)",
-    )
-    parser.add_argument("--output", metavar="F", help="default: NAME.toml here")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -59,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
             f"NAME: got {args.name!r}, expected a letter or digit, and up to 63 letters, digits, "
             "dots, dashes, underscores"
         )
-    for option in ("period", "input", "disturbance"):
+    for option in ("period", "input"):
         value = getattr(args, option)
         if value is not None and not 0 < value <= LARGEST_NUMBER:
             raise UsageError(
@@ -85,17 +77,14 @@ def run(args: argparse.Namespace) -> int:
             raise UsageError(
                 f"--A, --B: sampled over {period:g} s they hold numbers beyond {LARGEST_NUMBER:g}"
             )
-    path = Path(args.output or f"{args.name}.toml")
+    path = Path(f"{args.name}.toml")
     try:
-        widths = None if args.disturbance is None else [args.disturbance] * len(A)
-        text, starts = FirstScenario(
-            args.name, A, B, period, [args.input] * len(B[0]), widths
-        ).text()
+        text, starts = FirstScenario(args.name, A, B, period, [args.input] * len(B[0])).text()
     except ScenarioError as error:
         raise UsageError(error.problems) from None
     if path.exists():
-        raise UsageError(f"{path}: is there already, expected a new file (--output)")
-    with writing(f"--output: {path}"), path.open("x", encoding="utf-8") as file:
+        raise UsageError(f"{path}: is there already, expected another name")
+    with writing(str(path)), path.open("x", encoding="utf-8") as file:
         file.write(text)
     says = "says what it gives" if starts else "says why it has no terminal set yet"
     print(f"{path}: {_sizes(A, B)}; `wyner design {path}` {says}")

@@ -25,7 +25,7 @@ def add_run_argument(parser: argparse.ArgumentParser) -> None:
         "--run",
         dest="run_name",
         metavar="NAME",
-        help="the run of `wyner up` to join, where several go on: its folder's name",
+        help="which run of `wyner up` to join, by its folder's name, where there are several",
     )
 
 

@@ -1,4 +1,4 @@
-"""``wyner router``: a Zenoh router for one or several buses, with access control where asked."""
+"""``wyner router``: a Zenoh router for one or several buses, with access control by certificate."""
 
 import argparse
 from collections.abc import Mapping, Sequence
@@ -16,8 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = (
         "Relay a bus between services that connect as clients (--client BUS). Each bus "
         "gets a router of its own inside the process, so that nothing crosses from one to another. "
-        "With --guard, the names in the certificates decide who may publish what; a message that "
-        "they do not allow is dropped without a word. Routers are not joined to one another: all "
+        "With --tls, the names in the certificates decide who may publish what; a message that "
+        "they do not allow is dropped and not logged. Routers are not joined to one another: all "
         "services of a bus connect to the same one."
     )
     parser.add_argument(
@@ -33,14 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         metavar="BUS=FOLDER",
-        help="mutual TLS with ca.pem, cert.pem and key.pem of this folder",
-    )
-    parser.add_argument(
-        "--guard",
-        action="append",
-        default=[],
-        metavar="BUS",
-        help="deny what the names in the certificates do not allow; needs --tls for this bus",
+        help="mutual TLS with ca.pem, cert.pem and key.pem of this folder, and access control by "
+        "the names in the certificates",
     )
 
 
@@ -66,12 +60,10 @@ def by_bus(option: str, values: Sequence[str]) -> dict[str, list[str]]:
     return found
 
 
-def check_guards(
-    guards: Sequence[str],
-    listens: Mapping[str, Sequence[str]],
-    folders: Mapping[str, Sequence[str]],
+def check_folders(
+    listens: Mapping[str, Sequence[str]], folders: Mapping[str, Sequence[str]]
 ) -> None:
-    """Refuse what would leave a bus less guarded than its options sound.
+    """Refuse certificates for a bus that is not carried, and a second folder for one bus.
 
     Raises
     ------
@@ -79,15 +71,9 @@ def check_guards(
         With one line for each bus.
     """
     problems = [
-        f"{option} {bus}: expected --listen {bus}=ENDPOINT as well"
-        for option, buses in (("--guard", guards), ("--tls", folders))
-        for bus in buses
+        f"--tls {bus}: expected --listen {bus}=ENDPOINT as well"
+        for bus in folders
         if bus not in listens
-    ]
-    problems += [
-        f"--guard {bus}: expected --tls {bus}=FOLDER as well: names are those in the certificates"
-        for bus in guards
-        if bus in listens and bus not in folders
     ]
     problems += [
         f"--tls {bus}: got {len(given)} folders, expected one"
@@ -107,7 +93,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.deployment.access import access_control
 
     listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
-    check_guards(args.guard, listens, folders)
+    check_folders(listens, folders)
     log = logger("router")
     try:
         for bus, endpoints in listens.items():
@@ -117,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
             routers: list[ZenohBus] = []
             for bus, endpoints in listens.items():
                 tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None
-                rules = access_control(bus) if bus in args.guard else None
+                rules = access_control(bus) if bus in folders else None
                 routers.append(stack.enter_context(open_router(endpoints, tls, rules)))
                 log.info(
                     "%s at %s, %s",

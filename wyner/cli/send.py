@@ -1,51 +1,47 @@
 """``wyner send``: hand a running controller a message."""
 
 import argparse
-import json
-import math
-import queue
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
-from protocol.messages import SendCommand, SendReply
+from protocol.messages import SendCommand
 from protocol.text import printable
-from protocol.topics import key_of
 from runtime.bus_options import BusOptions, add_service_arguments, endpoints_of, loop_of
 from runtime.errors import DONE, Failure, UsageError
 from runtime.ids import new_id
-from runtime.inbox import Inbox
 from runtime.options import message_of, picked
 from runtime.services import CONTROLLER_MANAGEMENT
 from wyner.cli.options import add_run_argument, is_told, joined
+from wyner.cli.results import add_json, show
 from wyner.deployment.running import names_of
+from wyner.deployment.sending import Queued, ask
 
 if TYPE_CHECKING:
-    from runtime.bus import Bus
     from wyner.deployment.running import RunningLoop
-
-REPEAT_S: Final = 0.1
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Queue a message at the controller of a run that goes on, and wait until it has it."
+        "Queue a message at the controller of a running loop, and wait for its reply."
     )
     parser.add_argument(
         "text",
         metavar="TEXT",
         help="the message; - reads it from standard input, @FILE from a file",
     )
-    parser.add_argument("--id", metavar="ID", help="the same id is queued once (default: random)")
+    parser.add_argument(
+        "--id", metavar="ID", help="a message of the same id is queued only once (default: random)"
+    )
     parser.add_argument(
         "--timeout",
         type=float,
         default=5.0,
         metavar="S",
-        help="seconds to wait for a run to be there, and then for its answer (default: 5)",
+        help="seconds to wait for a run to start and for its reply (default: 5)",
     )
-    parser.add_argument("--json", action="store_true", help="one object on standard output")
+    add_json(parser)
     add_run_argument(parser)
     add_service_arguments(parser, "operator")
 
@@ -75,14 +71,14 @@ def run(args: argparse.Namespace) -> int:
     until = time.monotonic() + args.timeout
     try:
         with open_bus(ends, args.timeout) as management:
-            reply = answer(management, loop, command, until)
+            reply = ask(management, loop, command, until)
     except TransportError as error:
         raise UsageError(str(error)) from None
     if reply is not None:
         if not reply.accepted:
             raise Failure(reply.detail)
         at = None if run is None else run.seen_from(Path.cwd())
-        print_reply(reply, len(payload), loop, at, as_json=args.json)
+        show(Queued(reply, len(payload), loop, at), args)
         return DONE
     if run is not None:
         where = printable(run.seen_from(Path.cwd()))
@@ -118,39 +114,3 @@ def _check_own(run: "RunningLoop | None", told: BusOptions, run_name: str | None
             f"the one run on this machine, {printable(run.run_dir)}, is not of this folder; where "
             f"it is meant expected --run {printable(names_of([run]))}"
         )
-
-
-def print_reply(reply: SendReply, size: int, loop: str, run: str | None, *, as_json: bool) -> None:
-    """Tell that a message was taken in, and by which loop of which run."""
-    if as_json:
-        told = {"id": reply.id, "bytes": size, "queued": reply.queued, "loop": loop, "run": run}
-        print(json.dumps(told))
-    else:
-        where = f"loop {loop}" if run is None else f"run {printable(run)}, loop {loop}"
-        print(f"queued as {reply.id} at {where}: {size} bytes, {reply.queued} not delivered yet")
-
-
-def answer(management: "Bus", loop: str, command: SendCommand, until: float) -> SendReply | None:
-    """Say the command again and again until it is answered; None where it is not in time.
-
-    Others who wait hear the same answers: saying it on each of them would be a flood.
-    """
-    from pydantic import ValidationError
-
-    heard: Inbox[bytes] = Inbox()
-    management.subscribe(
-        key_of(SendReply, loop), lambda _key, reply, _t_ns: heard.put(reply, len(reply))
-    )
-    publisher = management.publisher(key_of(SendCommand, loop))
-    again = -math.inf
-    while (now := time.monotonic()) < until:
-        if now >= again:
-            publisher.put(command.wire())
-            again = now + REPEAT_S
-        try:
-            reply = SendReply.model_validate_json(heard.get(timeout=again - now))
-        except (queue.Empty, ValidationError):
-            continue
-        if reply.id == command.id:
-            return reply
-    return None

@@ -53,6 +53,16 @@ class Outcome(NamedTuple):
     left: bool
     """Whether the screen was left before the run had come to its end."""
 
+    def to_json(self) -> dict[str, Any]:
+        """The summary."""
+        return self.summary
+
+    def __str__(self) -> str:
+        """The summary in words; its last lines are the verdict."""
+        from wyner.runs.score.summary import render
+
+        return render(self.summary)
+
 
 def run_session(
     options: RunOptions,
@@ -194,8 +204,8 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     Each is looked for before anything starts.
     """
     from tap_service.command import find_each, names_of
-    from tap_service.eavesdroppers import KnowledgeError, default_names
-    from tap_service.sandboxed import each_once, sandboxed
+    from tap_service.config import each_once
+    from tap_service.eavesdroppers import KnowledgeError, default_names, named
 
     text = options.eavesdropper
     asked = () if text is None else names_of([text])
@@ -204,7 +214,7 @@ def eavesdroppers_of(options: RunOptions, scenario: "Scenario") -> tuple[str, ..
     knowledge = scenario.knowledge()
 
     def find(name: str) -> None:
-        sandboxed(name).suits(knowledge)
+        named(name).suits(knowledge)
 
     find_each(asked, find, "--eavesdropper: ")
     its = scenario.tap.eavesdroppers
@@ -283,7 +293,7 @@ class Progress:
         if self._silent and now >= self._began + SAID_S:
             name = min(self._silent)
             log = self._supervisor.child(name).log
-            raise Failure(f"{name}: nothing heard of it in {SAID_S:g} s (log: {log})")
+            raise Failure(f"{name}: no status of it within {SAID_S:g} s (log: {log})")
         ended = self._supervisor.child("plant").returned is not None
         arrived = 0 < self.delivered <= self.received and not self.waiting
         if self._over_at is None and (ended or (self._until_delivered and arrived)):

@@ -1,12 +1,12 @@
-"""``wyner status``: what the services of a run last said of themselves, and what is wrong."""
+"""``wyner status``: the last status of each service of a run, and warnings."""
 
 import argparse
-import json
 import socket
 from pathlib import Path
 from typing import Final
 
 from runtime.errors import DONE, FAILED, Failure, UsageError
+from wyner.cli.results import add_json, show
 
 CONNECT_S: Final = 3.0
 """Seconds in which a router must take a connection."""
@@ -15,17 +15,17 @@ CONNECT_S: Final = 3.0
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Print what the services of a run last said of themselves, and a warning for each thing "
-        "that is wrong. Exit 0 when nothing is, 1 when something is."
+        "Print the last status of each service of a run, and a warning for each problem. Exit code "
+        "0 without a warning, 1 with one."
     )
     parser.add_argument(
-        "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that goes on"
+        "run_dir", nargs="?", type=Path, metavar="RUN_DIR", help="default: the run that is going on"
     )
-    parser.add_argument("--json", action="store_true", help="one JSON object on standard output")
+    add_json(parser)
     parser.add_argument(
         "--endpoint",
         metavar="ENDPOINT",
-        help="instead: whether a router takes connections there, such as tcp/router:7447",
+        help="only check that a router accepts connections there, such as tcp/router:7447",
     )
 
 
@@ -38,7 +38,7 @@ def run(args: argparse.Namespace) -> int:
     from wyner.deployment.status import status_of
 
     found = status_of(_run_dir(args.run_dir))
-    print(json.dumps(found.to_json()) if args.json else found)
+    show(found, args)
     return FAILED if found.warnings else DONE
 
 

@@ -11,8 +11,8 @@ from tap_service.command import GivenKnowledge, TapOptions, knowledge_in, run_wi
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the command's options."""
     parser.description = (
-        "Hear what passes between controller and plant, record it, and let eavesdroppers guess. "
-        "What they may know is derived from a scenario, or read from a file."
+        "Listen to the messages between controller and plant, record them, and run eavesdroppers "
+        "on them. What these know of the plant is derived from a scenario, or read from a file."
     )
     tap_service.command.add_arguments(parser)
 

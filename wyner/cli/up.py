@@ -1,12 +1,12 @@
 """``wyner up``: controller, plant and tap on this machine, and a screen to watch them."""
 
 import argparse
-import json
 from dataclasses import fields
 from typing import Final
 
 from runtime import options
 from runtime.errors import DONE, FAILED, INTERRUPTED, UsageError
+from wyner.cli.results import show
 from wyner.cli.session import run_session
 from wyner.deployment.one_machine import RunOptions
 
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--demo",
         action="store_true",
-        help="five short runs, a minute in all, and four lines that say what came of them",
+        help="five short runs, about a minute in all, and a verdict of four lines",
     )
     options.add_arguments(parser, RunOptions)
 
@@ -29,11 +29,9 @@ def run(args: argparse.Namespace) -> int:
     """Start, watch, stop, sum up."""
     if args.demo:
         return _demo(args)
-    from wyner.runs.score.summary import render
-
     outcome = run_session(options.picked(RunOptions, vars(args)))
     summary = outcome.summary
-    print(json.dumps(summary) if args.json else render(summary))
+    show(outcome, args)
     if outcome.failure is not None:
         raise outcome.failure
     if outcome.interrupted:

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import IO, Final
 
 from protocol.text import printable
-from runtime.progress import duration
 from wyner.dashboard.app import REFRESH_S, Ending
 from wyner.dashboard.model import State, TapState, reduce_all
 from wyner.dashboard.score import (
@@ -17,7 +16,6 @@ from wyner.dashboard.score import (
     rate_in_words,
     score,
     secrecy,
-    time_left_s,
     truth_for,
 )
 from wyner.dashboard.secrecy_panel import held, keys_right
@@ -143,9 +141,6 @@ def progress(state: State) -> str:
         parts.append(f"x as reported, truly {component(state.away)} away")
     if state.alarms:
         parts.append(state.alarms)
-    left = time_left_s(state)
-    if left is not None:
-        parts.append(f"{duration(left)} to go")
     its = secrecy(state)
     if its.strongest:
         tap = state.taps[its.strongest]

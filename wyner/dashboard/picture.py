@@ -1,23 +1,20 @@
-"""The panel of the agreement test: a bar a candidate, the verdict in words, the plane, a legend.
+"""The panel of the key test: a bar for each candidate, and the verdict in words.
 
 A bar's first half runs from the prediction to the edge of D_c (gauge 0 to 1), its second half on to
 the edge of D_e (1 to alpha), so that the half that matters is as wide as the one that does not.
 """
 
-import itertools
 from collections.abc import Sequence
 from typing import Final
 
+import numpy as np
 from rich.text import Text
 
 from protocol.agreement import INSIDE
+from protocol.convex import corners
 from protocol.messages import PlantModel, PlantStatus
-from wyner.dashboard import plane
 from wyner.dashboard.parts import line, rule
 from wyner.dashboard.text import BEYOND, DOT, EDGE, FAINT, LINE, STYLES, longest, number
-
-PLANE_ROWS: Final = 3
-"""Rows below which the plane is left to the bars."""
 
 BARS_AT_MOST: Final = 16
 
@@ -41,53 +38,34 @@ def verdict(status: PlantStatus) -> str:
     return "no key: outside a D_e, so Eve knows"
 
 
+def spread(model: PlantModel) -> float:
+    """How many times D_c must be scaled to hold D_e: alpha, where it has no shape of its own."""
+    if not model.eavesdropper_H or len(model.A) > 4:
+        return model.alpha
+    ends = corners(model.eavesdropper_H, model.eavesdropper_h)
+    gauges = ends @ np.array(model.defender_H).T / np.array(model.defender_h)
+    return float(gauges.max())
+
+
 def agreement(
     model: PlantModel | None, status: PlantStatus | None, width: int, rows: int
 ) -> list[Text]:
-    """The last pictured step, for a place of ``rows`` lines of ``width`` cells.
-
-    Bars come first, then the verdict; the plane takes what is left, from `PLANE_ROWS` on.
-    """
+    """The last pictured step in at most ``rows`` lines of ``width`` cells."""
     if status is None:
         return [rule("Key test", width), line(" no step pictured yet")]
-    title = f"Key test at step {status.pictured_k}"
-    if model is None or not plane.fits(model, status):
-        return [rule(title, width), line(" the plant's model was not received yet")]
-    axes = plane.axes_of(model)
+    title = rule(f"Key test at step {status.pictured_k}", width)
+    if model is None:
+        return [title, line(" the plant's model was not received yet")]
     gauges = status.pictured_gauges
-    room = rows - 3  # rule, scale, verdict
-    with_plane = room - min(len(gauges), 2) >= PLANE_ROWS + 1
-    most = max(1, min(room - (PLANE_ROWS + 1 if with_plane else 0), BARS_AT_MOST, len(gauges)))
+    most = max(1, min(rows - 3, BARS_AT_MOST, len(gauges)))  # title, scale and verdict
     style = STYLES["good"] if status.pictured_symbol >= 0 else ""
-    body = [*_bars(model, gauges, width, most), line(f" {verdict(status)}", style)]
-    if with_plane:
-        body += [*_plane(model, status, width, room - most - 1), _legend(width)]
-    return [rule(title, width, axes.words, axes.short), *body]
-
-
-def _plane(model: PlantModel, status: PlantStatus, width: int, rows: int) -> list[Text]:
-    lines = []
-    for cells in plane.draw(model, status, width - 2, rows):
-        drawn = line(" ")
-        for style, run in itertools.groupby(cells, key=lambda cell: cell.style):
-            drawn.append("".join(cell.character for cell in run), style=STYLES[style])
-        lines.append(drawn)
-    return lines
-
-
-def _legend(width: int) -> Text:
-    text = longest(
-        width - 1,
-        f"{DOT} next state   0 1 where each input leads, in its D_c   arrows: D_e goes on",
-        f"{DOT} next state  0 1 where inputs lead",
-    )
-    return line(f" {text}", STYLES["label"])
+    return [title, *_bars(model, gauges, width, most), line(f" {verdict(status)}", style)]
 
 
 def _bars(model: PlantModel, gauges: Sequence[float], width: int, most: int) -> list[Text]:
     """A line for each of the nearest candidates, and a line that names the marks."""
     half = max(NARROWEST, (width - BESIDE) // 2)
-    alpha = plane.spread(model)
+    alpha = spread(model)
     nearest = sorted(range(len(gauges)), key=lambda i: (gauges[i], i))[:most]
     lines = []
     for i in sorted(nearest):

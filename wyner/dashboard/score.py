@@ -272,25 +272,6 @@ def contradictions(state: State) -> Iterator[str]:
         yield "MISSES IN BURSTS"
 
 
-SETTLED: Final = 20
-"""Transitions from which on the time left is said."""
-
-
-def time_left_s(state: State) -> float | None:
-    """Seconds on the wall clock until the message on its way is whole; None: not to be said."""
-    plant, controller = state.plant, state.controller
-    if plant is None or controller is None or not plant.recovered_symbols or not plant.rate_hz:
-        return None
-    if plant.phase == "stopped":
-        return None
-    if plant.transitions < SETTLED:  # the first second's pace is that of the start, not of the run
-        return None
-    missing = controller.frame_length - controller.frame_symbols
-    if missing <= 0:
-        return None
-    return missing * plant.transitions / plant.recovered_symbols / plant.rate_hz
-
-
 def truth_for(state: State, text: str) -> str:
     """The true message that a tap's text fits best; the one on its way where several fit alike."""
     best, best_right = state.sent, _right(state.sent, text)

@@ -88,8 +88,7 @@ def distilled(state: State, width: int) -> list[Text]:
     rests_on = line(claim)
     if against:
         heads = [text.partition(":")[0] for text in against]
-        fewer = ("; ".join(heads[:most]) for most in range(len(heads), 0, -1))
-        red = longest(room, "; ".join(against), *fewer)
+        red = longest(room, "; ".join(against), "; ".join(heads), heads[0])
         left = room - cell_len(red)
         rests_on = line(red, STYLES["bad"]).append(longest(left, f"; {claim}"), "default")
     rows = [labelled("distilled keys", keys), labelled("assumption", rests_on)]
@@ -118,7 +117,7 @@ def eavesdroppers(state: State, shown: Sequence[tuple[TapState, Score]], width: 
     """A row for each tap, under the columns that the width has room for."""
     rows = [(tap.status.name, (state, tap, its)) for tap, its in shown]
     found = table("eavesdropper", fitting(_COLUMNS, width - LABEL - 2), rows)
-    return found if shown else [*found, line(" none heard")]
+    return found if shown else [*found, line(" none")]
 
 
 def _follows(tap: TapState) -> str:
@@ -165,24 +164,14 @@ def _broke(tap: TapState) -> str:
     return f"{solved}"  # a replay, or heard late: nobody here knows what it was
 
 
-def _unused(tap: TapState) -> int:
-    """Messages that the tap heard and could not use, and steps that it skipped."""
-    its = tap.status
-    return its.foreign + its.late + its.dropped + its.jumped
-
-
 _Judged = tuple[State, TapState, Score]
 
 _COLUMNS: Final[tuple[Column[_Judged], ...]] = (
     Column("keys found %", 12, 0, lambda of: keys_right(of[2])),
-    Column("keys so far", 11, 6, lambda of: count(of[2].scored)),
     Column("secret bit/key", 14, 3, lambda of: figure(of[2].bits_per_key)),
     Column("texts tried", 11, 5, lambda of: _follows(of[1])),
     Column("model error", 11, 4, lambda of: _model_off(of[0], of[1])),
     Column("letters right", 13, 2, lambda of: _message_right(of[0], of[1])),
     Column("whole at step", 14, 1, lambda of: _broke(of[1])),
-    Column("steps behind", 12, 7, lambda of: count(of[1].status.behind)),
-    Column("steps missed", 12, 8, lambda of: count(of[1].status.lost)),
-    Column("not used", 8, 9, lambda of: count(_unused(of[1]))),
 )
 """Left to right."""

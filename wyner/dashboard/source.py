@@ -1,8 +1,6 @@
 """Where the dashboard's messages come from: two buses, or a script for tests and pictures."""
 
-import threading
 import time
-from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Final, Protocol
 
@@ -10,14 +8,14 @@ from pydantic import ValidationError
 
 from protocol.messages import ControllerStatus, Message, PlantModel, PlantStatus, TapStatus
 from protocol.topics import key_of
-from runtime.inbox import OVERHEAD
+from runtime.inbox import Inbox
 from wyner.dashboard.model import Arrival
 
 if TYPE_CHECKING:
     from runtime.bus import Bus
 
 WAITING_AT_MOST: Final = 32 * 2**20
-"""Bytes held between two looks; the newest win, and what is pushed out is counted."""
+"""Bytes held between two looks; what comes beyond is dropped and counted."""
 
 MANAGEMENT_WATCHED: Final[tuple[type[Message], ...]] = (PlantModel, PlantStatus, ControllerStatus)
 ADVERSARY_WATCHED: Final[tuple[type[Message], ...]] = (TapStatus,)
@@ -43,7 +41,7 @@ class Source(Protocol):
 class BusSource:
     """Subscribes to the statuses of one loop over the management and the adversary bus.
 
-    Callbacks of the buses only append to a queue; parsing happens in `drain`, on the caller's
+    Callbacks of the buses only put into an inbox; parsing happens in `drain`, on the caller's
     thread. Closing the buses is the caller's.
 
     Parameters
@@ -56,10 +54,8 @@ class BusSource:
 
     def __init__(self, management_bus: "Bus", adversary_bus: "Bus", loop: str) -> None:
         self._types: dict[str, type[Message]] = {}
-        self._waiting: deque[tuple[str, bytes, int]] = deque()
-        self._delivering = threading.Lock()
-        self._bytes = 0
-        self._dropped = self._malformed = 0
+        self._waiting: Inbox[tuple[str, bytes, int]] = Inbox(WAITING_AT_MOST)
+        self._malformed = 0
         for bus, types in (
             (management_bus, MANAGEMENT_WATCHED),
             (adversary_bus, ADVERSARY_WATCHED),
@@ -70,13 +66,8 @@ class BusSource:
                 bus.subscribe(key, self._deliver)
 
     def _deliver(self, key: str, payload: bytes, _sent_ns: int) -> None:
-        # On a foreign thread; the oldest goes where there is no room.
-        with self._delivering:
-            self._waiting.append((key, payload, time.monotonic_ns()))
-            self._bytes += len(payload) + OVERHEAD
-            while self._bytes > WAITING_AT_MOST and len(self._waiting) > 1:
-                self._bytes -= len(self._waiting.popleft()[1]) + OVERHEAD
-                self._dropped += 1
+        # On a foreign thread.
+        self._waiting.put((key, payload, time.monotonic_ns()), len(payload))
 
     @property
     def malformed(self) -> int:
@@ -86,9 +77,8 @@ class BusSource:
     def drain(self) -> Sequence[Arrival]:
         """Parse all that is waiting; malformed is counted and left out."""
         arrivals = []
-        with self._delivering:
-            waiting, self._waiting, self._bytes = self._waiting, deque(), 0
-        for key, payload, t_ns in waiting:
+        for _ in range(len(self._waiting)):
+            key, payload, t_ns = self._waiting.get(0.0)
             try:
                 message = self._types[key].model_validate_json(payload)
             except (ValidationError, KeyError):
@@ -106,6 +96,6 @@ class BusSource:
         lines = []
         if self._malformed:
             lines.append(f"dashboard: {self._malformed} payloads were no message of their key")
-        if self._dropped > 0:
-            lines.append(f"dashboard: {self._dropped} messages came faster than they were read")
+        if dropped := self._waiting.dropped:
+            lines.append(f"dashboard: {dropped} messages came faster than they were read")
         return lines

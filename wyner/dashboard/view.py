@@ -14,14 +14,12 @@ from rich.cells import cell_len
 from rich.console import Group
 from rich.text import Text
 
-from runtime.progress import duration
 from wyner.dashboard.model import State
 from wyner.dashboard.parts import VALUE_AT, beside, labelled, line, rule
 from wyner.dashboard.picture import agreement
-from wyner.dashboard.score import ranked, rate_in_words, secrecy, time_left_s, truth_for
+from wyner.dashboard.score import ranked, rate_in_words, secrecy, truth_for
 from wyner.dashboard.secrecy_panel import amounts, distilled, eavesdroppers, explanation
 from wyner.dashboard.text import (
-    FAINT,
     LEVELS,
     STYLES,
     component,
@@ -50,18 +48,8 @@ REASON_AT_LEAST: Final = 12
 LOOP_ROWS: Final = 9
 """Lines of the panel of the loop on a screen of 24."""
 
-MORE_STATES: Final = 4
-"""Lines more for the states on a larger screen; the last steps have the others."""
-
 TOO_MANY: Final = 20
 """One missed step in so many is shown as trouble."""
-
-STATE_CELLS: Final = 13
-ATTACKED_CELLS: Final = 37
-"""Cells of a component of the state with its name, its history aside; and of an attacked one."""
-
-BAR: Final = 30
-"""Cells of the bar of a message on its way."""
 
 KEYS: Final = (
     ("q", "quit", "leave the dashboard"),
@@ -73,7 +61,7 @@ KEYS: Final = (
 HELP: Final = (
     "Key test: how far the next state lies from where each input would have led,",
     "up to the edge of D_c (1), then of D_e = alpha D_c. A key is agreed when one",
-    "bar alone ends in D_c and none beyond D_e. Below: the same in the plane.",
+    "bar alone ends in D_c and none beyond D_e. Last steps: Eve's guess, its odds.",
     "keys: those of both ends, the strongest eavesdropper's below; ^ is a wrong one.",
     "wrong keys: keys that are not the plant's input, as under an attack.",
     "missed: steps whose input did not come in time.",
@@ -88,7 +76,7 @@ HELP: Final = (
     "`wyner report` writes the same comparison as a page, once a run is over.",
 )
 
-_NO_TAP: Final = ("no tap heard", "")
+_NO_TAP: Final = ("no tap", "")
 
 _LABEL: Final = re.compile(r" +|\S+(?: \S+)? {2,}")
 """What stands before the text of a line: spaces, or what it is about."""
@@ -141,9 +129,8 @@ class _Page:
             if fixed + sum(sizes.values()) > height:
                 sizes.pop(panel, None)
         spare = max(0, height - fixed - sum(sizes.values()))
-        bar = "message" in sizes and spare > 0
-        more_taps = max(0, min(spare - bar, len(self.taps) - 1, 7)) if "taps" in sizes else 0
-        spare -= bar + more_taps
+        more_taps = max(0, min(spare, len(self.taps) - 1, 7)) if "taps" in sizes else 0
+        spare -= more_taps
         explained = spare >= 4
         spare -= explained
         texts = 1
@@ -154,7 +141,7 @@ class _Page:
         if "loop" in sizes:
             lines += self.top(LOOP_ROWS + spare)
         if "message" in sizes:
-            lines += self.message(texts, bar=bar)
+            lines += self.message(texts)
         shown = self.taps[: 1 + more_taps] if "taps" in sizes else []
         hidden = 0 < len(shown) < len(self.taps)
         note = f"the strongest {len(shown)} of {len(self.taps)} eavesdroppers" if hidden else ""
@@ -244,20 +231,23 @@ class _Page:
         return keys.append(tail.rjust(self.width - keys.cell_len - 1), style="dim")
 
     def top(self, rows: int) -> list[Text]:
-        """The loop, its keys and its last steps; the key test beside them where there is room."""
+        """The loop and its keys; the key test and the last steps beside or below them."""
         both = self.width >= WHOLE[0]
         left = self.width
         if both:
             left = 40 if self.width < 100 else min(54, self.width // 2 - 6)
-        lines = self.loop(left, rows - LOOP_ROWS)
-        if (rest := rows - len(lines)) >= 4:
-            lines += self.last_steps(left, rest)
+        lines = self.loop(left, rows)
         if both:
-            test = agreement(self.state.model, self.state.pictured, self.width - left - 1, rows)
+            right = self.width - left - 1
+            test = agreement(self.state.model, self.state.pictured, right, rows)
+            if (rest := rows - len(test)) > 1:
+                test += self.last_steps(right, rest)
             lines = beside(lines, test, left)
+        elif (rest := rows - len(lines)) > 1:
+            lines += self.last_steps(left, rest)
         return lines + [line()] * (rows - len(lines))
 
-    def loop(self, width: int, extra: int) -> list[Text]:
+    def loop(self, width: int, height: int) -> list[Text]:
         """Step, state with history, rate, where the state is, and the keys."""
         plant, model = self.state.plant, self.state.model
         if plant is None:
@@ -278,7 +268,7 @@ class _Page:
         bad = plant.missed * TOO_MANY > plant.transitions + plant.missed
         step.append(missed, STYLES["bad"] if bad else "")
         rate = line(f" {rate_in_words(self.state)}")
-        states = self._states(plant.x, width, 2 + min(extra, MORE_STATES))
+        states = self._states(plant.x, width, height - LOOP_ROWS + 2)
         return [title, step, *states, rate, self._control(width), *self.keys(width)]
 
     def _control(self, width: int) -> Text:
@@ -305,33 +295,23 @@ class _Page:
         return line(longest(width, long, short, f" {true} away"), STYLES["bad"])
 
     def _states(self, x: Sequence[float], width: int, rows: int) -> list[Text]:
-        """Each component with its history: one to a row, or where rows are short more.
+        """A row for each component with its history, as far as there is room.
 
         Of an attacked plant the true component, with its history, stands beside the reported one.
         """
         state, attacked = self.state, self.state.attacked
-        least = ATTACKED_CELLS if attacked else STATE_CELLS
-        per_row = max(1, min(-(-len(x) // rows), (width - 1) // least))
-        each = (width - 1) // per_row
-        bars = max(0, each - least - 1)
-        cells: list[Text] = []
-        for i, value in enumerate(x):
-            history = _history(state.true_states if attacked else state.states, i, bars)
-            told = f" x{i + 1}  {component(value, '+'):>8}"
-            if attacked:
-                true = component(history[-1], "+") if history else ""
-                told = f" x{i + 1} reported {component(value, '+'):>8}, true {true:>8}"
-            cells.append(line(f"{told}  {sparkline(history, LEVELS)}"))
-        if len(cells) > per_row * rows:
-            fitting = per_row * rows - 1
-            cells[fitting:] = [line(f" {len(cells) - fitting} more")]
         lines = []
-        for i in range(0, len(cells), per_row):
-            row = line()
-            for cell in cells[i : i + per_row]:
-                cell.truncate(each, overflow="crop", pad=True)
-                row.append(cell)
-            lines.append(row)
+        for i, value in enumerate(x):
+            told = f" x{i + 1}  {component(value, '+'):>8}  "
+            if attacked:
+                told = f" x{i + 1} reported {component(value, '+'):>8}, true "
+            room = max(0, width - len(told) - (9 if attacked else 0))
+            history = _history(state.true_states if attacked else state.states, i, room)
+            if attacked:
+                told += f"{component(history[-1], '+') if history else '':>8} "
+            lines.append(line(told + sparkline(history[-room:] if room else [], LEVELS)))
+        if len(lines) > rows:
+            lines[rows - 1 :] = [line(f" and {len(lines) - rows + 1} more states")]
         return lines + [line()] * (2 - len(lines))
 
     def keys(self, width: int) -> list[Text]:
@@ -368,36 +348,36 @@ class _Page:
         Where Eve is behind, the newest steps are those that Eve has guessed at.
         """
         truths, tap = self.state.truths, self.taps[0][0] if self.taps else None
-        steps, notes = sorted(truths, reverse=True), ["", ""]
-        if tap is not None:
-            guessed = [k for k in steps if k in tap.guesses]
-            behind = steps[0] - guessed[0] if guessed else 0
-            late = f", {count(behind)} steps behind" if behind >= rows else ""
-            notes = [f"with the odds of {drawn(tap.status.name)}{late}", f"with Eve's odds{late}"]
-            steps = [k for k in steps if k <= guessed[0]] if late else steps
-        lines = [rule("Last steps", width, *notes)]
+        guesses = {} if tap is None else tap.guesses
+        steps, late = sorted(truths, reverse=True), ""
+        if guessed := [k for k in steps if k in guesses]:
+            behind = steps[0] - guessed[0]
+            if behind >= rows:
+                late = f"Eve is {count(behind)} steps behind"
+                steps = [k for k in steps if k <= guessed[0]]
+        lines = [rule("Last steps", width, late)]
         for k in steps[: rows - 1]:
             truth = truths[k]
             what = "message" if truth.role == "message" else "no key"
             what = f"key {truth.symbol}" if truth.symbol >= 0 else what
-            row = line(f" {k:<7}  input {truth.coin}  {what:<7}")
-            guess = tap.guesses.get(k) if tap is not None else None
-            if guess is not None:
-                row.append(f"  Eve says {guess.symbol}, {guess.probability:.2f}")
+            row = line(f" {k:<6} input {truth.coin} {what:<7}")
+            if (guess := guesses.get(k)) is not None:
                 wrong = truth.symbol >= 0 and guess.symbol != truth.symbol
-                row.append("  ^ wrong" if wrong else "", style=STYLES["bad"])
+                row.append(f" Eve: {guess.symbol}, {guess.probability:.2f}")
+                row.append(" ^" if wrong else "", style=STYLES["bad"])
             lines.append(row)
         return lines
 
-    def message(self, taps: int, *, bar: bool) -> list[Text]:
+    def message(self, taps: int) -> list[Text]:
         """Sent, recovered and guessed, one below the other, wrong characters marked with ^."""
         state = self.state
         sent, recovered = letters(state.sent), letters(state.recovered)
         shown = [tap for tap, _ in self.taps if tap.status.key_bits_held < 0][:taps]
         start = self._start(sent, len(recovered))
-        lines = [rule("Message", self.width, "what was sent, what the plant has, what Eve reads")]
-        if bar:
-            lines.append(labelled("on its way", self._under_way(len(sent), len(recovered))))
+        note = f"{len(recovered)} of {len(sent)} characters"
+        if its := state.controller:
+            note += f"; messages delivered: {count(its.delivered)}, waiting: {count(its.queue)}"
+        lines = [rule("Message", self.width, note)]
         lines.append(labelled("sent", line(drawn(sent)[start:])))
         lines.append(labelled("plant has", self._marked(recovered, sent, start)[0]))
         for tap in shown:
@@ -415,22 +395,6 @@ class _Page:
         if not shown:
             lines += [labelled(text, line()) for text in _NO_TAP]
         return lines
-
-    def _under_way(self, sent: int, recovered: int) -> Text:
-        """How much of the message the plant has, as a bar and in words."""
-        its = self.state.controller
-        told = [f"{recovered} of {sent} characters"]
-        if (left := time_left_s(self.state)) is not None:
-            told.append(f"{told[-1]}, whole in {duration(left)}")
-        if its is not None:
-            told.append(f"{told[-1]}, {its.frame_symbols} of {its.frame_length} symbols")
-            told.append(f"{told[-1]}; messages delivered: {its.delivered}, waiting: {its.queue}")
-        words = longest(self.width - VALUE_AT - BAR // 2 - 2, *reversed(told))
-        room = min(BAR, max(5, self.width - VALUE_AT - 2 - len(words)))
-        done = room * min(recovered, sent) // max(1, sent)
-        bar = line(LEVELS[-1] * done, STYLES["good"])
-        bar.append(FAINT * (room - done), STYLES["label"])
-        return bar.append(f"  {words}", style="default")
 
     def _start(self, sent: str, grown: int) -> int:
         """The first character shown of a message that has grown so far."""

@@ -37,21 +37,23 @@ class RunOptions(MessageOptions):
     pace: str = option("realtime, xN, or fast (lock-step)", "P", "realtime")
     steps: int | None = option("end at step N", "N", least=1)
     until_delivered: bool = option(
-        "end when the plant has the message, and each that was sent meanwhile", default=False
+        "end when the plant has the message, and each that was sent during the run", default=False
     )
     eavesdropper: str | None = option(
-        "who listens besides those of the scenario, by name or as path/to/file.py:Name",
+        "eavesdroppers besides those of the scenario, by name or as path/to/file.py:Name",
         "NAME[,NAME...]",
     )
     story: bool = option("pause at what matters, with a caption each time", default=False)
-    headless: bool = option("lines instead of a screen", default=False)
-    json: bool = option("end with one JSON object on stdout", default=False)
+    headless: bool = option("print lines instead of a screen", default=False)
+    json: bool = option("print the summary as one JSON object", default=False)
     attack: str | None = option(
         "attack the plant from a step on, such as ghost@200, or path/to/file.py:Name@200",
         "KIND@STEP",
     )
     run_dir: str | None = option("default: a new folder below runs/", "D")
-    seed: int | None = option("for experiments: predictable draws", "N", least=0)
+    seed: int | None = option(
+        "seed of all random numbers, for experiments: nothing is secret then", "N", least=0
+    )
 
 
 KEYED_COIN: Final = """

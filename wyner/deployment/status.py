@@ -12,7 +12,6 @@ from protocol.messages import ControllerStatus, PlantStatus
 from protocol.messages.adversary import deaf_share
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED, PROVED
-from protocol.text import printable
 from runtime.errors import UsageError
 from runtime.health import Look, look_at_status, read_status
 from runtime.run_folder import CONTROLLER_STATUS, PLANT_STATUS, SCENARIO, loops_below
@@ -70,7 +69,7 @@ class RunStatus:
         lines = [*_of_plant(self), *_of_controller(self)]
         lines += [f"{name:<12}{look.text}" for name, look in self.others.items()]
         lines += [f"warning: {text}" for text in self.warnings]
-        return "\n".join(map(printable, lines))
+        return "\n".join(lines)
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,7 @@ class FleetStatus:
         """How many loops are well, and each warning."""
         well = sum(not one.warnings for one in self.loops.values())
         lines = [f"{well} of {len(self.loops)} loops without a warning"]
-        return "\n".join(map(printable, [*lines, *(f"warning: {w}" for w in self.warnings)]))
+        return "\n".join([*lines, *(f"warning: {w}" for w in self.warnings)])
 
 
 def status_of(run_dir: Path) -> RunStatus | FleetStatus:

@@ -3,6 +3,7 @@
 import math
 
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from wyner.drawing.style import COLOURS
 from wyner.runs.score.report import Report
@@ -22,3 +23,11 @@ def draw_report(axes: Axes, report: Report) -> None:
     axes.grid(visible=False)
     axes.set_xlabel("bits counted as secret, and bits left at most")
     axes.set_xlim(0, 1.15 * max(1.0, *(value for value in values if not math.isnan(value))))
+
+
+def draw_scored(figure: Figure, report: Report) -> str:
+    """The same as a figure of its own, under the verdict; returns the note."""
+    axes = figure.subplots()
+    draw_report(axes, report)
+    axes.set_title(report.verdict(), fontsize=9, loc="left")
+    return ""

@@ -9,12 +9,16 @@ score, the largest of its steps, and what is promised is promised of sessions.
 
 import math
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from protocol.arrays import Array
 from protocol.statistics import clopper_pearson
+
+CONFIDENCE: Final = 0.999
+"""Of what is said of D_c."""
 
 
 def template(residuals: ArrayLike) -> Array:

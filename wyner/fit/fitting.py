@@ -21,7 +21,13 @@ from protocol.arrays import Array
 from protocol.scenario import ConvexSet, NoiseSet, Scenario, ScenarioError, parse_scenario
 from protocol.scenario.noise import widened
 from runtime.progress import duration
-from wyner.fit.conformal import conformal_scale, session_score, template, violation_bound
+from wyner.fit.conformal import (
+    CONFIDENCE,
+    conformal_scale,
+    session_score,
+    template,
+    violation_bound,
+)
 from wyner.fit.identification import (
     ROUNDED,
     FitError,
@@ -74,8 +80,6 @@ class Plan:
         Sessions that certify it.
     steps : int
         Of a session under the law.
-    confidence : float
-        Of the certificate.
     seed : int
     noise : float, optional
         So many standard deviations of the sensors' noise, as it shows in the readings, are its
@@ -90,7 +94,6 @@ class Plan:
     violation: float = 0.05
     fresh: int = 100
     steps: int = 200
-    confidence: float = 0.999
     seed: int = 1
     noise: float | None = None
 
@@ -247,8 +250,8 @@ def fit(
         "sessions": plan.fresh,
         "steps": plan.steps,
         "exceeded": exceeded,
-        "violation": violation_bound(plan.fresh, exceeded, plan.confidence),
-        "confidence": plan.confidence,
+        "violation": violation_bound(plan.fresh, exceeded, CONFIDENCE),
+        "confidence": CONFIDENCE,
         "law_fingerprint": s.law_fingerprint(),
     }
     out = _with(tables, defender)

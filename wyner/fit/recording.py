@@ -16,7 +16,7 @@ import numpy as np
 
 from protocol.arrays import Array
 from runtime.files import read_regular
-from wyner.fit.conformal import conformal_scale, template, violation_bound
+from wyner.fit.conformal import CONFIDENCE, conformal_scale, template, violation_bound
 from wyner.fit.identification import (
     WITHIN,
     FitError,
@@ -219,7 +219,9 @@ def _matlab_columns(path: Path) -> dict[str, Array]:
     return columns
 
 
-def fit_recording(recording: Recording, *, violation: float, confidence: float) -> RecordedFit:
+def fit_recording(
+    recording: Recording, *, violation: float, confidence: float = CONFIDENCE
+) -> RecordedFit:
     """Identify A and B, scale D_c, and count the steps held out that leave it.
 
     Parameters

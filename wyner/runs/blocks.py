@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from protocol.secret.blocks import Schedule
-from wyner.runs.lines import BlockLine
-from wyner.runs.trace import TRANSITION, Trace
+from wyner.runs.lines import TRANSITION, BlockLine
+from wyner.runs.trace import Trace
 
 
 class TracedBlock(NamedTuple):
@@ -55,7 +55,9 @@ class Blocks:
 
     def of(self, session: str, number: int) -> TracedBlock | None:
         """One of them; None where it is not whole, or does not follow a transition."""
-        here = self._sessions.get(session, ())
+        here = self._sessions.get(session)
+        if here is None:
+            return None
         first, length = self._schedule.begins(number), self._schedule.length(number)
         at, after = np.searchsorted(self._rows["j"][here], [first, first + length])
         if at == 0 or after - at != length:

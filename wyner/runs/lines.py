@@ -2,7 +2,7 @@
 
 import base64
 import binascii
-from typing import Any, Final, Literal, NamedTuple
+from typing import Any, ClassVar, Final, Literal, NamedTuple, get_args
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass as checked_dataclass
@@ -12,6 +12,9 @@ from protocol.vectors import Vector
 from protocol.wrong_fields import expected_of
 
 STRICT: Final = ConfigDict(extra="forbid", strict=True)
+
+TRANSITION, MISSED, INTERRUPTED = range(3)
+"""Kinds of step."""
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -54,6 +57,23 @@ class TracedTransition:
     true_u: Vector | None = None
     attack_failed: str = ""
 
+    kind: ClassVar = TRANSITION
+
+    @property
+    def message(self) -> bool:
+        """Whether it carried a symbol, and tested nothing."""
+        return self.role == "message"
+
+    @property
+    def block(self) -> int:
+        """The block of the key stream that the offer named; -1 where it named none."""
+        return self.digits[0] if self.digits else -1
+
+    @property
+    def at(self) -> int:
+        """The number in that block."""
+        return self.digits[1] if self.digits else 0
+
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
 class MissedLine:
@@ -76,9 +96,9 @@ class MissedLine:
     attack_failed: str = ""
 
     @property
-    def interrupted(self) -> bool:
+    def kind(self) -> int:
         """Whether the plant's process died over it, or its session ended."""
-        return self.event == "interrupted"
+        return INTERRUPTED if self.event == "interrupted" else MISSED
 
 
 @checked_dataclass(frozen=True, slots=True, config=STRICT)
@@ -196,30 +216,23 @@ EventLine = (
     | PowerLine
 )
 
-KINDS: Final[dict[str, dict[str, TypeAdapter[Any]]]] = {
-    "plant": {
-        "transition": TypeAdapter(TracedTransition),
-        "missed": TypeAdapter(MissedLine),
-        "interrupted": TypeAdapter(MissedLine),
-        "timing": TypeAdapter(TimingLine),
-        "attack": TypeAdapter(AttackLine),
-        "power_failed": TypeAdapter(PowerLine),
-        "session": TypeAdapter(SessionLine),
-        "recovered": TypeAdapter(RecoveredLine),
-        "refused": TypeAdapter(Refused),
-        "block": TypeAdapter(BlockLine),
-        "appearances": TypeAdapter(AppearancesLine),
-    },
-    "controller": {
-        "transition": TypeAdapter(TracedTransition),
-        "session": TypeAdapter(SessionLine),
-        "alarm": TypeAdapter(AlarmLine),
-        "power_failed": TypeAdapter(PowerLine),
-        "sent": TypeAdapter(QueuedLine),
-        "delivered": TypeAdapter(QueuedLine),
-        "block": TypeAdapter(BlockLine),
-        "appearances": TypeAdapter(AppearancesLine),
-    },
+
+def _adapters(*kinds: Any) -> dict[str, TypeAdapter[Any]]:
+    """By the events that the field ``event`` of each kind of line allows."""
+    return {
+        event: TypeAdapter(kind)
+        for kind in kinds
+        for event in get_args(kind.__annotations__["event"])
+    }
+
+
+_BOTH: Final = (SessionLine, BlockLine, AppearancesLine, PowerLine)
+
+KINDS: Final = {
+    "plant": _adapters(
+        TracedTransition, MissedLine, TimingLine, AttackLine, RecoveredLine, Refused, *_BOTH
+    ),
+    "controller": _adapters(TracedTransition, AlarmLine, QueuedLine, *_BOTH),
 }
 """What each side may trace: the event, and the type of its line."""
 

@@ -18,9 +18,10 @@ from protocol.text import readable
 from runtime.files import write_atomically
 from wyner.runs.check import judge
 from wyner.runs.check.evidence import Evidence, read_evidence
+from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
-from wyner.runs.score.counts import PlantCounts, truth_of
+from wyner.runs.score.counts import mean_cost, truth_of
 from wyner.runs.score.report import HEADINGS, NOTE, remarks, rows
 from wyner.runs.score.report import report as report_of
 from wyner.runs.score.score import (
@@ -34,7 +35,7 @@ from wyner.runs.score.score import (
 )
 from wyner.runs.score.summary import in_short
 from wyner.runs.seal import FILES, ITSELF
-from wyner.runs.trace import TRANSITION, Trace
+from wyner.runs.trace import Trace
 
 PAGE: Final = Path("report.html")
 
@@ -77,7 +78,7 @@ def page(e: Evidence) -> str:
     """The whole page."""
     results = judge(e)  # first: it takes most room, and gives it back
     kinds = [r.result for r in results]
-    attack = attacked(e.run).as_json()
+    attack = attacked(e.run)
     told: dict[str, Any] = {
         "scenario": e.scenario,
         "size": e.rules.size,
@@ -151,7 +152,6 @@ def _loop(e: Evidence, plant: Trace, flags: list[tuple[float, str]]) -> dict[str
         return {}
     s, period_s = e.scenario, e.scenario.plant.period_s
     seconds, carried = len(rows) * period_s, int((rows["message_symbol"] >= 0).sum())
-    counts = PlantCounts.of_rows(rows, s.cost_weights)
     read = "x" if e.rules.outputs is None else "y"
     states = {f"{read}{i + 1}": column for i, column in enumerate(rows["x"].T)}
     true = truth_of(rows)
@@ -175,7 +175,7 @@ def _loop(e: Evidence, plant: Trace, flags: list[tuple[float, str]]) -> dict[str
             "agreed": int(agreed.sum()),
             "carried": carried,
             "rate": f"{carried * float(np.log2(e.rules.size)) / seconds:.3g}",
-            "cost": f"{counts.mean_cost:.4g}",
+            "cost": f"{mean_cost(rows, s.cost_weights):.4g}",
         },
         "figures": {
             "states": drawn("States", states, held=False),

@@ -19,7 +19,7 @@ from protocol.link.records import Side
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario, ScenarioError
 from runtime.files import read_regular
-from runtime.recording import TraceError, TraceReader, ended, parts_of, read_lines
+from runtime.recording import TraceError, TraceReader, ended, first_part, parts_of, read_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
     BELIEFS,
@@ -239,8 +239,8 @@ class Run:
 
     def guesses(self) -> Iterator[dict[str, Any]]:
         """Every guess and second thought of the eavesdroppers, as the tap wrote them."""
-        for stem in (GUESSES, ANALYSIS_GUESSES):
-            for path in parts_of(self.folder / stem):
+        for stem in guess_logs(self.folder):
+            for path in parts_of(stem):
                 for line in read_lines(path):
                     event = line.value or {}
                     if event.get("event") in ("guess", "review"):
@@ -252,3 +252,9 @@ class Run:
             return int(json.loads(read_regular(self.folder / TAP_STATUS))["unguessed"])
         except (OSError, ValueError, LookupError, TypeError):
             return 0
+
+
+def guess_logs(folder: Path) -> list[Path]:
+    """The tap's logs of guesses: the mirror's, and that of each process beside it."""
+    beside = {first_part(p) for p in folder.glob(str(ANALYSIS_GUESSES.with_stem("analysis*")))}
+    return [folder / GUESSES, *sorted(beside)]

@@ -23,13 +23,12 @@ from runtime.recording import (
     HEADER,
     REPORTS,
     TRACE_FORMAT,
-    decode,
     number_of,
     parts_of,
-    raw_lines,
 )
 from wyner.runs.lines import (
     KINDS,
+    TRANSITION,
     Again,
     AttackLine,
     Break,
@@ -48,9 +47,7 @@ from wyner.runs.marks import HEADS, Problem, Segments
 from wyner.runs.resolve import Counts, Resolver
 
 Rows = np.ndarray[Any, np.dtype[np.void]]
-
-TRANSITION, MISSED, INTERRUPTED = range(3)
-"""Kinds of row."""
+Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 AT_ONCE: Final = 4096
 """Rows that are looked at at a time."""
@@ -62,7 +59,9 @@ HEADER_FIELDS: Final = frozenset(
     ("event", "part", "oldest", "format", "version", "vantage", "scenario", "fingerprint", "loop")
 )
 
-_BEGINS: Final = b'{"event":"transition",'
+
+def _is_transition(raw: bytes) -> bool:
+    return raw.startswith(b'{"event":"transition",') and raw.endswith(b"}")
 
 
 class Note(NamedTuple):
@@ -297,14 +296,11 @@ class Trace:
             marks.problem(1, f"{path.name} follows, and no end mark leads there")
         self.parts.append(marks)
         self._part = path
-        for number, raw, finished in raw_lines(path):
-            marks.newline = finished
-            if raw.startswith(_BEGINS) and raw.endswith(b"}"):
-                marks.line(number, raw)
+        for number, raw, value in marks.read(path, _is_transition):
+            if value is None:
                 self._transition(number, raw)
             else:
-                self._line(number, raw)
-        marks.finish()
+                self._line(number, raw, value)
 
     def _problem(self, number: int, text: str) -> None:
         where = f"{self._part.name} line {number}" if number else "the step in the journal"
@@ -312,16 +308,11 @@ class Trace:
         if self.readable < 0:
             self.readable, self._sure = self._count, len(self.notes)
 
-    def _line(self, number: int, raw: bytes) -> None:
-        value = decode(raw)
-        if value is None:
-            self.marks.malformed(number)
-            return
+    def _line(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
         kind = value.get("event")
         if kind in (HEADER, CONTINUED, END):
-            self._mark(number, raw, value)
+            self._mark(number, value)
             return
-        self.marks.line(number, raw)
         adapter = self._kinds.get(kind) if isinstance(kind, str) else None
         if kind == "transition":
             self._transition(number, raw)
@@ -335,10 +326,8 @@ class Trace:
             except ValueError as error:
                 self._problem(number, f"{kind}: {error}")
 
-    def _mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
-        ended = self.ended
-        self.marks.mark(number, raw, value)
-        self._marked = number
+    def _mark(self, number: int, value: dict[str, Any]) -> None:
+        self._marked, ended = number, self.marks.followed
         if value["event"] == HEADER:
             self._headed(number, value)
         elif value["event"] == CONTINUED:
@@ -547,64 +536,62 @@ class Trace:
         if self._dtype is None:
             self._dtype = columns(self.side, self._rules, truth=self._truth)
             self.rows = np.zeros(0, self._dtype)
-        rows = np.array([self._row(step) for step in self._batch], self._dtype)
-        before = len(self.rows)
-        self.rows.resize(before + len(rows), refcheck=False)
-        self.rows[before:] = rows
+        before, steps = len(self.rows), self._batch
+        if not steps:
+            return
+        self.rows.resize(before + len(steps), refcheck=False)
+        rows = self.rows[before:]
+        for name, (kind, *_) in (self._dtype.fields or {}).items():
+            attribute, missing = _ATTRIBUTES.get(name, name), -1 if name in _NUMBERS else 0
+            values: list[Any] = [getattr(step, attribute, missing) for step in steps]
+            if name == "session":
+                values = [
+                    self._numbers.setdefault(session, len(self._numbers)) for session in values
+                ]
+            elif kind.shape:
+                unknown = np.full(kind.shape, np.nan).tolist()
+                values = [value or unknown for value in values]
+            rows[name] = values
+        self.sessions = list(self._numbers)
         self._batch.clear()
 
-    def _row(self, step: TracedTransition | MissedLine) -> tuple[Any, ...]:
-        n, m, size, hidden = self._shape
-        session = self._numbers.setdefault(step.session, len(self._numbers))
-        if session == len(self.sessions):
-            self.sessions.append(step.session)
-        nowhere = ((_NAN,) * m,) * size
-        if isinstance(step, MissedLine):
-            kind = INTERRUPTED if step.interrupted else MISSED
-            row: tuple[Any, ...] = (
-                kind, session, -1, step.k, step.x, step.candidates or nowhere, step.x_next,
-                (_NAN,) * size, 0, 0, 0, -1, -1, -1, -1, step.coin, False, False,
-            )  # fmt: skip
-        else:
-            row = (
-                TRANSITION, session, step.j, step.k, step.x, step.candidates, step.x_next,
-                step.gauges, step.p, step.s, step.counts, step.cipher, step.symbol, step.key,
-                step.message_symbol, step.expected if step.coin is None else step.coin,
-                step.role == "message", step.keyed,
-            )  # fmt: skip
-        if self._rules.digits:
-            row = (*row, *((isinstance(step, TracedTransition) and step.digits) or (-1, 0)))
-        if step.u is not None:
-            row = (*row, step.u)
-        if self._truth:
-            row = (*row, step.true_x_next or (_NAN,) * (hidden or n), step.true_u or (_NAN,) * m)
-        if self._rules.predicted:
-            told = isinstance(step, TracedTransition) and step.predictions
-            row = (*row, told or ((_NAN,) * n,) * size)
-        if hidden:
-            box = step.box if isinstance(step, TracedTransition) else None
-            row = (*row, box or ((_NAN,) * hidden,) * 2)
-        return row
 
+_ATTRIBUTES: Final = {"true_x": "true_x_next"}
+"""What a column is called in a line, where it is called otherwise."""
 
-_NAN: Final = float("nan")
+_NUMBERS: Final = frozenset({"j", "cipher", "symbol", "key", "message_symbol", "block"})
+"""Columns that are -1 in a step without a counted offer; others are 0 or not a number there."""
 
 
 class Places:
-    """Where the steps of a trace stand, by session and step."""
+    """Where the rows of a trace stand, by session and step; by default those of :attr:`steps`."""
 
-    def __init__(self, trace: Trace) -> None:
+    def __init__(self, trace: Trace, rows: Rows | None = None) -> None:
+        rows = trace.steps if rows is None else rows
         self._sessions = {name: i for i, name in enumerate(trace.sessions)}
-        keys = trace.steps["session"].astype(np.int64)
+        keys = rows["session"].astype(np.int64)
         keys <<= 32
-        keys |= trace.steps["k"]
+        keys |= rows["k"]
         self._order = np.argsort(keys, kind="stable").astype(np.int32)
         self._keys = keys[self._order]
 
+    def session(self, name: str) -> int:
+        """A session's number; -1 of one that the trace does not have."""
+        return self._sessions.get(name, -1)
+
+    def all_of(self, sessions: Indices, k: Indices) -> Indices:
+        """The row of each step, its session given as a number; -1 where there is none."""
+        if not len(self._keys):
+            return np.full(len(k), -1)
+        keys = sessions << 32 | np.maximum(k, 0)
+        at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
+        there = (self._keys[at] == keys) & (sessions >= 0) & (k >= 0)
+        return np.where(there, self._order[at], -1)
+
     def of(self, session: str, k: int) -> int:
         """The row of a step; -1 where there is none."""
-        number = self._sessions.get(session)
-        if number is None or k < 0:
+        number = self.session(session)
+        if number < 0 or k < 0:
             return -1
         at = int(np.searchsorted(self._keys, key := number << 32 | k))
         return int(self._order[at]) if at < len(self._keys) and self._keys[at] == key else -1

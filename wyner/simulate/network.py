@@ -145,8 +145,6 @@ class Simulation:
         None: nothing goes wrong.
     step_s : float, optional
         A deadline each step, in virtual seconds; None for lock-step.
-    plant_journal : PlantJournal, optional
-        None: one in memory.
     own : callable, optional
         Gives what stands in the place of the scenario's plant, for each process.
     folder : Path
@@ -171,7 +169,6 @@ class Simulation:
         faults: Faults | None = None,
         step_s: float | None = None,
         run: int = 0,
-        plant_journal: PlantJournal | None = None,
         own: Callable[[], Stepped | PlantAdapter] | None = None,
         folder: Path = Path(),
     ) -> None:
@@ -194,7 +191,7 @@ class Simulation:
         self._payloads = payloads
         self._queue = ControllerJournal(None, scenario.fingerprint())
         self._hand_over()
-        self._plant_journal = plant_journal or PlantJournal(None, scenario.fingerprint())
+        self._plant_journal = PlantJournal(None, scenario.fingerprint())
         self._controller: ControllerCore
         self.plant: PlantCore
         self._offered: list[Offer] = []

@@ -55,7 +55,7 @@ def test_a_session_that_begins_anew_overwrites_no_step_of_the_one_before(tmp_pat
     second = [step(B, k, k, 0.25) for k in range(10)]
     plant = [session(A), began(), *first, session(B), *second]
     run = write(tmp_path, plant, [alarm(A, 8)])
-    found = attacked(run).as_json()
+    found = attacked(run)
     assert found is not None
     assert (found["alarm_k"], found["delay"]) == (9, 5)
     assert found["away_at_alarm"] == 8.0
@@ -64,7 +64,7 @@ def test_a_session_that_begins_anew_overwrites_no_step_of_the_one_before(tmp_pat
     assert found["false_alarms"] == 0
     # an alarm in the second session comes twenty steps later, at a step that the first had too
     run = write(tmp_path / "later", plant, [alarm(B, 2)])
-    found = attacked(run).as_json()
+    found = attacked(run)
     assert found is not None
     assert (found["alarm_k"], found["delay"], found["away_at_alarm"]) == (3, 19, 0.25)
 
@@ -81,7 +81,7 @@ def test_of_an_attack_on_the_bus_what_was_sent_is_compared_with_what_came(tmp_pa
         else session(line["session"], MET)
         for line in plant
     ]
-    found = attacked(write(tmp_path, [plant[0], began("bus"), *plant[1:]], shown)).as_json()
+    found = attacked(write(tmp_path, [plant[0], began("bus"), *plant[1:]], shown))
     assert found is not None
     assert (found["away"], found["away_most"], found["shown"]) == (11.0, 11.0, 0.0)
     assert (found["watched"], found["unwatched"]) == (24 - ONSET + 1, 0)
@@ -98,7 +98,7 @@ def test_a_damaged_trace_is_no_proof_that_there_was_no_alarm(tmp_path: Path) -> 
             path.unlink()
         else:
             path.write_bytes(content)
-        found = attacked(run).as_json()
+        found = attacked(run)
         assert found is not None
         assert found["alarm_k"] == -1
         (why,) = found["unread"]

@@ -182,6 +182,17 @@ class Result:
         """What must be known of the result."""
         return self.skipped or (self.cut if self.rule.name == "traces" else "")
 
+    def __str__(self) -> str:
+        """One line, and one more for the first place where the rule is broken."""
+        rule, findings = self.rule, self.findings
+        note = f" [{self.note}]" if self.note else ""
+        line = f"{self.result}  {rule.name:10} {rule.source:25} {rule.says}{note}"
+        if not findings:
+            return line
+        many = f"{len(findings)} findings" if len(findings) > 1 else "1 finding"
+        first = str(findings[0]).removeprefix(f"{rule.name}: ")
+        return f"{line}\n      {many}, first: {first}"
+
     def as_json(self) -> dict[str, Any]:
         """The result for machines; ``failures`` counts to :data:`MOST`."""
         return {

@@ -7,7 +7,8 @@ import numpy as np
 from protocol.agreement import NO_SYMBOL
 from wyner.runs.blocks import Blocks, ended
 from wyner.runs.check.evidence import Evidence, Finding, Findings
-from wyner.runs.trace import TRANSITION, Rows, Trace
+from wyner.runs.lines import TRANSITION
+from wyner.runs.trace import Rows, Trace
 
 OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
 """What one end alone knows, or numbers by itself."""

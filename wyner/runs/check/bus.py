@@ -13,10 +13,10 @@ import numpy as np
 from pydantic import ValidationError
 
 from protocol.messages import FIELD, Measurement, Offer
-from wyner.runs.check.evidence import Evidence, Finding, Findings, Indices
+from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.heard import CapturedMessage
-from wyner.runs.lines import wrong
-from wyner.runs.trace import AT_ONCE, TRANSITION, Rows
+from wyner.runs.lines import TRANSITION, wrong
+from wyner.runs.trace import AT_ONCE, Indices, Places, Trace
 
 PUBLIC: Final = {
     topic: frozenset(fields.split())
@@ -57,7 +57,7 @@ def bus(e: Evidence) -> Findings:
     """All that a capture shows."""
     if e.capture is None:
         return
-    steps = None if e.plant is None else Steps(e, e.plant.rows)
+    steps = None if e.plant is None else Steps(e, e.plant)
     shapes, seen, stream, tags = Shapes(), Seen(e), Stream(e), Tags(e)
     part: list[Heard] = []
     for message in e.capture:
@@ -120,87 +120,61 @@ def _model(e: Evidence, seen: CapturedMessage) -> Measurement | Offer | str:
 class Steps:
     """The plant's steps, found by session and k."""
 
-    def __init__(self, e: Evidence, rows: Rows) -> None:
-        assert e.plant is not None
-        self._e, self._rows = e, rows
-        self._sessions = {name: i for i, name in enumerate(e.plant.sessions)}
-        self._keys = rows["session"].astype(np.int64)
-        self._keys <<= 32
-        self._keys |= rows["k"]
-        self._sorted = bool((self._keys[1:] > self._keys[:-1]).all())
-        if not self._sorted:  # another rule says so
-            self._order = np.argsort(self._keys, kind="stable")
-            self._rows, self._keys = rows[self._order], self._keys[self._order]
-        applied = self._rows["kind"] == TRANSITION
-        at = np.arange(len(rows), dtype=np.int32)
-        self._newest = np.maximum.accumulate(np.where(applied, at, np.int32(-1)))
-        ahead = np.where(applied, at, np.int32(len(rows)))
+    def __init__(self, e: Evidence, plant: Trace) -> None:
+        self._e, self._plant, self._rows = e, plant, plant.rows
+        self._places = Places(plant, plant.rows)
+        applied = plant.rows["kind"] == TRANSITION
+        at = np.arange(len(applied), dtype=np.int32)
+        self._newest = np.maximum.accumulate(np.where(applied, at, -1))
+        ahead = np.where(applied, at, len(at))
         self._next = np.minimum.accumulate(ahead[::-1])[::-1]
         self._open: dict[str, int] = {}  # the symbol decided after a session's last transition
-        first = self._rows["session"] == (self._rows["session"][0] if len(rows) else 0)
-        begun = np.flatnonzero(first & applied)
-        self._first = self._keys[begun[0]] if len(begun) else -1
-        self._gone = e.plant.gone > 0
+        begun = plant.rows["k"][applied & (plant.rows["session"] == 0)]
+        self._first_k = int(begun[0]) if len(begun) else -1
         self._blurred = e.capture is not None and e.capture.blurred
-
-    def _find(self, session: Indices, k: Indices) -> tuple[Indices, Any]:
-        """The row of each step, or the first after it; and whether it is there."""
-        keys = session << 32 | np.maximum(k, 0)
-        at = np.searchsorted(self._keys, keys)
-        there = (at < len(self._keys)) & (k >= 0) & (session >= 0)
-        inside = np.minimum(at, max(0, len(self._keys) - 1))
-        return at, there & (self._keys[inside] == keys) if len(self._keys) else there & False
 
     def compare(self, part: list[Heard], shapes: "Shapes") -> Findings:
         """Compare messages with the plant's steps."""
-        if not part:
-            return
-        session = np.array([self._sessions.get(m.session, -1) for _, m in part])
-        k = np.array([m.k for _, m in part])
-        at, there = self._find(session, k)
+        session = np.array([self._places.session(m.session) for _, m in part], np.int64)
+        k = np.array([m.k for _, m in part], np.int64)
+        here = self._places.all_of(session, k)
+        before = np.where(here >= 0, here - 1, self._places.all_of(session, k - 1))
         for i, (seen, message) in enumerate(part):
-            row = self._rows[at[i]] if there[i] else None
+            row = self._rows[here[i]] if here[i] >= 0 else None
             if row is not None and row["kind"] == TRANSITION:
                 shapes.take(seen, message, bool(row["message"]))
-            if self._before(session[i], k[i]):
-                continue
-            for rule, text in self._unlike(message, int(session[i]), int(at[i]), row):
+            if self._plant.gone and (session[i] < 0 or (session[i] == 0 and k[i] <= self._first_k)):
+                continue  # older than what is left of the plant's trace, and its answer
+            for rule, text in self._unlike(message, int(session[i]), row, int(before[i])):
                 yield Finding(rule, seen.session, seen.k, f"{seen.where}: {text}")
 
-    def _before(self, session: int, k: int) -> bool:
-        """Whether a message is older than what is left of the plant's trace, and its answer."""
-        if not self._gone:
-            return False
-        first = self._first >> 32 if self._first >= 0 else -1
-        return session < 0 or (session == first and k <= (self._first & 0xFFFFFFFF))
-
     def _unlike(
-        self, message: Measurement | Offer, session: int, at: int, row: Any
+        self, message: Measurement | Offer, session: int, row: Any, before: int
     ) -> Iterator[tuple[str, str]]:
-        assert self._e.plant is not None
+        """In what a message differs from step k, whose ``row`` may not be made yet."""
+        lost = self._plant.may_lack(message.session, message.k)
         if session < 0:
-            plant = self._e.plant
-            known = message.session in plant.announced
-            if not known and not plant.may_lack(message.session, message.k):
+            if message.session not in self._plant.announced and not lost:
                 yield "wire", "of a session that the plant's trace does not have"
-            return
-        before = self._rows[at - 1] if at > 0 and self._keys[at - 1] >> 32 == session else None
-        if row is None and (before is None or before["k"] != message.k - 1):
-            if not self._e.plant.may_lack(message.session, message.k):
+        elif row is None and before < 0:
+            if not lost:
                 yield "wire", f"step {message.k}, which the plant did not make"
         elif isinstance(message, Offer):
-            yield from self._unlike_offer(message, session, at, row)
+            yield from self._unlike_offer(message, session, row, before)
         else:
-            yield from self._unlike_measurement(message, session, at, row, before)
+            yield from self._unlike_measurement(message, session, row, before)
+
+    def _row_of(self, session: int, at: int) -> Any:
+        """Row ``at``, where there is one and it is of this session."""
+        inside = 0 <= at < len(self._rows) and self._rows[at]["session"] == session
+        return self._rows[at] if inside else None
 
     def _unlike_measurement(
-        self, m: Measurement, session: int, at: int, row: Any, before: Any
+        self, m: Measurement, session: int, row: Any, before: int
     ) -> Iterator[tuple[str, str]]:
-        newest = -1 if before is None else int(self._newest[at - 1])
-        applied = self._rows[newest] if newest >= 0 else None
-        if applied is not None and applied["session"] != session:
-            applied = None
-        here = before["x_next"] if row is None else row["x"]
+        newest = int(self._newest[before]) if before >= 0 else -1
+        applied = self._row_of(session, newest)
+        here = self._rows[before]["x_next"] if row is None else row["x"]
         other = " unlike the plant's trace"
         if not self._blurred and m.x != tuple(here.tolist()):
             yield "wire", f"x{other}"
@@ -213,7 +187,7 @@ class Steps:
                 yield "same-keys", "copy 1 of the offer was applied, and the plant counts copy 0"
 
     def _unlike_offer(
-        self, offer: Offer, session: int, at: int, row: Any
+        self, offer: Offer, session: int, row: Any, before: int
     ) -> Iterator[tuple[str, str]]:
         """Of what was applied also the candidates; every offer carries its transition's symbol."""
         rules, k = self._e.rules, offer.k
@@ -229,9 +203,10 @@ class Steps:
                 yield "same-keys", "copy 1 of the measurement was heard, the plant counts copy 0"
         if rules.scheme.from_stream:
             return
-        following = int(self._next[at]) if at < len(self._next) else len(self._rows)
-        decided = self._rows[following] if following < len(self._rows) else None
-        if decided is None or decided["session"] != session:
+        at = before + 1  # of step k, or of the one after it
+        following = int(self._next[at]) if at < len(self._next) else -1
+        decided = self._row_of(session, following)
+        if decided is None:
             expected = self._open.setdefault(offer.session, offer.cipher)
         else:
             expected = int(decided["cipher"])

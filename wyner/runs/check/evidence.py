@@ -6,8 +6,6 @@ from math import inf
 from pathlib import Path
 from typing import Any, Final, Literal
 
-import numpy as np
-
 from protocol.brief import Brief
 from protocol.link.records import Side
 from protocol.link.session import Rules, rules_of
@@ -22,8 +20,6 @@ from wyner.runs.trace import Trace
 
 EDGE: Final = 1e-9
 """A gauge or a constraint beyond its bound by less than this is on the bound: rounding."""
-
-Indices = np.ndarray[Any, np.dtype[np.int64]]
 
 
 @dataclass(frozen=True, slots=True, repr=False)

@@ -5,9 +5,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from runtime.files import read_regular
-from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
+from runtime.recording import decode, number_of, parts_of, raw_lines
 from runtime.run_folder import (
-    ANALYSIS_GUESSES,
     CAPTURE,
     CONTROLLER_JOURNAL,
     CONTROLLER_TRACE,
@@ -18,9 +17,11 @@ from runtime.run_folder import (
 )
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.journals import JournalState
+from wyner.runs.lines import TRANSITION
 from wyner.runs.marks import Segments
+from wyner.runs.run import guess_logs
 from wyner.runs.seal import broken
-from wyner.runs.trace import TRANSITION, Trace
+from wyner.runs.trace import Trace
 
 IDENTITY: Final = ("scenario", "fingerprint", "loop")
 
@@ -78,7 +79,7 @@ def _recorded(e: Evidence) -> Iterator[str]:
     """What does not fit the marks of a recording."""
     parts = [part for trace in e.ends() for part in trace.parts]
     parts += [] if e.capture is None else e.capture.parts
-    parts += [_segments_of(p) for s in (GUESSES, ANALYSIS_GUESSES) for p in parts_of(e.folder / s)]
+    parts += [_segments_of(p) for s in guess_logs(e.folder) for p in parts_of(s)]
     for marks in parts:
         yield from (f"{where}: {text}" for where, text in marks.problems)
     yield from _told_alike(e)
@@ -106,16 +107,8 @@ def _header(recording: Path) -> dict[str, Any]:
 def _segments_of(path: Path) -> Segments:
     """The marks of a recording whose lines no rule reads."""
     marks = Segments(path.name)
-    for number, raw, finished in raw_lines(path):
-        marks.newline = finished
-        value = decode(raw)
-        if value is None:
-            marks.malformed(number)
-        elif value.get("event") in (HEADER, CONTINUED, END):
-            marks.mark(number, raw, value)
-        else:
-            marks.line(number, raw)
-    marks.finish()
+    for _ in marks.read(path):
+        pass
     return marks
 
 

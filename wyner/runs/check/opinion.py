@@ -18,7 +18,8 @@ from wyner.runs.check.paper import (
     output_scale,
     scale,
 )
-from wyner.runs.trace import TRANSITION, Rows, Trace
+from wyner.runs.lines import TRANSITION
+from wyner.runs.trace import Rows, Trace
 
 TINY: Final = 1e-12
 """In place of alpha - 1 where alpha is 1: no two candidates are possible for her."""

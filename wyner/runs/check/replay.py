@@ -8,8 +8,8 @@ from protocol.link.fallback import Fallback
 from protocol.schemes.base import decrypt
 from protocol.vectors import Vector
 from wyner.runs.check.evidence import Evidence, Finding, Findings
-from wyner.runs.lines import Again, TracedTransition
-from wyner.runs.trace import INTERRUPTED, Rows, Trace
+from wyner.runs.lines import INTERRUPTED, Again, TracedTransition
+from wyner.runs.trace import Rows, Trace
 
 COLUMNS: Final = (
     "kind", "session", "j", "k", "x", "candidates", "x_next", "gauges", "cipher", "message", "key",

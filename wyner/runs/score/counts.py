@@ -1,84 +1,27 @@
-"""What a plant's trace adds up to."""
+"""What a plant's trace adds up to: control cost, and messages."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Self
 
 import numpy as np
 
-from protocol.agreement import NO_SYMBOL
 from protocol.arrays import Array
 from protocol.scenario import ScenarioError
 from protocol.vectors import Vector
 from wyner.runs.run import Run
-from wyner.runs.trace import AT_ONCE, TRANSITION, Rows, Trace
+from wyner.runs.trace import AT_ONCE, Rows, Trace
 
 
-@dataclass(frozen=True, slots=True)
-class PlantCounts:
-    """Counts of a plant's trace.
+def mean_cost(rows: Rows, weights: tuple[Vector, Vector]) -> float | None:
+    """The control cost a step of these rows of a plant's trace; None where there are none."""
+    cost = 0.0
+    for part in parted(rows):
+        cost = total(cost, costs(weights, part))
+    return cost / len(rows) if len(rows) else None
 
-    Parameters
-    ----------
-    steps : int
-        Steps that were made, missed ones included, by every journal that the plant had.
-    cost : float
-        Sum over steps of x(k+1)' Q x(k+1) + u(k)' R u(k).
-    transitions : int
-    agreements : int
-        Transitions that agreed a key symbol.
-    symbol_errors : int
-        Agreements on another symbol than the coin.
-    message_symbols : int
-        Transitions that carried a message symbol.
-    recovered : list of (int, bytes)
-        Each message that was whole, with the step at which it was.
-    without : list of int
-        Steps that were missed, in order.
-    """
 
-    steps: int = 0
-    cost: float = 0.0
-    transitions: int = 0
-    agreements: int = 0
-    symbol_errors: int = 0
-    message_symbols: int = 0
-    recovered: Sequence[tuple[int, bytes]] = ()
-    without: Sequence[int] = ()
-
-    @classmethod
-    def of(cls, trace: Trace, weights: tuple[Vector, Vector]) -> Self:
-        """Those of a trace; ``weights`` are the diagonals of Q and R."""
-        whole = [(trace.newest_k(at), told.payload) for at, told in trace.noted("recovered")]
-        return cls.of_rows(trace.steps, weights, whole)
-
-    @classmethod
-    def of_rows(
-        cls,
-        rows: Rows,
-        weights: tuple[Vector, Vector],
-        recovered: Sequence[tuple[int, bytes]] = (),
-    ) -> Self:
-        """Those of some rows of a trace."""
-        counted, agreed = rows["kind"] == TRANSITION, rows["symbol"] != NO_SYMBOL
-        cost = 0.0
-        for part in parted(rows):
-            cost = total(cost, costs(weights, part))
-        return cls(
-            len(rows),
-            cost,
-            int(counted.sum()),
-            int(agreed.sum()),
-            int((agreed & (rows["symbol"] != rows["coin"])).sum()),
-            int((rows["message_symbol"] != NO_SYMBOL).sum()),
-            recovered,
-            rows["k"][~counted].tolist(),
-        )
-
-    @property
-    def mean_cost(self) -> float | None:
-        """The control cost a step; None before the first."""
-        return self.cost / self.steps if self.steps else None
+def recovered(trace: Trace) -> list[tuple[int, bytes]]:
+    """Each message that the plant had whole, with the step of its session at which it was."""
+    return [(trace.newest_k(at), told.payload) for at, told in trace.noted("recovered")]
 
 
 def parted(rows: Rows) -> Iterator[Rows]:
@@ -150,4 +93,4 @@ def cost_of(run: Run) -> float | None:
         weights = run.scenario.cost_weights
     except ScenarioError:
         return None
-    return PlantCounts.of(run.whole("plant"), weights).mean_cost
+    return mean_cost(run.whole("plant").steps, weights)

@@ -19,9 +19,9 @@ from tap_service.capture.reading import CaptureError
 from tap_service.inference.key_solver import bits_held
 from tap_service.inference.miss_rate import ALL, AWAY, Audit, MissRate
 from wyner.runs.blocks import Blocks, TracedBlock, ended
-from wyner.runs.lines import AppearancesLine
+from wyner.runs.lines import INTERRUPTED, MISSED, AppearancesLine
 from wyner.runs.run import Run
-from wyner.runs.trace import AT_ONCE, INTERRUPTED, MISSED, Places, Trace
+from wyner.runs.trace import AT_ONCE, Places, Trace
 
 KEY_BITS: Final = 8 * NONCE_BYTES
 
@@ -154,6 +154,20 @@ class KeyAudit:
             if not rate.copies and rate.absent and name != ALL:
                 found.append(f"Eve was not there: of {rate.absent} {name} Eve heard one at most")
         return tuple(found)
+
+    def __str__(self) -> str:
+        """A row for each key block, and what follows from them."""
+        lines = []
+        if self.blocks:
+            lines.append("block  transitions  lost  rows  keys  Eve missed  Eve holds, bit")
+        for b in self.blocks:
+            missed = "-" if b.missed is None else b.missed
+            held = "-" if b.held_bits is None else b.held_bits
+            lines.append(
+                f"{b.number:5}  {b.transitions:11}  {b.lost:4}  {b.rows:4}  {b.keys:4}  "
+                f"{missed:>10}  {held if b.keys else 0:>14}"
+            )
+        return "\n".join([*lines, *key_lines(self.as_json())])
 
     def as_json(self, *, blocks: bool = False) -> dict[str, Any]:
         """The object ``keys`` of ``wyner up --json``; with ``blocks``, each of them instead of how

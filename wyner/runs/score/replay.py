@@ -2,6 +2,7 @@
 
 import base64
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,13 @@ from protocol.scenario import Scenario
 from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError, CaptureReader
 from tap_service.capture.transcript import Transcript
-from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError
-from tap_service.sandboxed import sandboxed
-from tap_service.status import Listener, unused_of
+from tap_service.eavesdroppers import ORACLE, Guess, KnowledgeError, named
+from tap_service.listening import Listener
+from tap_service.status import unused_of
 from wyner.runs.score.by_step import BySteps
+from wyner.runs.score.report import held_line, unused_in_words
 from wyner.runs.score.score import TapOutput
+from wyner.runs.score.summary import in_short
 
 
 class Replay:
@@ -27,8 +30,8 @@ class Replay:
     names : sequence of str
         Eavesdroppers, by name or as ``FILE.py:NAME``.
     scenario : Scenario, optional
-        Whose model they are told; by default what the capture's header says was told live. What the
-        oracle is told no capture holds.
+        The run's: the oracle is told what its defender knows. All others are told what the
+        capture's header says that they were told live.
 
     Raises
     ------
@@ -48,23 +51,22 @@ class Replay:
         self.reader = CaptureReader(path)
         header = self.reader.header
         try:
-            heard = Knowledge.model_validate(header["knowledge"])
+            self.knowledge = Knowledge.model_validate(header["knowledge"])
             self.view = View.model_validate(header["view"])
         except (KeyError, ValueError):
             raise CaptureError(
                 f"{self.reader.path}: line 1: expected knowledge and view in the header"
             ) from None
-        self.knowledge = heard if scenario is None else scenario.knowledge()
         self.listeners: list[Listener] = []
         for name in names:
-            kind = sandboxed(name)
+            kind = named(name)
             if name == ORACLE:
                 if scenario is None:
-                    raise KnowledgeError(f"{ORACLE}: expected --scenario, for alpha")
+                    raise KnowledgeError(f"{ORACLE}: expected a run's folder, for its alpha")
                 mine = scenario.oracle_knowledge()
             else:
                 mine = self.view.knowledge(self.knowledge, model=kind.told_model)
-            self.listeners.append(Listener.of(kind, mine))
+            self.listeners.append(Listener(kind, mine))
         self.transcript = Transcript()
         self.session = ""
         self.transitions = 0
@@ -123,28 +125,104 @@ class Replay:
             )
         return out
 
-    def report(self) -> dict[str, Any]:
-        """The end of it as one object: per eavesdropper her messages and how sure she is."""
+    def decoded(self) -> "Decoded":
+        """What each eavesdropper had at the end."""
+        return Decoded(
+            capture=str(self.reader.path),
+            transitions=self.transitions,
+            sessions=self.transcript.sessions,
+            holes=self.transcript.holes,
+            unused=self.transcript.unused._asdict(),
+            torn=self.reader.torn,
+            malformed=self.reader.malformed,
+            parts_missing=self.reader.parts_missing,
+            taps=tuple(self.outputs()),
+        )
+
+
+@dataclass(frozen=True)
+class Decoded:
+    """What eavesdroppers made of a capture alone, of which the truth is not known.
+
+    Parameters
+    ----------
+    capture : str
+    transitions, sessions : int
+    holes : int
+        Transitions of which the tap lacks something.
+    unused : dict of str to int
+        Messages that no transition was made of, by kind.
+    torn, malformed, parts_missing : int
+        Lines, messages and files that could not be read.
+    taps : tuple of TapOutput
+    """
+
+    capture: str
+    transitions: int
+    sessions: int
+    holes: int
+    unused: dict[str, int]
+    torn: int
+    malformed: int
+    parts_missing: int
+    taps: tuple[TapOutput, ...]
+
+    @property
+    def failed(self) -> bool:
+        """Whether an eavesdropper failed."""
+        return any(tap.failed for tap in self.taps)
+
+    @property
+    def notes(self) -> list[str]:
+        """What of the capture could not be read."""
+        found = []
+        if self.torn:
+            found.append(f"{self.torn} torn lines were left out")
+        if self.parts_missing:
+            found.append(f"{self.parts_missing} parts of the capture are missing")
+        return found
+
+    def to_json(self) -> dict[str, Any]:
+        """Per eavesdropper its message and how sure it is."""
         taps = {}
-        for s in self.outputs():
-            b = s.belief
-            taps[s.name] = {
+        for tap in self.taps:
+            b = tap.belief
+            taps[tap.name] = {
                 "message": b.message.decode("utf-8", errors="replace"),
                 "whole": [base64.b64encode(w).decode("ascii") for w in b.whole],
                 "confidence": b.confidence,
                 "candidates_left": b.candidates_left,
                 "solved_k": b.solved_k,
-                "failed": s.failed,
+                "failed": tap.failed,
                 "keys": None if b.keys is None else b.keys.model_dump(),
             }
         return {
-            "capture": str(self.reader.path),
+            "capture": self.capture,
             "transitions": self.transitions,
-            "sessions": self.transcript.sessions,
-            "holes": self.transcript.holes,
-            **self.transcript.unused._asdict(),
-            "torn_lines": self.reader.torn,
-            "malformed": self.reader.malformed,
-            "parts_missing": self.reader.parts_missing,
+            "sessions": self.sessions,
+            "holes": self.holes,
+            **self.unused,
+            "torn_lines": self.torn,
+            "malformed": self.malformed,
+            "parts_missing": self.parts_missing,
             "taps": taps,
         }
+
+    def __str__(self) -> str:
+        """Two or three lines for each eavesdropper."""
+        lines = [f"{self.transitions} transitions, {self.holes} with something missing"]
+        used_not = {name: self.unused[name] for name in ("foreign", "late", "jumped")}
+        if told := unused_in_words(used_not):
+            lines.append(f"not used of what the tap heard: {told}")
+        for tap in self.taps:
+            if tap.failed:
+                lines.append(f"{tap.name}: it failed: {tap.failed}")
+                continue
+            b = tap.belief
+            solved = f"first whole message at k {b.solved_k}" if b.solved_k >= 0 else "none whole"
+            lines.append(f"{tap.name}: {solved}, {b.candidates_left} candidates left")
+            message = b.message.decode("utf-8", errors="replace")
+            lines.append(f"  best message: {in_short(message)}")
+            if b.keys is not None:
+                lines.append(f"  {held_line(b.keys)}")
+        return "\n".join(lines)

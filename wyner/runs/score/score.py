@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 from operator import index
 from typing import Any, Final
 
+import numpy as np
+
 from protocol.agreement import NO_SYMBOL
 from protocol.relabelling import Known, Pairs, known, pairs_of
 from protocol.text import printable
@@ -23,11 +25,12 @@ from tap_service.capture.channel import View
 from tap_service.capture.reading import CaptureError
 from tap_service.eavesdroppers.base import Belief, KeysHeld, MessageSymbols
 from tap_service.inference.kept import KEPT_SYMBOLS
+from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run, RunError
 from wyner.runs.score.by_step import BySteps, Step
-from wyner.runs.score.counts import parted
+from wyner.runs.score.counts import parted, recovered
 from wyner.runs.score.plain import plain
-from wyner.runs.trace import TRANSITION, Trace
+from wyner.runs.trace import Trace
 
 ONE_RUN: Final = "shares of one run: no interval (wyner score over runs has them)"
 """Why the shares of a run have no interval."""
@@ -368,23 +371,33 @@ def read_truth(run: Run) -> Truth:
     ScoreError
         When its plant's trace cannot be read.
     """
-    trace = the_plant(run)
-    keys, symbols, count = BySteps(), BySteps(), 0
-    last: dict[int, int] = {}
+    trace, scenario = the_plant(run), run.scenario
+    keys, symbols = _by_step(trace, "symbol"), _by_step(trace, "message_symbol")
+    made = np.flatnonzero(trace.steps["kind"] == TRANSITION)
+    session, last = np.unique(trace.steps["session"][made][::-1], return_index=True)
+    for number, k in zip(
+        session.tolist(), trace.steps["k"][made][::-1][last].tolist(), strict=True
+    ):
+        keys.pop((trace.sessions[number], k), None)  # its result never travelled
+    return Truth(
+        scenario.secrecy.candidates,
+        keys,
+        symbols,
+        tuple(recovered(trace)),
+        len(made),
+        scenario.hidden_widths,
+    )
+
+
+def _by_step(trace: Trace, column: str) -> BySteps:
+    """A column of the plant's trace, of the steps that have a symbol there."""
+    found = BySteps()
     for rows in parted(trace.steps):
-        counted = rows[rows["kind"] == TRANSITION]
-        count += len(counted)
-        last |= zip(counted["session"].tolist(), counted["k"].tolist(), strict=True)
-        for into, column in ((keys, "symbol"), (symbols, "message_symbol")):
-            told = counted[counted[column] != NO_SYMBOL]
-            fields = (told[name].tolist() for name in ("session", "k", column))
-            for session, k, symbol in zip(*fields, strict=True):
-                into[trace.sessions[session], k] = symbol
-    for session, k in last.items():
-        keys.pop((trace.sessions[session], k), None)  # its result never travelled
-    whole = tuple((trace.newest_k(at), told.payload) for at, told in trace.noted("recovered"))
-    scenario = run.scenario
-    return Truth(scenario.secrecy.candidates, keys, symbols, whole, count, scenario.hidden_widths)
+        told = rows[rows[column] != NO_SYMBOL]
+        fields = (told[name].tolist() for name in ("session", "k", column))
+        for session, k, symbol in zip(*fields, strict=True):
+            found[trace.sessions[session], k] = symbol
+    return found
 
 
 def the_plant(run: Run) -> Trace:

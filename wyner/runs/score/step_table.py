@@ -5,32 +5,39 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from types import NoneType
-from typing import IO, TYPE_CHECKING, Any, Final
+from typing import IO, Any, Final
 
 from tap_service.capture.reading import CaptureReader
 from tap_service.capture.transcript import Transcript, Transition
 from wyner.runs.run import Run
 
-if TYPE_CHECKING:
-    from wyner.runs.trace import Trace
-
 Row = dict[str, Any]
 
 
-class Truth:
-    """What the plant knew of each step, found by session and step."""
+Truth = Callable[[str, int], Row]
 
-    def __init__(self, trace: "Trace") -> None:
-        from wyner.runs.trace import Places
 
-        self._rows, self._places = trace.steps, Places(trace)
+def truth_of(run: Run) -> Truth:
+    """What the plant of a run knew of a step, given by session and k.
 
-    def of(self, session: str, k: int) -> Row:
-        """Coin, applied input, role, key, message symbol and gauges; empty where none was made."""
-        place = self._places.of(session, k)
-        row = self._rows[place] if place >= 0 else None
-        if row is None or row["j"] < 0:
+    Coin, applied input, role, key, message symbol and gauges; empty where none was made.
+
+    Raises
+    ------
+    ScoreError
+        When the plant's trace cannot be read.
+    """
+    from wyner.runs.score.score import the_plant
+    from wyner.runs.trace import Places
+
+    trace = the_plant(run)
+    places, rows = Places(trace), trace.steps
+
+    def of(session: str, k: int) -> Row:
+        place = places.of(session, k)
+        if place < 0 or rows[place]["j"] < 0:
             return {}
+        row = rows[place]
         return {
             "coin": int(row["coin"]),
             **_numbered("u_", row["u"].tolist()),
@@ -40,25 +47,14 @@ class Truth:
             **_numbered("gauge_", row["gauges"].tolist(), first=0),
         }
 
-
-def truth_of(run: Run) -> Truth:
-    """What the plant knew of each step of a run.
-
-    Raises
-    ------
-    ScoreError
-        When the plant's trace cannot be read.
-    """
-    from wyner.runs.score.score import the_plant
-
-    return Truth(the_plant(run))
+    return of
 
 
 def step_rows(reader: CaptureReader, truth: Truth | None) -> Iterator[Row]:
     """One row a step of a capture, repeats put together; what was not heard is empty.
 
     Columns: ``session``, ``k``, ``x_1`` ..., ``u0_1`` ... (candidate 0, input 1), ``cipher``,
-    ``x_next_1`` ..., and with ``truth`` those of `Truth.of`.
+    ``x_next_1`` ..., and with ``truth`` those of :func:`truth_of`.
     """
     transcript = Transcript()
     for _, message in reader.records():
@@ -73,7 +69,7 @@ def _row(t: Transition, truth: Truth | None) -> Row:
     for i, u in enumerate(t.candidates or ()):
         row |= _numbered(f"u{i}_", u)
     row |= {"cipher": t.cipher, **_numbered("x_next_", t.x_next)}
-    return row if truth is None else row | truth.of(t.session, t.k)
+    return row if truth is None else row | truth(t.session, t.k)
 
 
 def _numbered(prefix: str, values: Sequence[float] | None, first: int = 1) -> Row:

@@ -8,15 +8,19 @@ from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
 
+import numpy as np
+
+from protocol.agreement import NO_SYMBOL
 from protocol.link.session import rules_of
 from protocol.relabelling import in_words
 from protocol.statistics import COUNTED, Interval
 from protocol.text import readable
 from runtime.errors import UsageError
 from runtime.recording import TraceError
+from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run
 from wyner.runs.score.attacked import attack_lines, attacked
-from wyner.runs.score.counts import PlantCounts, exchanged
+from wyner.runs.score.counts import exchanged, mean_cost, recovered
 from wyner.runs.score.keys import audit_keys, key_lines
 from wyner.runs.score.report import WORDED, given, report, unused_in_words
 from wyner.runs.score.score import (
@@ -27,6 +31,7 @@ from wyner.runs.score.score import (
     ScoreError,
     score_run,
 )
+from wyner.runs.trace import columns
 from wyner.simulate.missed import missed_steps
 
 LOCKSTEP: Final = "fast"
@@ -72,56 +77,57 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
     figures have none. ``failed`` names the
     eavesdroppers that failed. ``keys`` is what :func:`wyner.runs.score.keys.audit_keys` finds, None
     where the scenario makes none; ``under_keys`` says whether the message travels under them.
-    ``attack`` is what one came to
-    (:meth:`wyner.runs.score.attacked.AttackCounts.as_json`), None where nobody attacked.
+    ``attack`` is what :func:`wyner.runs.score.attacked.attacked` finds.
     """
     scenario = run.scenario
     size, scheme = scenario.secrecy.candidates, rules_of(scenario).scheme
-    counts, behind, errors = PlantCounts(), 0, list[str]()
+    errors: list[str] = []
     trace = run.so_far("plant", errors)
-    if trace is not None:
-        counts, behind = PlantCounts.of(trace, scenario.cost_weights), trace.behind
+    none = np.zeros(0, columns("plant", rules_of(scenario), truth=False))
+    rows = none if trace is None else trace.steps
+    made, agreed = rows["kind"] == TRANSITION, rows["symbol"] != NO_SYMBOL
+    wrong = 0 if scheme.corrects else int((rows["symbol"] != rows["coin"])[agreed].sum())
+    whole = [] if trace is None else recovered(trace)
     sent: list[bytes] = []
     try:
         sent = run.sent()
     except TraceError as error:
         errors.append(str(error))
-    pairs = exchanged(sent or [payload], counts.recovered)
+    pairs = exchanged(sent or [payload], whole)
     delivered_k = next((k for text, k in pairs if text == payload), -1)
-    recovered = payload if delivered_k >= 0 else b""
-    bits = counts.message_symbols * math.log2(size)
-    steps = counts.steps + behind
+    arrived = payload if delivered_k >= 0 else b""
+    bits = int((rows["message_symbol"] != NO_SYMBOL).sum()) * math.log2(size)
+    transitions, agreements = int(made.sum()), int(agreed.sum())
+    steps = len(rows) + (0 if trace is None else trace.behind)
     seconds = steps * scenario.plant.period_s
     return {
         "delivered": delivered_k >= 0,
         "delivered_k": delivered_k,
         "sent": _text(payload),
         "sent_base64": base64.b64encode(payload).decode(),
-        "recovered": _text(recovered),
-        "recovered_base64": base64.b64encode(recovered).decode(),
-        "messages": len(counts.recovered),
+        "recovered": _text(arrived),
+        "recovered_base64": base64.b64encode(arrived).decode(),
+        "messages": len(whole),
         "exchanged": [
             {"sent_base64": base64.b64encode(text).decode(), "recovered_k": k}
             for text, k in pairs[-MOST_PAIRS:]
         ],
         "steps": steps,
         "seconds": seconds,
-        "transitions": counts.transitions,
-        "missed": steps - counts.transitions,
-        "missed_by_network": missed_by_network(run, counts.without, steps, delays),
-        "control_cost": counts.mean_cost,
-        "agreements": counts.agreements,
-        "symbol_errors": 0
-        if scheme.corrects
-        else counts.symbol_errors,  # a corrected key is no coin
+        "transitions": transitions,
+        "missed": steps - transitions,
+        "missed_by_network": missed_by_network(run, rows["k"][~made].tolist(), steps, delays),
+        "control_cost": mean_cost(rows, scenario.cost_weights),
+        "agreements": agreements,
+        "symbol_errors": wrong,
         "bits": bits,
         "bits_per_second": bits / seconds if seconds else 0.0,
         "no_interval": {"bits_per_second": COUNTED, "control_cost": COUNTED},
-        **_secrecy(run, counts.agreements * math.log2(size)),
+        **_secrecy(run, agreements * math.log2(size)),
         "unguessed": run.unguessed(),
         "keys": None if (keys := audit_keys(run, scenario)) is None else keys.as_json(),
         "under_keys": scheme.from_stream,
-        "attack": attacked(run).as_json(),
+        "attack": attacked(run),
         "trace_error": "; ".join(errors),
         "run_dir": str(run.folder),
     }

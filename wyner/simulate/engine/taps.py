@@ -16,7 +16,7 @@ from protocol.vectors import Vector
 from runtime.errors import Failure
 from tap_service.capture.transcript import Transition
 from tap_service.eavesdroppers import ORACLE, Eavesdropper, KnowledgeError, sound
-from tap_service.status import sound_belief, sound_guess
+from tap_service.listening import sound_belief, sound_guess
 from wyner.simulate.engine.link import Transfer, whole_messages
 from wyner.simulate.engine.loop import Runs
 

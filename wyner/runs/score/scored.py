@@ -1,0 +1,145 @@
+"""What the eavesdroppers of some runs got, with the runs' keys and what control cost."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from protocol.scenario import ScenarioError
+from protocol.statistics import COUNTED
+from runtime.errors import UsageError
+from runtime.run_folder import loops_below
+from tap_service.eavesdroppers import ORACLE
+from wyner.runs.run import Run
+from wyner.runs.score.counts import cost_of
+from wyner.runs.score.keys import KeyAudit, audit_keys
+from wyner.runs.score.replay import Replay
+from wyner.runs.score.report import (
+    BOUND,
+    HEADINGS,
+    NOTE,
+    Report,
+    held_line,
+    remarks,
+    report,
+    rows,
+)
+from wyner.runs.score.score import RunScore, read_truth, score, score_run
+
+
+@dataclass(frozen=True)
+class ScoredRuns:
+    """The scores of some runs.
+
+    Parameters
+    ----------
+    report : Report
+    keys : dict of str to KeyAudit
+        By the name of each run that makes keys.
+    costs : dict of str to float or None
+        By folder: the mean of x' Q x + u' R u a step.
+    failed : bool
+        Whether an eavesdropper failed, so that nobody knows what it would have had.
+    notes : list of str
+        Runs of which not all was there to be scored.
+    """
+
+    report: Report
+    keys: dict[str, KeyAudit]
+    costs: dict[str, float | None]
+    failed: bool
+    notes: list[str]
+
+    def to_json(self) -> dict[str, Any]:
+        """The report, and beside it the keys of each run, block by block, and its cost."""
+        return {
+            **self.report.to_json(),
+            "keys": {name: audit.as_json(blocks=True) for name, audit in self.keys.items()},
+            "control_cost": self.costs,
+            "no_interval": {"control_cost": COUNTED},
+        }
+
+    def __str__(self) -> str:
+        """A table with a row for each eavesdropper, the verdict, costs and key blocks."""
+        r = self.report
+        table = [HEADINGS, *rows(r)]
+        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+        lines = [
+            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+            for row in table
+        ]
+        for tap in r.taps:
+            told = [*remarks(tap), *map(held_line, tap.keys)]
+            lines += [f"{tap.name}: {remark}" for remark in told]
+        counted = f"{len(r.runs)} run{'' if len(r.runs) == 1 else 's'}"
+        counted += f", {r.transitions} transitions; by the paper's rule "
+        counted += f"{r.claimed_bits:.0f} bits count as secret"
+        lines += ["", counted, NOTE, r.verdict(), BOUND]
+        for folder, cost in self.costs.items():
+            if cost is not None:
+                lines.append(f"control cost of {folder}: {cost:.4g} a step, x' Q x + u' R u")
+        for name, audit in self.keys.items():
+            lines += ["", f"key blocks of {name}", str(audit)]
+        return "\n".join(lines)
+
+
+def score_runs(folders: Sequence[Path], names: Sequence[str] = ()) -> ScoredRuns:
+    """Score the eavesdroppers of runs against the plant's traces, and pool them.
+
+    Parameters
+    ----------
+    folders : sequence of Path
+        Each a run's, or one that holds runs.
+    names : sequence of str
+        Eavesdroppers that hear the captures again, in place of those that listened live.
+
+    Raises
+    ------
+    UsageError
+        When a folder is no run, or one is given twice.
+    RunError, CaptureError, KnowledgeError
+        When a run cannot be scored, its capture cannot be read, or there is no such eavesdropper.
+    """
+    run_dirs = [one for folder in folders for one in loops_below(folder) or [folder]]
+    for folder, times in Counter(path.resolve() for path in run_dirs).items():
+        if times > 1:
+            raise UsageError(f"RUN: {folder}: given {times} times, expected each run once")
+    runs, scores, notes = [], list[RunScore](), list[str]()
+    for run_dir in run_dirs:
+        run = Run.load(run_dir)
+        if not run.has("plant"):
+            raise UsageError(f"{run_dir}: no run here, expected a run's folder")
+        scores.append(_heard_again(run, names) if names else score_run(run))
+        runs.append(run)
+        if gone := run.parts_missing("plant"):
+            what = f"parts 0 to {gone - 1} of the plant's trace are gone"
+            notes.append(f"{run_dir}: {what}: only what came after is scored")
+        if not run.ended("plant"):
+            what = "the plant's trace has no end: it runs still, was killed, or the file was cut"
+            notes.append(f"{run_dir}: {what}; what is there is scored")
+    failed = any(tap.failed for one in scores for tap in one.taps)
+    costs = {str(run.folder): cost_of(run) for run in runs}
+    return ScoredRuns(report(scores), _audits(runs), costs, failed, notes)
+
+
+def _heard_again(run: Run, names: Sequence[str]) -> RunScore:
+    """The score of a run whose capture these eavesdroppers hear now."""
+    truth = read_truth(run)
+    scenario = run.scenario if ORACLE in names else None
+    replay = Replay(run.folder, names, scenario=scenario)
+    replay.run()
+    return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.outputs()))
+
+
+def _audits(runs: Sequence[Run]) -> dict[str, KeyAudit]:
+    """What the tap of each run that makes keys holds of them."""
+    audits = {}
+    for run in runs:
+        try:
+            audit = audit_keys(run, run.scenario)
+        except ScenarioError:
+            continue
+        if audit is not None:
+            audits[run.name] = audit
+    return audits
