@@ -183,9 +183,11 @@ def test_the_unit_of_the_state_does_not_matter(n: int, m: int, horizon: int, fac
 
 
 @pytest.mark.parametrize("kind", ["stable", "unstable"])
-@pytest.mark.parametrize("m", [1, 2])
-def test_one_state_is_a_row_of_many_to_the_last_bit(m: int, kind: str) -> None:
-    scenario = plant(1, m, kind, 30)
+@pytest.mark.parametrize(("n", "m", "horizon"), [(1, 1, 30), (1, 2, 30), (3, 1, 5)])
+def test_one_state_is_a_row_of_many_to_the_last_bit(
+    n: int, m: int, horizon: int, kind: str
+) -> None:
+    scenario = plant(n, m, kind, horizon)
     design = synthesise(scenario)
     law = make_law(scenario, design)
     X = spread(design, 300, 1)
