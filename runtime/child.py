@@ -29,7 +29,6 @@ LOOK_S: Final = 0.1
 """Seconds between two looks whether a child that says nothing is still there."""
 
 _PR_SET_PDEATHSIG: Final = 1
-_PR_SET_DUMPABLE: Final = 4
 
 
 class Child:
@@ -124,15 +123,6 @@ def die_with(parent: int) -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     if os.getppid() != parent:
         os._exit(1)
-
-
-def leave_no_image() -> None:
-    """Leave no core file, and let no process of this user look into this one's memory."""
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_DUMPABLE, 0)
 
 
 def limit_memory() -> None:

@@ -1,7 +1,7 @@
 """What both ends do alike for keys, sans I/O: nonces, rows, blocks, announcements, the key stream.
 
-A block is open until its last transition closes it. Its keys are then extracted, which takes a
-process of its own. It is *announced* with its tag, and *confirmed* once the partner has shown the
+A block is open until its last transition closes it. Its keys are then extracted, in a thread of
+their own. It is *announced* with its tag, and *confirmed* once the partner has shown the
 same tag: then its digits join the stream. A side announces a block only when it has confirmed the
 one before. So the partner is at the same block or at the next, and an equal tag of the next one
 confirms both. A block too poor for a key is not announced.

@@ -23,7 +23,7 @@ class Tables(NamedTuple):
     """``exp``: two periods of the generator's powers, then zeros. ``log``: the logarithms."""
 
     exp: Words
-    log: NDArray[np.int32]
+    log: NDArray[np.intp]
 
 
 @cache
@@ -38,8 +38,8 @@ def tables() -> Tables:
             value ^= POLYNOMIAL
     exp = np.zeros(2 * _ZERO + 1, np.uint16)
     exp[:ORDER] = exp[ORDER:_ZERO] = powers
-    log = np.full(ORDER + 1, _ZERO, np.int32)
-    log[powers] = np.arange(ORDER, dtype=np.int32)
+    log = np.full(ORDER + 1, _ZERO, np.intp)
+    log[powers] = np.arange(ORDER)
     return Tables(exp, log)
 
 
@@ -59,12 +59,13 @@ def inverse(a: Words) -> Words:
 def product(a: Words, b: Words) -> Words:
     """The matrix product of shapes (r, c) and (c, w), shape (r, w)."""
     exp, log = tables()
-    log_a, log_b = log[a], log[b]
+    log_a, log_b = log[a].T.copy(), log[b]
     out = np.zeros((a.shape[0], b.shape[1]), np.uint16)
-    chunk = max(1, 1 << 15 >> (a.shape[0] * b.shape[1]).bit_length())
-    for j in range(0, a.shape[1], chunk):
-        logs = log_a[:, j : j + chunk, None] + log_b[None, j : j + chunk, :]
-        out ^= np.bitwise_xor.reduce(exp[logs], axis=1)
+    chunk = max(1, 1 << 15 >> out.size.bit_length())
+    for j in range(0, len(log_b), chunk):
+        logs = log_a[j : j + chunk, :, None] + log_b[j : j + chunk, None, :]
+        powers = exp.take(logs, mode="wrap")  # none is beyond the end: it spares the check
+        out ^= np.bitwise_xor.reduce(powers, axis=0)
     return out
 
 

@@ -196,29 +196,6 @@ class Composition:
         """Hand the controller a message, as an operator does."""
         self.compose("run", "--rm", "--no-deps", "operator", "send", text)
 
-    def stopped_in_s(self, service: str) -> float:
-        """Seconds from SIGTERM to the end of a service's process, by the engine's clock."""
-        told = docker(
-            "events", "--since", "1h", "--until", f"{time.time():.3f}", "--format", "{{json .}}",
-            "--filter", f"container={self.container(service)}",
-        )  # fmt: skip
-        asked = ended = 0
-        for event in map(json.loads, told.splitlines()):
-            if event["Action"] == "kill" and event["Actor"]["Attributes"]["signal"] == "15":
-                asked = asked or event["timeNano"]
-            elif event["Action"] == "start":
-                asked = ended = 0
-            elif event["Action"] == "die":
-                ended = event["timeNano"]
-        assert 0 < asked < ended, told
-        return (ended - asked) / 1e9
-
-    def busy_s(self, service: str) -> float:
-        """How long the machine takes now to start a program in a service's container."""
-        began = time.monotonic()
-        self.execute(service, "wyner", "--version")
-        return time.monotonic() - began
-
     def kill(self, service: str) -> None:
         """SIGKILL a service's process from outside, as the kernel would when memory runs out.
 
@@ -298,27 +275,6 @@ def under_way(
     return begun
 
 
-FORGE = """
-import json, sys, threading, time
-from pathlib import Path
-from runtime.addresses import TlsFiles
-from runtime.zenoh_bus import ZenohBus
-connect, folder, *keys = sys.argv[1:]
-tls = TlsFiles.in_folder(Path(folder)) if folder else None
-enough, at = threading.Event(), []
-with ZenohBus(connect=[connect], client=bool(folder), tls=tls) as bus:
-    publishers = [bus.publisher(key) for key in keys]
-    threading.Thread(target=lambda: (sys.stdin.readline(), enough.set()), daemon=True).start()
-    print("ready", flush=True)
-    while not enough.wait(0.05):
-        at.append(time.time_ns())
-        for publisher in publishers:
-            publisher.put(b"forged")
-print(json.dumps(at))
-"""
-"""Publishes on every key, twenty times a second, until told that it is enough; says when."""
-
-
 class Beside:
     """A Python program in a service's container that is ready, and runs until it is enough."""
 
@@ -337,19 +293,3 @@ class Beside:
         """End it; returns what it said at last."""
         said, _ = self._process.communicate("enough\n", timeout=PATIENCE_S)
         return json.loads(said)
-
-
-def forged_under_way(
-    system: Composition, forger: Beside, text: str, service: str, vantage: str = "controller"
-) -> None:
-    """Send a message while a forger is at it; return when some forgeries fell within it for sure.
-
-    Of two statuses, both of the message under way, the times are compared with the forgeries'.
-    """
-    first = under_way(system, text, service, vantage)
-    later = wait_for(
-        lambda: (s := system.status(service, vantage))["t_ns"] > first["t_ns"] and s, "a status"
-    )
-    at = forger.enough()
-    assert later["frame_symbols"] < later["frame_length"], "the message was over too soon"
-    assert [t for t in at if first["t_ns"] < t < later["t_ns"]]

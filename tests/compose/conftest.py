@@ -16,7 +16,6 @@ from tests.compose.composition import (
     base_image,
     docker,
     leftovers,
-    wait_for,
 )
 
 NO_ENGINE = (
@@ -60,41 +59,23 @@ def image(engine: str) -> str:
     return builder.image
 
 
-def running(project: str, profile: str, *first: str, **variables: str) -> Iterator[Composition]:
-    """A system that is up for some tests, and gone afterwards without a trace.
-
-    Where a service is named first, it starts with what it needs, and the plant once the tap has a
-    connection: what is said from then on reaches her.
-    """
+def running(project: str, profile: str, **variables: str) -> Iterator[Composition]:
+    """A system that is up for some tests, and gone afterwards without a trace."""
     system = Composition(project, profile, variables)
     system.down()
     try:
-        if first:
-            system.up(*first)
-            wait_for(lambda: connected(system, "tap", 7466), "somebody connected to the tap")
-            system.up("--no-deps", "plant")
-        else:
-            system.up()
+        system.up()
         yield system
     finally:
         system.down()
     assert leftovers(project) == []
 
 
-def connected(system: Composition, service: str, port: int) -> bool:
-    """Whether a service has a connection to a port on which it listens."""
-    rows = system.execute(service, "cat", "/proc/net/tcp", "/proc/net/tcp6").stdout.splitlines()
-    return any(
-        local.endswith(f":{port:04X}") and state == "01"
-        for _, local, _, state, *_ in map(str.split, rows)
-    )
-
-
 @pytest.fixture(scope="session")
 def direct(image: str) -> Iterator[Composition]:
     """One system for the tests of two files; the last of them stops it."""
     variables = {"WYNER_MESSAGE": "at noon", "WYNER_PACE": PACE}
-    yield from running("wyner-test-direct", "direct", "controller", **variables)
+    yield from running("wyner-test-direct", "direct", **variables)
 
 
 @pytest.fixture(scope="module")

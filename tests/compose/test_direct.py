@@ -1,21 +1,16 @@
 """Three services, connected directly: what arrives, what may be reached, and from where."""
 
-import base64
 import json
 import subprocess
 
 import pytest
 
 from tests.compose.composition import (
-    FORGE,
     RUN,
-    Beside,
     Composition,
     all_healthy,
     arrives,
     docker,
-    forged_under_way,
-    wait_for,
 )
 
 SERVICES = ("controller", "plant", "tap")
@@ -24,16 +19,6 @@ SERVICES = ("controller", "plant", "tap")
 def test_an_operators_message_arrives(direct: Composition) -> None:
     direct.send("hand: 50 °C")
     arrives(direct, "plant", "hand: 50 °C")
-
-
-def test_the_log_is_lines_with_time_service_and_level(direct: Composition) -> None:
-    lines = direct.compose("logs", "--no-log-prefix", "--no-color", "plant").stdout.splitlines()
-    assert lines
-    for line in lines:
-        # Compose puts a terminal's "erase line" before each, even into a pipe.
-        date, time, service, level = line.removeprefix("\x1b[2K").split()[:4]
-        assert (len(date), len(time), service) == (10, 12, "plant")
-        assert level in {"INFO", "WARNING"}
 
 
 @pytest.mark.parametrize("service", SERVICES)
@@ -148,45 +133,3 @@ def test_a_listener_to_everything_hears_only_field_messages(direct: Composition)
     management = json.dumps(["tcp/plant.management:7463", "tcp/controller.management:7464"])
     heard = json.loads(direct.python("controller", LISTEN % management).stdout)
     assert "wyner/v2/loop/management/plant/status" in heard
-
-
-def test_the_tap_hears_the_first_message_whole(direct: Composition) -> None:
-    """She listens before anybody speaks: `direct` starts the plant when the controller is with her.
-
-    Later a busy machine may cost her a message in twenty.
-    """
-    arrives(direct, "plant", "at noon")
-    trace = direct.execute("plant", "cat", f"{RUN}/plant/trace.jsonl").stdout.splitlines()
-    events = [json.loads(line)["event"] for line in trace]
-    steps = events[: events.index("recovered")].count("transition")
-    lines = direct.execute("tap", "cat", f"{RUN}/tap/capture.jsonl").stdout.splitlines()
-    heard: dict[str, set[int]] = {"measurement": set(), "offer": set()}
-    for event in map(json.loads, lines[1:-1]):
-        if event.get("topic") in heard:
-            heard[event["topic"]].add(event["message"]["k"])
-    # The plant opens its connections to her and to the controller at the same time.
-    assert min(heard["measurement"]) < 10
-    assert 0 in heard["offer"]
-    assert len(heard["measurement"] & {*range(steps)}) >= 0.95 * steps
-
-    def she_has_it() -> bool:
-        beliefs = json.loads(direct.execute("tap", "cat", f"{RUN}/tap/beliefs.json").stdout)
-        said = base64.b64encode(b"at noon").decode()
-        return said in beliefs["list-decoder"]["whole"]
-
-    wait_for(she_has_it, "the whole first message in the list decoder's beliefs")
-
-
-def test_without_a_guard_a_forged_offer_reaches_the_plant_and_is_ignored(
-    direct: Composition,
-) -> None:
-    """What the profile `secure` prevents. Here it is counted as malformed, and harms nothing."""
-    all_healthy(direct, SERVICES)
-    text = "she forges"
-    forger = Beside(direct, "tap", FORGE, "tcp/plant.field:7461", "", "wyner/v2/loop/offer")
-    wait_for(lambda: direct.status("plant", "plant")["malformed"] >= 10, "malformed counted")
-    forged_under_way(direct, forger, text, "controller")
-    arrives(direct, "plant", text)
-
-
-# --- what people run beside the services ---------------------------------------------------------

@@ -70,6 +70,7 @@ def test_after_all_that_the_traces_obey_the_paper(direct: Composition, tmp_path:
     """The run's files, collected from the three volumes, pass the replay of `wyner check`."""
     direct.compose("stop")
     for service in SERVICES:
+        assert direct.inspect(service)["State"]["ExitCode"] == 0, "it needed more than its grace"
         source = f"{direct.container(service)}:/var/lib/wyner/run/{service}"
         docker("cp", source, str(tmp_path / service))
     shutil.copyfile(ROOT / "runtime/scenarios/sustained.toml", tmp_path / "scenario.toml")

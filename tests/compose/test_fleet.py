@@ -5,7 +5,8 @@ from collections.abc import Iterator
 
 import pytest
 
-from tests.compose.composition import RUN, Composition, leftovers, wait_for
+from tests.compose.composition import RUN, Composition, wait_for
+from tests.compose.conftest import running
 
 LOOPS = [f"loop-{n:04d}" for n in range(5)]
 
@@ -13,14 +14,7 @@ LOOPS = [f"loop-{n:04d}" for n in range(5)]
 @pytest.fixture(scope="module")
 def fleet(image: str) -> Iterator[Composition]:
     values = {"WYNER_MESSAGE": "to all", "WYNER_LOOPS": str(len(LOOPS)), "WYNER_PACE": "x4"}
-    system = Composition("wyner-test-fleet", "fleet", values)
-    system.down()
-    try:
-        system.up()
-        yield system
-    finally:
-        system.down()
-    assert leftovers(system.project) == []
+    yield from running("wyner-test-fleet", "fleet", **values)
 
 
 def statuses(system: Composition, vantage: str) -> dict[str, dict[str, object]]:

@@ -7,13 +7,11 @@ import time
 import pytest
 
 from tests.compose.composition import (
-    FORGE,
     PATIENCE_S,
     Beside,
     Composition,
     all_healthy,
     arrives,
-    forged_under_way,
     under_way,
 )
 
@@ -80,18 +78,6 @@ def test_the_router_passes_on_what_names_allow_and_drops_the_rest(secure: Compos
     for name in ("tap", "controller", "plant"):
         publish(secure, name, (offer, f"from {name}"), (measurement, f"from {name}"))
     assert witness.enough() == {offer: ["from controller"], measurement: ["from plant"]}
-
-
-def test_forged_publications_from_the_tap_change_nothing(secure: Composition) -> None:
-    """On the live loop, while a message is under way. (test_direct.py shows them arriving.)"""
-    text = "she forges"
-    all_healthy(secure, SERVICES)
-    keys = ("wyner/v2/loop/offer", "wyner/v2/loop/measurement")
-    forger = Beside(secure, "secure-tap", FORGE, ROUTER, certificates("tap"), *keys)
-    forged_under_way(secure, forger, text, "secure-controller")
-    arrives(secure, "secure-plant", text)
-    assert secure.status("secure-plant", "plant")["malformed"] == 0
-    assert secure.status("secure-controller", "controller")["malformed"] == 0
 
 
 def test_a_certificate_of_another_authority_opens_nothing(secure: Composition) -> None:

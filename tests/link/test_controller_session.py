@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 
 from protocol.link.controller_session import (
-    TABLE,
     event_of,
 )
 from protocol.messages import Offer, PlantHello
@@ -25,22 +24,6 @@ HELLO = PlantHello(
     applied_k=5,
 )
 RECORD = controller_record(session=S, ended=(T,), applied_k=5, offer=OFFER, incarnation=2)
-
-
-def test_a_session_is_served_only_by_who_was_asked() -> None:
-    for (state, name), row in TABLE.items():
-        if row.next == "serving" and state != "serving":
-            assert name in ("asked, session fits", "asked, new session")
-        assert (row.answer in ("serve", "adopt and serve")) == (
-            name in ("asked, session fits", "asked, new session") and state != "refused"
-        )
-
-
-def test_a_session_is_dropped_only_where_it_goes_on_without_this_process() -> None:
-    ends = {name for (_, name), row in TABLE.items() if row.answer.startswith("end and")}
-    assert ends == {"to another, in the session", "does not follow", "blocks differ"}
-    # Who never took it up keeps its journal: the plant may come back to it.
-    assert TABLE["greeting", "to another, in the session"].answer == "step back"
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,6 @@
 """All that a controller tells: each status field by field, each notice by level and subject."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
 from typing import Any
@@ -11,7 +11,6 @@ from controller_service.chooser import STALE, STALE_S
 from controller_service.core import ControllerCore
 from controller_service.telemetry import ControllerTelemetry
 from protocol.defence.alarm_rule import AlarmRule
-from protocol.defence.watch import Watch
 from protocol.link.controller_session import GREETING_S
 from protocol.link.distiller import BlockEnded
 from protocol.link.effects import Notice, Save
@@ -19,13 +18,11 @@ from protocol.link.events import FELL_BACK, Alarm, PowerFailed, SessionBegan
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, STATUS_S, next_turn, phase_of
 from protocol.link.records import ControllerRecord, Loaded
-from protocol.link.session import SILENCE_S, CountedTransition, Rules
+from protocol.link.session import CountedTransition, Rules
 from protocol.link.step import IDLE, Answered, Step
 from protocol.messages import (
-    ControllerHello,
     ControllerStatus,
     Measurement,
-    Message,
     Offer,
     PlantHello,
     SendCommand,
@@ -33,16 +30,15 @@ from protocol.messages import (
 )
 from protocol.schemes.framing import encode_frame, frame_length
 from protocol.schemes.sealed import Sealed
-from protocol.secret.blocks import NO_TAG, ExtractedBlock, ExtractionFailed, Schedule
+from protocol.secret.blocks import ExtractedBlock, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
-from runtime.errors import USAGE
 from tests.support.asked import NOTHING, Asked, gathered
-from tests.support.end_in_hand import EndInHand, Zeros, fields, status_of
+from tests.support.end_in_hand import EndInHand, Zeros, fields, status_of, unsaid
 from tests.support.journals import controller_journal
 from tests.support.line import line_rules
 from tests.support.records import changed, controller_record
@@ -51,7 +47,7 @@ RULES = line_rules(alpha=4.0, largest_input=5.0)
 SCHEDULE = Schedule(Assumption(0.95, eps_sec=1e-2), 2, 4)
 KEYS = replace(RULES, schedule=SCHEDULE)
 S, T, NEW = "1" * 16, "2" * 16, "9" * 16
-A, B, P, Q = (letter * 16 for letter in "abcd")
+A, P = "a" * 16, "c" * 16
 NONCE = fresh_nonce()
 CANDIDATES = ((1.5,), (-1.5,))
 FAR = 100.0
@@ -164,9 +160,8 @@ def told(actions: Asked) -> dict[str, Any]:
     return fields(status)
 
 
-NOTHING_YET: dict[str, Any] = {
+NOTHING_YET = unsaid(ControllerStatus) | {
     "phase": "greeting",
-    "detail": "",
     "session": None,
     "k": -1,
     "set_index": -1,
@@ -174,27 +169,10 @@ NOTHING_YET: dict[str, Any] = {
     "agreements": 0,
     "malformed": 0,
     "automaton": RULES.scheme.initial[0],
-    "sending": "",
     "frame_symbols": 0,
     "frame_length": 0,
     "queue": 0,
     "delivered": 0,
-    "unexplained": 0,
-    "watched": 0,
-    "unwatched": 0,
-    "alarms": 0,
-    "alarm_k": -1,
-    "alarm_reading": (),
-    "alarm_expected": (),
-    "alarm_gauge": 0.0,
-    "keys_made": 0,
-    "keys_of_block": 0,
-    "key_block_steps": 0,
-    "keys_refused": "",
-    "keys_stopped": "",
-    "key_blocks_lost": 0,
-    "digits_left": 0,
-    "appearances": 1,
 }
 
 
@@ -298,33 +276,6 @@ def test_what_no_candidate_explains_is_counted() -> None:
     assert told(gathered(end.core.wake(end.core.wake_at())))["unexplained"] == 1
 
 
-def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> None:
-    symbols = encode_frame(b"a", 2)
-    record = changed(
-        AT_WORK,
-        state=(2, 1),
-        cipher=1,
-        message_symbol=symbols[-1],
-        framed=True,
-        offset=len(symbols),
-    )
-    end = Told(record=record, payloads=(b"a",)).at_work()
-    gathered(end.core.wake(0.0))
-    end.hears(measurement(), 0.001)
-    counted = end.all[1]
-    (transition,) = counted.events
-    assert isinstance(transition, CountedTransition)
-    assert transition.delivered == SendCommand(id="m0", payload=b"a")
-    assert counted.saved.durable
-    ((level, text),) = [(n.level, n.text) for n in counted.notices]
-    assert level == "info"
-    assert "m0" in text
-    assert end.core.wake_at() == 0.001
-    actions = gathered(end.core.wake(0.001))
-    assert told(actions)["delivered"] == 1
-    assert actions.health is not None
-
-
 def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_session() -> None:
     answer = Offer(session=S, k=4, candidates=((1.5,), (-1.5,)), cipher=0)
     end = Told(step=Answered(measurement(), answer), fell_back=True)
@@ -362,57 +313,6 @@ def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> No
     assert phase(end) == ("running", False)
 
 
-def test_a_session_that_is_left_is_told_as_greeting() -> None:
-    ways: list[Callable[[Told], object]] = [
-        lambda end: end.hears(hello(controller=B, transitions=2, applied_k=1), 1.0),
-        lambda end: end.hears(hello(controller=B, session=NEW), 1000.0),
-        lambda end: end.hears(measurement(x_after=()), 1.0),
-    ]
-    for leave in ways:
-        end = Told().at_work()
-        leave(end)
-        assert phase(end) == ("greeting", True)
-        assert end.core.state.session.plant is None
-        assert end.notices == [("warning", "refusals")]
-
-
-@pytest.mark.parametrize("record", [None, AT_WORK])
-def test_only_who_has_met_no_plant_gives_up_over_another_model(
-    record: ControllerRecord | None,
-) -> None:
-    end = Told(record=record)
-    end.does(end.core.start(0.0))
-    answer = end.hears(hello(fingerprint="e" * 64), 1.0)
-    (said,) = answer.publish
-    assert isinstance(said, ControllerHello)
-    assert (said.verdict, said.answers) == ("other-model", P)
-    levels = [(n.level, n.subject) for n in answer.notices]
-    if record is not None:
-        assert (end.core.code, (end.core.state.session.state == "refused")) == (None, False)
-        assert levels == [("warning", "refusals")]
-        assert phase(end) == ("greeting", True)
-        return
-    assert (end.core.code, (end.core.state.session.state == "refused")) == (USAGE, True)
-    assert levels == [("warning", "refusals"), ("error", "")]
-    assert phase(end) == ("refused", True)
-    for text in (status_of(end.core).detail, answer.notices[1].text):
-        assert "e" * 8 in text
-        assert "f" * 8 in text
-        assert "e" * 9 not in text
-    stopped = told(gathered(end.core.stop(2.0)))
-    assert stopped["phase"] == "refused", "whoever looks later sees why"
-
-
-def test_the_last_status_says_that_it_stopped_and_is_kept() -> None:
-    end = Told().at_work()
-    gathered(end.core.wake(0.0))
-    stopped = gathered(end.core.stop(0.01))
-    assert told(stopped)["phase"] == "stopped"
-    assert stopped.health == stopped.publish[0]
-    assert stopped.save == Save(end.core.state.record)
-    assert (stopped.notices, stopped.events) == ((), ())
-
-
 # --- alarms ---------------------------------------------------------------------------------------
 
 
@@ -440,22 +340,6 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     again = end.hears(measurement(k=5, applied_k=3, x=(3.0,), x_after=(3.0,)), 2.0)
     assert (again == NOTHING) == halts
     assert status_of(end.core).alarms == 1
-
-
-def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() -> None:
-    rules = replace(RULES, alarm_rule=AlarmRule(2, 3))
-    end = Told(rules).at_work()
-    end.hears(measurement(x=(3.0,), x_after=(3.0,)), 1.0)
-    end.hears(measurement(k=5, applied_k=4, x=(4.5,), x_after=(4.5,)), 2.0)
-    assert end.core.state.record.alarms.failed == 0b10
-    assert status_of(end.core).alarms == 0
-    kept = end.core.state.record
-    again = Told(rules, kept)
-    again.does(again.core.start(3.0))
-    again.hears(hello(transitions=4, applied_k=4), 3.0)
-    again.hears(measurement(k=6, applied_k=5, x=(9.0,), x_after=(9.0,)), 4.0)
-    assert status_of(again.core).alarms == 1
-    assert again.core.state.record.alarms.failed == 0b01
 
 
 # --- the keyed coin -------------------------------------------------------------------------------
@@ -523,65 +407,9 @@ def test_a_transition_is_watched_where_digits_served(known: bool, right: bool) -
     assert status.alarms == len(alarms)
 
 
-def test_a_plant_that_denies_digits_that_it_has_makes_an_alarm() -> None:
-    """Its coin would be unwatched for as long as somebody says so in its place."""
-    end = keyed(changed(CONFIRMED, offer=NAMED))
-    end.hears(keyed_measurement(x=CANDIDATES[0], x_after=CANDIDATES[0], keyed=False), 1.0)
-    alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
-    assert [alarm.reason for alarm in alarms] == ["digits refused"]
-
-
-@pytest.mark.parametrize("share", [0.5, 0.0])
-def test_too_many_unwatched_steps_make_an_alarm_through_a_restart(share: float) -> None:
-    rules = replace(COIN, watch=Watch(share, 1))
-    record = changed(CONFIRMED, unwatched=0.75)
-    end = keyed(record, held=NOTHING_HELD, rules=rules)
-    end.hears(keyed_measurement(), 1.0)
-    alarms = [e for a in end.all for e in a.events if isinstance(e, Alarm)]
-    assert [alarm.reason for alarm in alarms] == ["unwatched"]
-    assert end.core.state.record.alarms.unwatched == 0.0, "it begins again"
-
-
-@pytest.mark.parametrize(("rules", "said"), [(RULES, True), (RULES, False), (COIN, None)])
-def test_a_measurement_that_says_another_thing_of_digits_than_the_rules_is_malformed(
-    rules: Rules, said: bool | None
-) -> None:
-    end = Told(rules).at_work()
-    record = end.core.state.record
-    end.hears(measurement(keyed=said), 1.0)
-    (actions,) = end.all
-    (notice,) = actions.notices
-    assert (notice.level, notice.subject) == ("warning", "malformed")
-    assert "measurement.keyed" in notice.text
-    assert actions == Asked(notices=(notice,))
-    assert (end.core.state.record, status_of(end.core).malformed) == (record, 1)
-
-
 # --- it fails closed ------------------------------------------------------------------------------
 
 SEALED = replace(RULES, schedule=SCHEDULE, scheme=Sealed(2))
-
-
-def test_a_sealed_symbol_without_a_digit_is_a_cover_and_comes_again() -> None:
-    """Nothing of a message leaves in the clear, and nothing of it is lost."""
-    record = changed(CONFIRMED, state=SEALED.scheme.initial, offer=None, k=2)
-    ciphers = set()
-    for payload in (b"a", b"\xff"):
-        end = keyed(record, held=NOTHING_HELD, rules=SEALED, payloads=(payload,))
-        k, applied = 3, 1
-        for _ in range(4):
-            x_after = () if applied == 1 else (1.5,)
-            said = keyed_measurement(k=k, applied_k=applied, x=(1.5,), x_after=x_after)
-            (offer,) = end.hears(said, float(k)).publish
-            assert isinstance(offer, Offer)
-            assert (offer.stream_block, offer.cipher) == (-1, 0), "Zeros gives the covers"
-            ciphers.add(offer.cipher)
-            k, applied = k + 1, k
-        assert (end.core.state.record.link.p, end.core.state.record.frame.offset) == (
-            record.link.p,
-            record.frame.offset,
-        )
-    assert ciphers == {0}
 
 
 @pytest.mark.parametrize("rules", [COIN, SEALED])
@@ -605,25 +433,6 @@ def test_once_the_claim_is_refuted_no_digit_serves_any_more(rules: Rules, again:
 # --- what is malformed ----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("kind", "name"),
-    [
-        (Measurement, "measurement"),
-        (PlantHello, "management/plant/hello"),
-        (SendCommand, "management/command/send"),
-    ],
-)
-def test_what_is_malformed_is_named_and_counted(kind: type[Message], name: str) -> None:
-    end = Told().at_work()
-    for number in (1, 2):
-        actions = gathered(end.core.receive(kind, b'{"session":1}', 1.0))
-        (notice,) = actions.notices
-        assert actions == Asked(notices=(notice,))
-        assert (notice.level, notice.subject) == ("warning", "malformed")
-        assert notice.text.split(":")[0] == name
-        assert status_of(end.core).malformed == end.core.malformed == number
-
-
 # --- greetings ------------------------------------------------------------------------------------
 
 
@@ -636,31 +445,6 @@ def test_it_greets_a_stranger_again_when_the_time_is_over_and_not_before() -> No
     again = end.hears(measurement(), 10.0 + GREETING_S)
     assert again == Asked(publish=(end.all[1].publish[0],))
     assert end.hears(measurement(), 10.0 + 1.99 * GREETING_S) == NOTHING
-
-
-def test_a_plant_counts_as_running_for_so_many_periods_and_no_longer() -> None:
-    for period_s, silence in ((PERIOD_S, SILENCE_S), (2.0, 6.0)):
-        for silent, is_told in ((0.99, True), (1.0, False)):
-            end = Told()
-            end.core = ControllerCore(
-                RULES,
-                propose,
-                end.journal,
-                Zeros(),
-                instance=A,
-                period_s=period_s,
-                loaded=Loaded(AT_WORK),
-            )
-            end.at_work()
-            end.hears(measurement(), 1.0)
-            end.all.clear()
-            end.hears(hello(instance=Q, session=NEW), 1.0 + silent * silence)
-            texts = [n.text for a in end.all for n in a.notices if n.subject == "refusals"]
-            assert len(texts) == is_told
-            assert end.core.state.session.plant == (P if is_told else Q)
-            for text in texts:
-                assert P in text
-                assert Q in text
 
 
 # --- commands -------------------------------------------------------------------------------------
@@ -684,24 +468,6 @@ def keys_at_work() -> Told:
     return end
 
 
-def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
-    end = keys_at_work()
-    assert (end.core.state.record.keys.block, end.core.state.record.keys.tag) == (-1, NO_TAG)
-    answer = end.hears(measurement(), 1.0)
-    (offer,) = answer.publish
-    assert isinstance(offer, Offer)
-    assert (offer.block, offer.tag) == (0, TAG)
-    record = end.core.state.record
-    assert (record.keys.block, record.keys.tag, record.offer) == (0, TAG, offer)
-    assert record.link.nonce == ""
-    counted = end.all[1]
-    assert counted.save is None, "the next step saves what was counted"
-    saved = end.hears(measurement(k=end.core.state.record.link.k + 1, applied_k=record.link.k), 2.0)
-    assert saved.save is not None
-    assert saved.record == record
-    assert [row.j for row in saved.save.rows.contributions] == [4]
-
-
 def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:
     end = keys_at_work()
     end.hears(measurement(block=0, tag=TAG, nonce=NONCE), 1.0)
@@ -719,28 +485,6 @@ def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits()
     assert saved.saved.rows.keys == (Keys(0, 0, b"".join(MADE.keys)),)
     again = end.hears(measurement(k=6, applied_k=5), 3.0)
     assert (again.saved.rows.obsolete_rows, again.saved.rows.keys) == ((), ()), "once"
-
-
-def test_a_block_that_differs_gives_no_key_and_ends_the_session() -> None:
-    end = keys_at_work()
-    end.hears(measurement(block=0, tag="c" * 32, nonce=NONCE), 1.0)
-    _, counted, ended = end.all
-    assert counted.events[0] == BlockEnded(S, 0, "unequal")
-    assert [type(event) for event in ended.events] == [SessionBegan]
-    assert [(n.level, n.subject) for n in ended.notices] == [("warning", "refusals")]
-    assert ended.record is not None
-    assert ended.record.session.id is None
-    assert phase(end) == ("greeting", True)
-    status = status_of(end.core)
-    assert (status.keys_made, status.key_blocks_lost, status.digits_left) == (0, 1, 0)
-
-
-def test_blocks_that_cannot_be_extracted_are_an_error_and_told_in_every_status() -> None:
-    end = keys_at_work()
-    (notice,) = end.does(end.core.extracted(ExtractionFailed("no memory"))).notices
-    assert (notice.level, notice.subject) == ("error", "")
-    assert "no memory" in notice.text
-    assert status_of(end.core).keys_refused == "no memory"
 
 
 def test_more_links_than_were_stated_stop_keys_until_they_are_gone() -> None:

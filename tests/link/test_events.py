@@ -5,19 +5,13 @@ from typing import Any
 import pytest
 
 from protocol.agreement import AgreementResult
-from protocol.link.distiller import BlockEnded, Distiller
-from protocol.link.effects import Notice
 from protocol.link.events import (
     Alarm,
     Reason,
     lines,
 )
-from protocol.link.key_events import block_notices, extraction_done
 from protocol.link.session import CountedTransition
 from protocol.messages import SendCommand
-from protocol.secret.blocks import ExtractionFailed, Schedule
-from protocol.secret.bound import Assumption
-from runtime.chance import fresh_nonce
 
 S = "1" * 16
 TRANSITION = CountedTransition(
@@ -89,40 +83,4 @@ def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(
     assert all(said in words for said in ("31", "0.125, -4", "0.5, 2.25", "6.5", " 3", whose))
 
 
-@pytest.mark.parametrize(
-    ("reason", "what"),
-    [("unwatched", "too many steps had no digit"), ("digits refused", "the plant denies digits")],
-)
-def test_an_alarm_over_digits_tells_of_no_reading(reason: Reason, what: str) -> None:
-    words = Alarm(S, 2, 31, (0.125, -4.0), reason, 3, (0.5, 2.25), 6.5).sentence()
-    assert what in words
-    assert "31" in words
-    assert "0.125" not in words
-
-
 # --- key blocks -----------------------------------------------------------------------------------
-
-SCHEDULE = Schedule(Assumption(0.1), 32, 64)
-FIRST = BlockEnded(S, 0, "confirmed", 5)
-CLAIM = f"first keys of session {S}: {SCHEDULE.assumption.sentence()}"
-DIFFERS = f"key block 2 of session {S} differs from the partner's"
-
-
-@pytest.mark.parametrize(
-    ("ended", "notices"),
-    [
-        (FIRST, (Notice(CLAIM),)),
-        (FIRST._replace(number=1), ()),
-        (BlockEnded(S, 0, "poor"), ()),
-        (BlockEnded(S, 2, "unequal"), (Notice(DIFFERS, "error"),)),
-    ],
-)
-def test_what_is_told_of_a_block(ended: BlockEnded, notices: tuple[Notice, ...]) -> None:
-    assert (*block_notices(Distiller(SCHEDULE, 2, fresh_nonce), (ended,)),) == notices
-
-
-def test_where_blocks_cannot_be_extracted_it_is_told_once_and_why() -> None:
-    keys = Distiller(SCHEDULE, 2, fresh_nonce)
-    told = Notice("no key is made from here on: disk", "error")
-    assert [*extraction_done(keys, ExtractionFailed("disk"))] == [told]
-    assert keys.status_fields()["keys_refused"] == "disk"

@@ -4,10 +4,7 @@ import pytest
 
 from protocol.link.plant_session import (
     TABLE,
-    TO_ANYONE,
-    WORKING,
     event_of,
-    first_state,
 )
 from protocol.messages import ControllerHello
 from tests.support.records import changed, plant_record
@@ -16,26 +13,6 @@ S, T = "1" * 16, "2" * 16
 A, B, P, Q = (letter * 16 for letter in "abcd")
 OURS, OTHER = "e" * 64, "f" * 64
 RECORD = plant_record(session=S, k=3, x=(0.0,), u=(0.0,), controller=A, incarnation=2)
-
-
-def test_only_who_was_asked_and_accepts_is_worked_with() -> None:
-    for (state, name), row in TABLE.items():
-        if row.next in WORKING and state not in WORKING:
-            assert (name, row.answer) == ("accepted", "work")
-            assert state in ("asked", "unanswered")
-
-
-def test_a_session_begins_only_where_nobody_works_in_it_or_its_controller_says_so() -> None:
-    for (state, name), row in TABLE.items():
-        if row.answer == "begin anew":
-            assert name in ("unknown session", "blocks differ")
-        if row.answer == "begin and ask":
-            assert state in TO_ANYONE
-
-
-def test_a_plant_begins_where_its_record_stands() -> None:
-    assert first_state(RECORD.link) == "looking"
-    assert first_state(RECORD.link._replace(transitions=1)) == "returned"
 
 
 @pytest.mark.parametrize("transitions", [0, 5])

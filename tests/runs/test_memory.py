@@ -9,7 +9,7 @@ import pytest
 
 from runtime.recording import LineWriter, decode, dumps, raw_lines
 from runtime.run_folder import BELIEFS, CAPTURE, GUESSES
-from tests.support.long_run import make_run
+from tests.support.recorded_pair import make_run
 from wyner.runs.run import Run
 
 pytestmark = pytest.mark.long

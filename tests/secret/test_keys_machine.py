@@ -6,7 +6,6 @@ digits each, so that the stream runs dry and is filled all the time.
 
 from collections.abc import Callable, Iterator
 from random import Random
-from typing import ClassVar
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -82,7 +81,8 @@ def coins() -> KeyedPair:
 class KeyedLink(RuleBasedStateMachine):
     """Drives a world; subclasses say which."""
 
-    begun: ClassVar[staticmethod[[], KeyedPair]] = staticmethod(made)
+    def begun(self) -> KeyedPair:
+        return made()
 
     def __init__(self) -> None:
         super().__init__()
@@ -130,15 +130,18 @@ class KeyedLink(RuleBasedStateMachine):
 
 
 class KeyedLinkOnDisk(KeyedLink):
-    begun = staticmethod(made_on_disk)
+    def begun(self) -> KeyedPair:
+        return made_on_disk()
 
 
 class KeyedCoinLink(KeyedLink):
-    begun = staticmethod(coins)
+    def begun(self) -> KeyedPair:
+        return coins()
 
 
 class SealedLink(KeyedLink):
-    begun = staticmethod(SealedEnds)
+    def begun(self) -> KeyedPair:
+        return SealedEnds()
 
 
 TestKeyedLink = KeyedLink.TestCase

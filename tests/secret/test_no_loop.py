@@ -1,12 +1,9 @@
 """Keys owe nothing to control: two who merely talk make keys of the same worth."""
 
-import ast
 import random
-from pathlib import Path
 
 import pytest
 
-import protocol.secret
 from protocol.secret.blocks import OpenBlock
 from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extract
@@ -34,15 +31,3 @@ def test_a_chat_over_datagrams_makes_the_same_keys_at_both_ends_and_none_at_hers
     assert keys == extract(other.nonces, other.rows)
     assert held(hers, one.rows).bits == 0
     assert held(list(one.nonces), one.rows).bits == 256 * one.rows
-
-
-def test_what_makes_keys_knows_nothing_of_states_inputs_or_sets() -> None:
-    (folder,) = protocol.secret.__path__
-    found = set[str]()
-    for path in Path(folder).glob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            names = [node.module or ""] if isinstance(node, ast.ImportFrom) else []
-            names += [a.name for a in node.names] if isinstance(node, ast.Import) else []
-            found |= {name for name in names if name.split(".")[0] == "protocol"}
-    assert found
-    assert all(name.startswith("protocol.secret.") for name in found)

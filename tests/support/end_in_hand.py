@@ -4,7 +4,7 @@ from typing import Any, Generic, TypeVar
 
 from protocol.link.effects import Effects
 from protocol.link.endpoint import Endpoint
-from protocol.messages import Message
+from protocol.messages import Message, Status
 from tests.support.asked import NOTHING, Asked, turns
 
 E = TypeVar("E", bound=Endpoint)
@@ -70,3 +70,9 @@ def fields(status: Message) -> dict[str, Any]:
     said = status.model_dump()
     del said["v"], said["seq"], said["t_ns"]
     return said
+
+
+def unsaid(kind: type[Status]) -> dict[str, Any]:
+    """What a status says by default, of all that it need not say."""
+    of = kind.model_fields.items()
+    return {name: f.default for name, f in of if not f.is_required() and name != "v"}

@@ -337,6 +337,14 @@ class RecordedPair(Pair):
         return [str(finding) for finding in check(read_evidence(self.folder))]
 
 
+def make_run(folder: Path, steps: int, name: str = "sustained") -> None:
+    """A run of so many steps in lock-step, of one long message."""
+    bounds = Bounds(total_bytes=2**40, free_bytes=0)
+    loop = RecordedPair(folder, b"x" * 60_000, name=name, pace="fast", bounds=bounds)
+    loop.run(lambda: loop.plant.state.record.link.k >= steps)
+    loop.stop()
+
+
 def kill(writer: TraceWriter) -> None:
     """Close without an end mark."""
 

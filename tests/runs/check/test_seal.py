@@ -27,7 +27,7 @@ from runtime.run_folder import (
 )
 from runtime.scenario_file import load_scenario
 from tests.support.checked_runs import failed
-from tests.support.long_run import make_run
+from tests.support.recorded_pair import make_run
 from wyner.cli.main import main
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
