@@ -126,13 +126,6 @@ def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> No
     assert smooth.keys_reviewed.right - blind > 1.15 * (plain.keys_reviewed.right - blind)
 
 
-def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:
-    run = simulate(500, 2, payloads=[b"Go now"])
-    said, scored = play(run, "smoother")
-    assert said.belief.whole == tuple(p for _, p in run.truth.whole) != ()
-    assert scored.bits.right == scored.bits.of
-
-
 def keeping(steps: int, patch: pytest.MonkeyPatch) -> None:
     """She lets go of the older half of so many."""
     patch.setattr(reading, "KEPT", steps)
