@@ -432,22 +432,3 @@ def test_a_file_with_a_dataclass_and_late_annotations_is_loaded(tmp_path: Path) 
         "    def observe(self, t): ...\n    def belief(self): ...\n"
     )
     assert named(f"{file}:Late").name == "late"
-
-
-def test_one_who_fails_stops_alone() -> None:
-    class Broken(Odd):
-        name = "broken"
-
-        def observe(self, transition: Transition) -> Guess:
-            raise RuntimeError("no\nidea")
-
-        def belief(self) -> Belief:
-            raise AssertionError("not asked any more")
-
-    run = simulate(3, 0)
-    listener = Listener(Broken, run.scenario.knowledge())
-    for transition in heard_by(run, CLEAR):
-        assert listener.observe(transition) is None
-    assert listener.failed == "step 0: RuntimeError: no idea"
-    assert listener.belief().message == b""
-    assert listener.review() == ()
