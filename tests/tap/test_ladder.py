@@ -177,11 +177,6 @@ def test_alpha_one_agrees_no_key() -> None:
     assert not simulate(1000, 1, alpha=1.0).truth.keys
 
 
-def test_the_oracle_on_a_clear_view_guesses_every_key() -> None:
-    _, scored = play(simulate(1000, 5), "oracle")
-    assert scored.keys_reviewed.every
-
-
 def knowing(run: Run, name: str) -> Knowledge:
     """What she is told, and a claim for the one who goes for keys."""
     return knowledge_for(run, named(name), CLEAR).model_copy(update={"keys": Assumption(0.3)})

@@ -405,24 +405,6 @@ def test_where_no_message_has_its_check_nothing_is_claimed_and_the_next_one_is_r
     assert two.probability > 0.9
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_what_she_does_not_have_leaves_bits(seed: int) -> None:
-    """Twelve steps taken for the wrong symbols; asked before the message is over and after."""
-    payload = b"Send the keys"
-    steps = stretch(payload, 4, "pipelined", seed, missed=0.1, agree=1.0)
-    for i in random.Random(seed).sample(range(20, 80), 12):
-        samples = steps[i].samples
-        assert samples is not None
-        steps[i] = InferredStep(steps[i].transition, np.roll(samples, 1 + seed % 3, axis=1))
-    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=100)
-    for part in (steps[:60], steps):
-        messages = reader.read(part, (0.0, 1.0), {})
-        assert messages
-        for message in messages:
-            assert message.probability < 0.5
-            assert message.bits_left > 3
-
-
 def test_silence_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """A third missed: all steps after a message are silence, and read without a search."""
     payload = b"Send the spare keys by noon"
@@ -449,20 +431,6 @@ def test_silence_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     (message,) = reader.read(steps, (0.0, 1.0), {})
     assert (message.payload, message.whole) == (payload, True)
     assert len(searches) == 1
-
-
-@pytest.mark.parametrize("seed", range(8))
-def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
-    table, states = closed("pipelined", 4)
-    steps = stretch(b"Up", 4, "pipelined", seed, missed=0.5, agree=1.0)
-    _, after = verdicts_of(steps, (0.0, 1.0), 4, certain=True)
-    pads = table.pad[:states]
-    verdicts = np.where((pads >= 0)[:, None], after[:, pads], after[:, 0][:, None])
-    ciphers = [-1 if s.transition.cipher is None else s.transition.cipher for s in steps]
-    lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0], np.ones(len(ciphers)))
-    begin = np.full((lattice.steps + 1, states), -np.inf)
-    begin[0, 0] = 0.0
-    assert not MessageSearch(lattice, any_bytes()).silent(begin)
 
 
 FOLLOWED = size(600, BEAM)
