@@ -23,7 +23,7 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from struct import Struct
@@ -33,7 +33,6 @@ from zlib import crc32
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.distiller import NO_ROWS
 from protocol.link.effects import Save
 from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRecord, R
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
@@ -229,7 +228,8 @@ class Journal(ABC, Generic[R]):
         try:
             if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            beside = [*self._of_keys(save), *self._more(save)]
+            beside = self._of_keys(save)
+            beside += self._more(save)
             if beside:
                 execute("BEGIN IMMEDIATE")
                 for statement in beside:
@@ -257,33 +257,32 @@ class Journal(ABC, Generic[R]):
         check = check_of(0, record, offer, coin, measurement, keys)
         return record, offer, coin, measurement, keys, check
 
-    def _of_keys(self, save: Save) -> Sequence[Statement]:
+    def _of_keys(self, save: Save) -> list[Statement]:
         """What is written of key blocks and of the key stream beside the step's row."""
-        same = self._saved is not None and save.record.session.id == self._saved.session.id
-        return () if same and save.rows is NO_ROWS else tuple(self._changed(save))
-
-    def _changed(self, save: Save) -> Iterator[Statement]:
+        contributions, obsolete, of_blocks, _ = save.rows
+        statements: list[Statement] = []
         if self._saved is None or save.record.session.id != self._saved.session.id:
             self._rows = {}
             if self._boot_due is not None:
-                yield "UPDATE meta SET value = ? WHERE name = 'boot'", (self._boot_due,)
+                boot = "UPDATE meta SET value = ? WHERE name = 'boot'"
+                statements.append((boot, (self._boot_due,)))
                 self._boot_due = None
-            for table in self.of_session:
-                yield f"DELETE FROM {table}", ()
-        obsolete = save.rows.obsolete_rows
+            statements += [(f"DELETE FROM {table}", ()) for table in self.of_session]
         for over in obsolete:
-            yield from self._without(over)
-        for row in save.rows.contributions:
-            if not any(row.j in over for over in obsolete):
+            statements += self._without(over)
+        for row in contributions:
+            if not (obsolete and any(row.j in over for over in obsolete)):
                 self._rows[row.j] = _packed(row)
             if row.j % BATCH == BATCH - 1 and self._rows:
-                yield self._row("row", row.j // BATCH, b"".join(self._rows.values()))
+                batch = b"".join(self._rows.values())
+                statements.append(self._row("row", row.j // BATCH, batch))
                 self._rows = {}
-        for keys in save.rows.keys:
+        for keys in of_blocks:
             if keys.keys:
-                yield self._row("stream", *keys)
+                statements.append(self._row("stream", *keys))
             else:
-                yield "DELETE FROM stream WHERE block = ?", (keys.block,)
+                statements.append(("DELETE FROM stream WHERE block = ?", (keys.block,)))
+        return statements
 
     def _without(self, over: range) -> Iterator[Statement]:
         """Drop the contributions of these transitions; of a batch at an edge the others stay."""

@@ -196,8 +196,10 @@ class KeyStream:
 
     def drop_before(self, position: Position) -> tuple[Keys, ...]:
         """Erase all digits that stand before ``position``; the rows of the journal that change."""
-        changed: dict[int, Keys] = {}
         self.part = self.part.since(position)
+        if self.part.digits:
+            return ()
+        changed: dict[int, Keys] = {}
         while self._keys and not self.part.digits:
             keys = self._keys[0]
             if keys.block < position.block:
