@@ -7,6 +7,7 @@ eavesdroppers, which need a process each, read the recordings afterwards (``wyne
 import threading
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TYPE_CHECKING, Final
 
 from protocol.messages import FIELD
@@ -53,6 +54,8 @@ class TapFleet:
         self._adversary = adversary
         for loop in self._fleet.loops.values():
             self._open(loop)
+        for tap in self.taps.values():
+            tap.share(len(self.taps))
         for kind in FIELD:
             field.subscribe(every_loop(kind), self._deliver, patient=True)
         self.log.info("listening on %d of %d loops", len(self.taps), len(self._fleet.loops))
@@ -73,46 +76,27 @@ class TapFleet:
         tap.publish_on(self._adversary, many=True)
         self.taps[loop.id] = tap
         self._by_key |= dict.fromkeys(tap.keys, tap)
-        self._share()
 
-    def finish(self, name: str) -> None:
-        """End one loop's tap; the others share its room."""
-        self._end(name, lambda tap: tap.finish())
-
-    def _end(self, name: str, settle: Callable[[TapService], None]) -> None:
-        """Take one loop's tap out, and end its files; whatever comes of it, the others go on."""
-        tap = self.taps.pop(name, None)
-        if tap is None:
-            return
+    def _let(self, name: str, do: Callable[[TapService], None], *, last: bool = False) -> None:
+        """Have one loop's tap do something; after its ``last``, or a failure, it ends alone."""
+        tap = self.taps[name]
+        try:
+            do(tap)
+            if not last:
+                return
+        except Exception as error:
+            self.log.error("loop %s: its tap failed: %s: %s", name, type(error).__name__, error)
+            with suppress(Exception):
+                tap.write_beliefs()
+        del self.taps[name]
         for key in tap.keys:
             del self._by_key[key]
-        try:
-            settle(tap)
-        except Exception as error:
-            self._failed(name, error)
-        finally:
-            tap.close()
-            self._share()
-
-    def _let(self, name: str, do: Callable[[TapService], None]) -> None:
-        """Have one loop's tap do something; one that fails ends alone, with its end marks."""
-        try:
-            do(self.taps[name])
-        except Exception as error:
-            self._failed(name, error)
-            self._end(name, lambda tap: tap.write_beliefs())
-
-    def _failed(self, name: str, error: Exception) -> None:
-        self.log.error("loop %s: its tap failed: %s: %s", name, type(error).__name__, error)
-
-    def _share(self) -> None:
-        for tap in self.taps.values():
-            tap.share(len(self.taps))
+        tap.close()
 
     def close(self) -> None:
         """End the files of those that were not finished."""
         for name in list(self.taps):
-            self._end(name, lambda tap: tap.write_beliefs())
+            self._let(name, lambda tap: tap.write_beliefs(), last=True)
 
     def run(self, stopping: threading.Event) -> None:
         """Record and guess until ``stopping``; then settle what is left."""
@@ -122,7 +106,7 @@ class TapFleet:
             time.sleep(ROUND_S)
             self._tell()
         for name in list(self.taps):
-            self.finish(name)
+            self._let(name, lambda tap: tap.finish(), last=True)
 
     def _tell(self) -> None:
         """Tell of the next few loops; each has its turn once in :data:`TELL_S`."""

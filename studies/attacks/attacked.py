@@ -22,7 +22,6 @@ from attacker_service.base import (
 )
 from controller_service.laws.base import CandidateLaw
 from protocol.arrays import Array, Counts, Flags, Integers
-from protocol.brief import Brief
 from protocol.scenario import Scenario
 from studies.attacks.defences import Defence, Residual, Wire, Words
 from wyner.simulate.engine.draws import disturbances
@@ -35,8 +34,8 @@ Kind = Callable[[np.random.Generator], Attack]
 """Makes the attack of one simulation with the generator that it draws from."""
 
 
-@dataclass(frozen=True, eq=False, repr=False)
-class Attacked(Brief):
+@dataclass(frozen=True, eq=False)
+class Attacked:
     """What became of each run.
 
     Parameters
@@ -65,15 +64,6 @@ class Attacked(Brief):
         caught[0] = 0
         out: Counts = len(self.alarmed) - np.cumsum(caught)
         return out
-
-    def brief(self) -> dict[str, object]:
-        """How many, and how many of them unseen."""
-        return {
-            "runs": len(self.alarmed),
-            "steps": self.steps,
-            "undetected": int((self.alarmed == 0).sum()),
-            "false_alarms": self.false_alarms,
-        }
 
 
 @dataclass(frozen=True, eq=False)

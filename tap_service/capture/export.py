@@ -11,13 +11,30 @@ from itertools import islice
 from pathlib import Path
 from typing import IO, Any, Final
 
-from protocol.messages import FieldMessage, Measurement
+from protocol.messages import FieldMessage
 from protocol.topics import key_of
 from runtime.errors import needs
 from runtime.recording import first_part, parts_of
 from tap_service.capture.reading import CaptureReader
 
-KEY_FIELDS: Final = ("copy_number", "nonce", "applied_copy", "heard", "block", "tag")
+COLUMNS: Final = {
+    "t_ns": "int64",
+    "topic": "string",
+    "session": "string",
+    "k": "int64",
+    "x": "vector",
+    "applied_k": "int64",
+    "x_after": "vector",
+    "candidates": "vectors",
+    "cipher": "int64",
+    "copy_number": "int64",
+    "nonce": "string",
+    "applied_copy": "int64",
+    "heard": "int64",
+    "block": "int64",
+    "tag": "string",
+}
+"""A row's columns, with their types in Parquet."""
 
 ROWS_AT_ONCE: Final = 20_000
 """Rows of a Parquet row group."""
@@ -36,19 +53,20 @@ def _loop(reader: CaptureReader) -> str:
     return str(reader.header.get("loop", "loop"))
 
 
+def _row(t_ns: int, message: FieldMessage) -> dict[str, Any]:
+    """A message's row; None where it has no such field."""
+    fields = {name: getattr(message, name, None) for name in COLUMNS}
+    return fields | {"t_ns": t_ns, "topic": message.topic}
+
+
 def to_csv(reader: CaptureReader, out: IO[str]) -> int:
     """Write one row a message; vectors become JSON arrays in their cell. Returns the rows."""
     writer = csv.writer(out, lineterminator="\n")
-    names = ("t_ns", "topic", "session", "k", "x", "applied_k", "x_after", "candidates", "cipher")
-    writer.writerow((*names, *KEY_FIELDS))
+    writer.writerow(COLUMNS)
     rows = 0
     for t_ns, message in reader.records():
-        row: list[object] = [t_ns, message.topic, message.session, message.k]
-        if isinstance(message, Measurement):
-            row += [json.dumps(message.x), message.applied_k, json.dumps(message.x_after), "", ""]
-        else:
-            row += ["", "", "", json.dumps(message.candidates), message.cipher]
-        writer.writerow(row + [getattr(message, name, "") for name in KEY_FIELDS])
+        row = _row(t_ns, message).values()
+        writer.writerow(json.dumps(v) if isinstance(v, tuple) else v for v in row)
         rows += 1
     return rows
 
@@ -67,38 +85,21 @@ def to_parquet(reader: CaptureReader, path: Path) -> int:
     except ImportError:
         raise ExportError(needs("parquet", "pyarrow")) from None
     vector = pyarrow.list_(pyarrow.float64())
-    schema = pyarrow.schema(
-        [
-            ("t_ns", pyarrow.int64()),
-            ("topic", pyarrow.string()),
-            ("session", pyarrow.string()),
-            ("k", pyarrow.int64()),
-            ("x", vector),
-            ("applied_k", pyarrow.int64()),
-            ("x_after", vector),
-            ("candidates", pyarrow.list_(vector)),
-            ("cipher", pyarrow.int64()),
-            ("copy_number", pyarrow.int64()),
-            ("nonce", pyarrow.string()),
-            ("applied_copy", pyarrow.int64()),
-            ("heard", pyarrow.int64()),
-            ("block", pyarrow.int64()),
-            ("tag", pyarrow.string()),
-        ]
-    )
+    types = {
+        "int64": pyarrow.int64(),
+        "string": pyarrow.string(),
+        "vector": vector,
+        "vectors": pyarrow.list_(vector),
+    }
+    schema = pyarrow.schema([(name, types[of]) for name, of in COLUMNS.items()])
     rows = 0
     with pyarrow.parquet.ParquetWriter(path, schema) as writer:
         records = reader.records()
         while batch := list(islice(records, ROWS_AT_ONCE)):
-            columns = [_columns(schema.names[2:], *record) for record in batch]
-            writer.write_table(pyarrow.Table.from_pylist(columns, schema=schema))
-            rows += len(columns)
+            table = [_row(*record) for record in batch]
+            writer.write_table(pyarrow.Table.from_pylist(table, schema=schema))
+            rows += len(table)
     return rows
-
-
-def _columns(names: list[str], t_ns: int, message: FieldMessage) -> dict[str, object]:
-    columns = {name: getattr(message, name, None) for name in names}
-    return {"t_ns": t_ns, "topic": message.topic, **columns}
 
 
 def to_mcap(reader: CaptureReader, path: Path) -> int:

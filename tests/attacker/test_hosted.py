@@ -193,43 +193,6 @@ JUNK = (
 )
 
 
-@pytest.mark.parametrize("kind", ["ghost", "replay"])
-def test_junk_on_the_bus_costs_a_sensor_attack_nothing(scenario: Scenario, kind: str) -> None:
-    """Nor does another session's offer, or one of another shape."""
-    table = {"kind": kind, "onset": 3}
-    if kind == "ghost":
-        table["knows"] = ["model", "bus"]
-    said: list[list[tuple[float, ...]]] = []
-    for junk in ((), JUNK):
-        plant = attacked(scenario, Attack.model_validate(table))
-        for k in range(8):
-            m = Measurement(session="0" * 16, k=k, x=(1.0, 1.0), applied_k=-1, x_after=())
-            us = ((0.0,), (1.0,), (2.0,), (3.0,))
-            offer = Offer(session="0" * 16, k=k, candidates=us, cipher=0)
-            other = offer.model_copy(update={"session": "f" * 16, "candidates": ((9.0,),) * 4})
-            wide = offer.model_copy(update={"candidates": ((1.0, 2.0),) * 4})
-            (attacker,) = plant.filters
-            assert isinstance(attacker, Attacker)
-            attacker.outgoing(Measurement, m.wire())
-            if junk:
-                for payload in (other.wire(), wide.wire()):
-                    attacker.incoming(Offer, payload)
-                for payload in junk:
-                    attacker.incoming(Offer, payload)
-                    attacker.outgoing(Measurement, payload)
-            attacker.incoming(Offer, offer.wire())
-            one = _one(plant, k)
-            assert plant.truth is not None
-            assert not plant.truth.failed
-            said.append([one]) if k == 0 else said[-1].append(one)
-        assert isinstance(attacker, Attacker)
-        assert attacker.sieve.ignored == (12 * 8 if junk else 0)
-        assert plant.truth is not None
-        assert one != plant.truth.x_next, "she goes on"
-        plant.close()
-    assert said[0] == said[1]
-
-
 def test_junk_on_the_bus_costs_a_relay_nothing(scenario: Scenario) -> None:
     attack = Attack.model_validate({"kind": "covert", "onset": 2, "input": 0.3})
     attacker = Attacker(scenario, attack, 1)

@@ -75,22 +75,3 @@ def test_a_relay_that_is_killed_is_a_bus_that_is_down_for_a_while(tmp_path: Path
     assert summary["delivered"]
     assert summary["missed"] > 0
     assert main(["check", str(run)]) == 0
-
-
-@pytest.mark.parametrize(
-    ("options", "line"),
-    [
-        (("--attack", "gost@5"), "attack.kind: got 'gost', expected ghost"),
-        (("--attack", "ghost@50", "--steps", "50"), "--attack: got onset 50, expected one below"),
-        (("--attack", 'ghost@5,knows=["bus"]'), "attack.knows: ghost needs 'model'"),
-        (("--scenario", "encoder", "--attack", "ghost@5"), "attack: expected none beside plant.C"),
-        (("--scenario", "encoder", "--attack", "covert@5"), "attack: expected none beside plant.C"),
-    ],
-)
-def test_what_cannot_be_is_one_line_and_nothing_starts(
-    options: tuple[str, ...], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    run = tmp_path / "run"
-    assert main(["up", "--scenario", "packed", "--run-dir", str(run), *options]) == 2
-    assert capsys.readouterr().err.startswith(f"wyner: {line}")
-    assert not run.exists()

@@ -18,7 +18,7 @@ from controller_service.sets.packed_design import invariant_set, reduced
 from controller_service.sets.separation import Separation
 from controller_service.sets.terminal import set_corners
 from protocol.convex import corners
-from protocol.scenario import ConvexSet, Scenario, ScenarioError, parse_scenario
+from protocol.scenario import ConvexSet, Scenario, parse_scenario
 from runtime.scenario_file import scenario_of
 from wyner.cli.new import sampled
 
@@ -197,21 +197,6 @@ def test_a_bet_is_made_on_request() -> None:
     assert np.ptp(design.offsets) == pytest.approx(1.834 / 2 * sep.sigma(), rel=2e-6)
     with pytest.raises(SynthesisError, match=r"secrecy.candidates: got 2, expected at most 1"):
         synthesise(scenario)
-
-
-@pytest.mark.parametrize(
-    ("control", "line"),
-    [
-        ({"alphabet": {"spacing": 0}}, "control.alphabet.spacing: got 0"),
-        ({"alphabet": {"step": 1}}, "control.alphabet.step"),
-        ({"costs": [{"input": 1.0}] * 2}, "control.costs: got 2 costs, expected one"),
-    ],
-)
-def test_bad_fields_are_named(control: dict[str, Any], line: str) -> None:
-    data = shipped("packed").model_dump(exclude_none=True)
-    data["control"].update(control)
-    with pytest.raises(ScenarioError, match=line):
-        parse_scenario(data, "packed.toml")
 
 
 @pytest.mark.parametrize(("most", "steps"), [(50_000, 200), (100, 12)])

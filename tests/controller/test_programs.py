@@ -11,8 +11,7 @@ from controller_service.laws.base import CandidateLaw
 from controller_service.laws.online import ProgramError
 from controller_service.laws.programs import General, Quadratic, solve_daqp, solve_osqp
 from controller_service.laws.registry import make_law
-from controller_service.sets.design import Design, SynthesisError, set_corners, synthesise
-from protocol.convex import Polytope
+from controller_service.sets.design import Design, SynthesisError, synthesise
 from protocol.scenario import Cost, Scenario
 from runtime.scenario_file import load_scenario
 
@@ -33,39 +32,6 @@ def design(tank: Scenario) -> Design:
 @pytest.fixture(scope="module")
 def law(tank: Scenario, design: Design) -> CandidateLaw:
     return make_law(tank, design)
-
-
-@pytest.mark.long
-def test_the_tanks_answers_hold_and_one_state_equals_many(
-    law: CandidateLaw, design: Design
-) -> None:
-    X = np.random.default_rng(0).uniform(-0.999, 0.999, (300, 4)) * TOP
-    index = law.indices(X)
-    C = law.candidates_many(X, index)
-    for x, i, c in zip(X, index, C, strict=True):
-        assert law.index(x.tolist()) == i
-        assert np.array_equal(np.array(law.candidates(x.tolist())), c)
-        target = Polytope(*design.target(max(int(i) - 1, 0)))
-        for u in c:
-            assert target.excess(design.A @ x + design.B @ u) <= 0
-            assert np.abs(u).max() <= 3
-
-
-@pytest.mark.slow
-def test_the_tanks_index_falls(law: CandidateLaw, design: Design, tank: Scenario) -> None:
-    rng = np.random.default_rng(1)
-    X = rng.uniform(-0.999, 0.999, (400, 4)) * TOP
-    D = set_corners(tank.defender.disturbance)
-    index = law.indices(X)
-    for _ in range(45):
-        C = law.candidates_many(X, index)
-        u = C[np.arange(len(X)), rng.integers(0, 2, len(X))]
-        X = X @ design.A.T + u @ design.B.T + D[rng.integers(0, len(D), len(X))]
-        assert (np.abs(X) <= TOP).all()
-        after = law.indices(X)
-        assert (after <= np.maximum(index - 1, 0)).all()
-        index = after
-    assert (index == 0).all()
 
 
 @pytest.mark.slow
@@ -158,27 +124,6 @@ def three_states(**control: Any) -> Scenario:
             "secrecy": {"alpha": 4.0},
         }
     )
-
-
-def test_three_states_one_input_to_the_last_bit() -> None:
-    scenario = three_states()
-    design = synthesise(scenario)
-    law = make_law(scenario, design)
-    rng = np.random.default_rng(5)
-    X = rng.uniform(-0.4, 0.4, (400, 3))
-    X[:3] = 0.0, -0.0, 0.1
-    index = law.indices(X)
-    C = law.candidates_many(X, index)
-    D = set_corners(scenario.defender.disturbance)
-    for x, i, c in zip(X, index, C, strict=True):
-        assert law.index(x.tolist()) == i
-        assert np.array(law.candidates(x.tolist())).tobytes() == c.tobytes()
-    for _ in range(20):
-        u = law.candidates_many(X, index)[np.arange(len(X)), rng.integers(0, 2, len(X))]
-        X = X @ design.A.T + u @ design.B.T + D[rng.integers(0, len(D), len(X))]
-        after = law.indices(X)
-        assert (after <= np.maximum(index - 1, 0)).all()
-        index = after
 
 
 def test_plants_beyond_the_route_are_refused() -> None:

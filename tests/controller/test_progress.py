@@ -14,7 +14,10 @@ def test_a_design_that_takes_too_long_is_refused_with_what_would_do(
 ) -> None:
     now = 0.0
     refused = r"12 of 30 sets took 61 s, .* control\.horizon = 12 would do, or .* wyner\.design"
-    with pytest.raises(SynthesisError, match=refused), shown_progress(lambda: now) as advance:
+    with (
+        pytest.raises(SynthesisError, match=refused),
+        shown_progress(lambda: now, lambda: now) as advance,
+    ):
         for i in range(31):
             now += 0.1 * i**2 if i < 12 else 10.2
             advance(i, 30)
@@ -23,7 +26,7 @@ def test_a_design_that_takes_too_long_is_refused_with_what_would_do(
 
 def test_in_a_pipe_a_line_comes_every_ten_seconds(capsys: pytest.CaptureFixture[str]) -> None:
     now = 0.0
-    with shown_progress(lambda: now) as advance:
+    with shown_progress(lambda: now, lambda: now) as advance:
         for i in range(100):
             now += 0.5
             advance(i, 99)
@@ -37,7 +40,7 @@ def test_on_a_terminal_a_line_changes_and_is_gone_in_the_end(
 ) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     now = 0.0
-    with shown_progress(lambda: now) as advance:
+    with shown_progress(lambda: now, lambda: now) as advance:
         for i in range(4):
             now += 0.6
             advance(i, 3)
@@ -49,10 +52,19 @@ def test_on_a_terminal_a_line_changes_and_is_gone_in_the_end(
     assert last.strip() == empty == ""
 
 
+def test_a_busy_machine_makes_no_design_too_large() -> None:
+    """A shipped one was refused after 60 s in which it had computed for 11."""
+    waited = 0.0
+    with shown_progress(lambda: waited, lambda: waited / 10) as advance:
+        for i in range(8):
+            advance(i, 8)
+            waited += 60.0
+
+
 def test_sets_that_are_all_made_are_not_refused() -> None:
     """The last one once was: "8 are made", and the advice was a horizon of 8."""
     now = 0.0
-    with shown_progress(lambda: now) as advance:
+    with shown_progress(lambda: now, lambda: now) as advance:
         for i in range(8):
             advance(i, 8)
         now = 76.0

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from controller_service.laws import registry
 from controller_service.laws.registry import make_law, synthesise
 from plant_service.adapters import Operated
 from plant_service.adapters.registry import open_plant
@@ -89,7 +90,9 @@ def test_the_file_is_the_scenario(cart: Fit) -> None:
     assert parse_scenario(tomllib.loads(text), "again.toml") == cart.scenario
 
 
-def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_writes_it_and_computes_no_set_a_second_time(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     out = folder / "fitted.toml"
     plan = ["--sessions=20", "--steps=30"]
     assert main(["fit", str(folder / "cart.toml"), "-o", str(out), *plan]) == 0
@@ -97,7 +100,9 @@ def test_the_command_writes_it(folder: Path, capsys: pytest.CaptureFixture[str])
     assert "of 20 fresh sessions did" in told.out
     assert f"wrote {out}" in told.out
     assert "identified A and B from 400 steps" in told.err
-    assert main(["fit", str(folder / "cart.toml"), "-o", str(out), "--json", *plan]) == 0
+    with monkeypatch.context() as again:
+        again.setattr(registry, "synthesise", None)
+        assert main(["fit", str(folder / "cart.toml"), "-o", str(out), "--json", *plan]) == 0
     found = json.loads(capsys.readouterr().out)
     assert sorted(found) == ["calibration", "half_widths", "no_interval", "output", "seed"]
     assert list(bare_figures(found)) == []

@@ -30,7 +30,7 @@ from protocol.messages import (
 )
 from protocol.schemes.framing import encode_frame, frame_length
 from protocol.schemes.sealed import Sealed
-from protocol.secret.blocks import NO_TAG, ExtractedBlock, Schedule
+from protocol.secret.blocks import ExtractedBlock, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
@@ -276,33 +276,6 @@ def test_what_no_candidate_explains_is_counted() -> None:
     assert told(gathered(end.core.wake(end.core.wake_at())))["unexplained"] == 1
 
 
-def test_a_message_that_was_delivered_is_told_at_once_and_the_status_kept() -> None:
-    symbols = encode_frame(b"a", 2)
-    record = changed(
-        AT_WORK,
-        state=(2, 1),
-        cipher=1,
-        message_symbol=symbols[-1],
-        framed=True,
-        offset=len(symbols),
-    )
-    end = Told(record=record, payloads=(b"a",)).at_work()
-    gathered(end.core.wake(0.0))
-    end.hears(measurement(), 0.001)
-    counted = end.all[1]
-    (transition,) = counted.events
-    assert isinstance(transition, CountedTransition)
-    assert transition.delivered == SendCommand(id="m0", payload=b"a")
-    assert counted.saved.durable
-    ((level, text),) = [(n.level, n.text) for n in counted.notices]
-    assert level == "info"
-    assert "m0" in text
-    assert end.core.wake_at() == 0.001
-    actions = gathered(end.core.wake(0.001))
-    assert told(actions)["delivered"] == 1
-    assert actions.health is not None
-
-
 def test_a_controller_whose_machine_was_started_again_counts_and_drops_the_session() -> None:
     answer = Offer(session=S, k=4, candidates=((1.5,), (-1.5,)), cipher=0)
     end = Told(step=Answered(measurement(), answer), fell_back=True)
@@ -367,22 +340,6 @@ def test_an_alarm_says_what_was_read_and_what_was_expected(halts: bool) -> None:
     again = end.hears(measurement(k=5, applied_k=3, x=(3.0,), x_after=(3.0,)), 2.0)
     assert (again == NOTHING) == halts
     assert status_of(end.core).alarms == 1
-
-
-def test_so_many_failures_of_the_last_tests_make_an_alarm_through_a_restart() -> None:
-    rules = replace(RULES, alarm_rule=AlarmRule(2, 3))
-    end = Told(rules).at_work()
-    end.hears(measurement(x=(3.0,), x_after=(3.0,)), 1.0)
-    end.hears(measurement(k=5, applied_k=4, x=(4.5,), x_after=(4.5,)), 2.0)
-    assert end.core.state.record.alarms.failed == 0b10
-    assert status_of(end.core).alarms == 0
-    kept = end.core.state.record
-    again = Told(rules, kept)
-    again.does(again.core.start(3.0))
-    again.hears(hello(transitions=4, applied_k=4), 3.0)
-    again.hears(measurement(k=6, applied_k=5, x=(9.0,), x_after=(9.0,)), 4.0)
-    assert status_of(again.core).alarms == 1
-    assert again.core.state.record.alarms.failed == 0b01
 
 
 # --- the keyed coin -------------------------------------------------------------------------------
@@ -450,21 +407,6 @@ def test_a_transition_is_watched_where_digits_served(known: bool, right: bool) -
     assert status.alarms == len(alarms)
 
 
-@pytest.mark.parametrize(("rules", "said"), [(RULES, True), (RULES, False), (COIN, None)])
-def test_a_measurement_that_says_another_thing_of_digits_than_the_rules_is_malformed(
-    rules: Rules, said: bool | None
-) -> None:
-    end = Told(rules).at_work()
-    record = end.core.state.record
-    end.hears(measurement(keyed=said), 1.0)
-    (actions,) = end.all
-    (notice,) = actions.notices
-    assert (notice.level, notice.subject) == ("warning", "malformed")
-    assert "measurement.keyed" in notice.text
-    assert actions == Asked(notices=(notice,))
-    assert (end.core.state.record, status_of(end.core).malformed) == (record, 1)
-
-
 # --- it fails closed ------------------------------------------------------------------------------
 
 SEALED = replace(RULES, schedule=SCHEDULE, scheme=Sealed(2))
@@ -524,24 +466,6 @@ def keys_at_work() -> Told:
     assert end.does(end.core.extracted(MADE)) == NOTHING
     end.all.clear()
     return end
-
-
-def test_a_record_has_the_word_on_blocks_that_its_answer_gave() -> None:
-    end = keys_at_work()
-    assert (end.core.state.record.keys.block, end.core.state.record.keys.tag) == (-1, NO_TAG)
-    answer = end.hears(measurement(), 1.0)
-    (offer,) = answer.publish
-    assert isinstance(offer, Offer)
-    assert (offer.block, offer.tag) == (0, TAG)
-    record = end.core.state.record
-    assert (record.keys.block, record.keys.tag, record.offer) == (0, TAG, offer)
-    assert record.link.nonce == ""
-    counted = end.all[1]
-    assert counted.save is None, "the next step saves what was counted"
-    saved = end.hears(measurement(k=end.core.state.record.link.k + 1, applied_k=record.link.k), 2.0)
-    assert saved.save is not None
-    assert saved.record == record
-    assert [row.j for row in saved.save.rows.contributions] == [4]
 
 
 def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits() -> None:

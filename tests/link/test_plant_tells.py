@@ -1,6 +1,6 @@
 """All that a plant tells: each status field by field, each notice by level, each event whole."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from math import inf
 from typing import Any
@@ -12,14 +12,13 @@ from plant_service.core import PlantCore
 from plant_service.status import PlantTelemetry
 from plant_service.watchdog import FAREWELL_S, MEETING_S
 from protocol.link.distiller import BlockEnded
-from protocol.link.effects import Notice, Save
+from protocol.link.effects import Save
 from protocol.link.events import (
     FELL_BACK,
     Interrupted,
     Missed,
     PowerFailed,
     SessionBegan,
-    Timing,
 )
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
@@ -399,42 +398,6 @@ def test_another_model_is_the_end_only_of_who_has_met_none_of_its_own(
     assert fields(gathered(end.core.stop(2.0)).publish[-1])["phase"] == "refused"
 
 
-NEW_SESSIONS: list[tuple[Callable[[Told], object], str]] = [
-    (lambda end: end.hears(hello(verdict="unknown-session", answers=P), 0.0), "warning"),
-]
-
-
-@pytest.mark.parametrize(("ends", "level"), NEW_SESSIONS)
-def test_a_new_session_is_an_event_a_save_a_hello_and_a_notice(
-    ends: Callable[[Told], object], level: str, news: PlantTelemetry
-) -> None:
-    record = changed(RECORD, partial="01", p=9, keyed=True, applied_k=1)
-    end = Told(record=record, news=news).met()
-    ends(end)
-    (actions,) = end.all
-    (began,) = actions.events
-    assert isinstance(began, SessionBegan)
-    assert (began.session, bool(began.reason)) == (NEW, True)
-    assert actions.save == Save(end.core.state.record)
-    assert end.core.state.record == plant_record(
-        session=NEW,
-        k=3,
-        x=(0.0,),
-        u=(0.25,),
-        state=RULES.scheme.initial,
-        sessions=2,
-        controller=A,
-        incarnation=1,
-    )
-    (said,) = actions.publish
-    assert isinstance(said, PlantHello)
-    assert (said.session, said.transitions, said.applied_k) == (NEW, 0, -1)
-    assert [(n.level, n.subject) for n in actions.notices] == [(level, "")]
-    assert NEW in actions.notices[0].text
-    status = status_of(end.core, 0.0)
-    assert (status.phase, status.sessions, status.frame_symbols) == ("greeting", 2, 0)
-
-
 @pytest.mark.parametrize("malformed", [{"stream_block": 0}, {"stream_at": 3}])
 def test_an_offer_that_names_digits_where_none_serve_is_malformed(
     malformed: dict[str, object],
@@ -693,22 +656,3 @@ def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> N
     assert end.core.code is None
     assert end.hears(OFFER, 10.2) == NOTHING
     assert end.core.code == DONE
-
-
-def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantTelemetry) -> None:
-    machine = Machine()
-    machine.closing = "the valve does not move"
-    end = Told(machine=machine, news=news).met()
-    end.wakes(0.5)  # which is no tick
-    end.wakes(1.0)
-    machine.asked.clear()
-    stopped = gathered(end.core.stop(1.01))
-    assert [what for what, *_ in machine.asked] == ["safe", "close"]
-    assert machine.asked[0][1], "it is told why"
-    assert stopped.events == (Timing(4, 1, (0.0,) * 3, (), 0),)
-    assert stopped.notices == (Notice("the valve does not move", "error"),)
-    status = stopped.publish[-1]
-    assert isinstance(status, PlantStatus)
-    assert (status.phase, status.k) == ("stopped", 4)
-    assert stopped.health == status, "the last status is kept"
-    assert stopped.save == Save(end.core.state.record)

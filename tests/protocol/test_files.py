@@ -1,6 +1,5 @@
 """A file is replaced whole, whoever reads it meanwhile."""
 
-import os
 import stat
 import threading
 from collections.abc import Callable
@@ -34,18 +33,6 @@ def test_a_file_is_replaced_whole(tmp_path: Path, way: Callable[[Path], Write]) 
     assert path.read_bytes() == b"new, and longer"
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
     assert list(path.parent.iterdir()) == [path]
-
-
-def test_a_status_for_which_there_is_no_room_leaves_the_one_before(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path = tmp_path / "status.json"
-    write = as_status(path)
-    write(b"old")
-    monkeypatch.setattr(os, "write", lambda _file, data: len(data) - 1)
-    with pytest.raises(OSError, match="No space left"):
-        write(b"new")
-    assert path.read_bytes() == b"old"
 
 
 @pytest.mark.parametrize("way", WAYS)

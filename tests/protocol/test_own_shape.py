@@ -90,13 +90,3 @@ def test_the_verdict_is_equation_20_with_two_sets(
     assert rule.widest(predictions, x_next) == (v / D_e).max()
     if agreed:
         assert verdict.symbol == int(np.flatnonzero(defender)[0])
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.lists(st.tuples(finite, finite), min_size=2, max_size=4), st.tuples(finite, finite))
-def test_d_c_as_its_own_shape_changes_nothing(
-    predictions: list[tuple[float, float]], x_next: tuple[float, float]
-) -> None:
-    eye, gauge = ((1.0, 0.0), (0.0, 1.0)), Gauge(half_widths=(0.5, 0.7))
-    plain, own = AgreementRule(eye, eye, gauge, 3.0), AgreementRule(eye, eye, gauge, 3.0, gauge)
-    assert plain.verdict_at(predictions, x_next) == own.verdict_at(predictions, x_next)

@@ -7,7 +7,6 @@ from math import factorial, log
 import pytest
 
 from protocol.relabelling import (
-    ENUMERATED,
     Pairs,
     best_labels,
     in_words,
@@ -38,19 +37,6 @@ def test_the_best_labelling_is_the_best_of_all(size: int) -> None:
         pairs = blind(draw, size, steps)
         most = max(right_under(pairs, its) for its in permutations(range(size)))
         assert right_under(pairs, best_labels(pairs, size)) == most
-
-
-def test_of_sixteen_symbols_the_labelling_is_found() -> None:
-    draw = random.Random(16)
-    labels = tuple(draw.sample(range(16), 16))
-    pairs = names(labels, 300, 60, draw)
-    its = known([pairs], 16)
-    assert ENUMERATED < 16
-    assert its.labels == (labels,)
-    assert its.right == right_under(pairs, labels) >= 240
-    assert its.named < 60
-    assert its.better_than_chance(1e-6)
-    assert 1 / 16 < its.share.low < its.right / 300 < its.share.high
 
 
 def test_where_no_other_labelling_is_shown_to_be_better_symbols_count_as_named() -> None:

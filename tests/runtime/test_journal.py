@@ -329,17 +329,6 @@ def test_what_is_no_database_is_refused(tmp_path: Path) -> None:
     assert "cannot be opened" in one_line(error, tmp_path / "file" / "c")
 
 
-@pytest.mark.parametrize("wrong", [b"{}", b"not json", MEASUREMENT.wire()])
-def test_a_step_that_is_none_is_refused(tmp_path: Path, wrong: bytes) -> None:
-    offer = OFFER.model_copy()
-    offer.__dict__["_bytes"] = wrong
-    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
-        journal.save(Save(RECEIVER, step=Read(offer, 0, MEASUREMENT)))
-    with pytest.raises(JournalError) as error:
-        PlantJournal(tmp_path / "p", SCENARIO)
-    assert "step" in one_line(error, tmp_path / "p")
-
-
 def test_an_older_journal_is_one_line(tmp_path: Path) -> None:
     path = tmp_path / "j"
     database = sqlite3.connect(path)

@@ -19,24 +19,6 @@ def test_a_throttle_opens_once_a_period() -> None:
     ]
 
 
-def test_complaints_are_counted_and_logged_once_a_second(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    log = logging.getLogger("test-complaints")
-    complaints = RateLimitedLog(log)
-    for i in range(1000):
-        complaints.add(f"offer {i}: garbage")
-    now = 101.0
-    complaints.add("offer 1000: garbage")
-    assert complaints.total == 1001
-    assert [r.message for r in caplog.records] == [
-        "offer 0: garbage",
-        "offer 1000: garbage (and 999 more since the last such line)",
-    ]
-
-
 def test_what_was_not_logged_is_told_once_the_second_is_over_or_at_the_end(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

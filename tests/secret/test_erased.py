@@ -5,29 +5,23 @@ import json
 from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import pytest
 
-from protocol.link.distiller import Distiller
-from protocol.link.records import KeyRecord, Loaded, Side
+from protocol.link.records import Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
 from protocol.secret.stream import Keys, KeyStream, Position
-from runtime.chance import fresh_nonce
-from runtime.journal import ControllerJournal, PlantJournal
 from runtime.run_folder import (
     CAPTURE,
-    CONTROLLER_JOURNAL,
     CONTROLLER_TRACE,
-    PLANT_JOURNAL,
     PLANT_TRACE,
     SCENARIO,
 )
 from runtime.scenario_file import load_scenario
 from tests.support.pair import SIDES
 from tests.support.recorded_pair import RecordedPair
-from tests.support.safety import BEYOND, first_held
 from tests.support.traces import read_trace
 
 RUN = 16
@@ -147,33 +141,7 @@ def test_no_digit_that_has_served_is_in_any_file(stopped: Stopped, side: Side) -
     assert left, "such a look finds digits that are to come"
 
 
-def loaded_of(stopped: Stopped, side: Side) -> Loaded[Any]:
-    """What an end's journal holds."""
-    path = stopped.folder / (PLANT_JOURNAL if side == "plant" else CONTROLLER_JOURNAL)
-    kind = PlantJournal if side == "plant" else ControllerJournal
-    with kind(path, load_scenario(stopped.folder / SCENARIO).fingerprint()) as journal:
-        return journal.load()
-
-
 def newest(stopped: Stopped, side: Side) -> Position:
     """Of the digits that have served, as an end has counted."""
     trace = read_trace(stopped.folder / TRACES[side])
     return max(Position(*e["digits"]) for e in trace.of("transition") if e.get("keyed"))
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_the_last_digit_that_has_served_is_no_part_of_a_journal(
-    stopped: Stopped, side: Side
-) -> None:
-    assert newest(stopped, side) < first_held(loaded_of(stopped, side).held) < BEYOND
-
-
-@pytest.mark.parametrize("side", SIDES)
-def test_no_block_that_is_over_can_be_made_from_a_journal(stopped: Stopped, side: Side) -> None:
-    loaded, scenario = loaded_of(stopped, side), load_scenario(stopped.folder / SCENARIO)
-    assert scenario.keys is not None
-    assert loaded.record is not None
-    assert loaded.rows
-    keys = Distiller(scenario.keys.schedule(), 4, fresh_nonce)
-    keys.resume(loaded.record.session.id, KeyRecord(), rows=loaded.rows)
-    assert not [block.number for block in keys.tasks() if block.number in stopped.keys]

@@ -97,6 +97,12 @@ OWN_SHAPE = {"secrecy": {"alpha": 1.0, "disturbance": {"half_widths": [0.24, 0.9
 """Eve's set is not the two ends' made larger."""
 
 
+@pytest.mark.parametrize("name", ["paper", "sustained", "packed", "quadruple-tank"])
+def test_and_so_they_are_past_the_first_block_of_draws(name: str) -> None:
+    system = design(name)
+    compare(system.scenario, system.law, 11, 2, system.folder, 300)
+
+
 @pytest.mark.parametrize("changes", [POLYTOPE, OWN_SHAPE, *DISTURBED])
 def test_and_so_are_those_of_every_disturbance_and_set(changes: dict[str, Any]) -> None:
     data = load("sustained").model_dump(mode="json", exclude_none=True)

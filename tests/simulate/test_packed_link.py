@@ -11,10 +11,8 @@ from protocol.agreement import NO_SYMBOL
 from protocol.scenario import Scenario
 from protocol.schemes.framing import Deframer
 from runtime.scenario_file import scenario_of
-from tests.support.safety import violations
 from tests.support.size import size
 from wyner.simulate.engine import follow, simulate_runs, transfer
-from wyner.simulate.faults import Faults
 from wyner.simulate.network import Simulation
 
 RUNS, STEPS = range(20), size(150, 500)
@@ -106,12 +104,3 @@ def test_two_hundred_candidates() -> None:
     assert runs.coin.max() > 127
     history = Simulation(scenario, law, seed=1, payloads=(b"both ends",)).run(steps=60)
     assert history.inbox == [b"both ends"]
-    faults = Faults(loss=0.1, repeat=0.1, crash=0.03, until_s=30)  # half frames out of journals
-    sim = Simulation(
-        scenario, law, seed=2, payloads=(b"long enough to die in " * 4,), faults=faults
-    )
-    # a plant that dies over the last step puts it together again when it is back
-    history = sim.run(seconds=200, until=lambda: bool(sim.history.delivered and sim.history.inbox))
-    assert history.crashes > 0
-    assert list(violations(history, (b"long enough to die in " * 4,))) == []
-    assert history.inbox == [b"long enough to die in " * 4]

@@ -118,7 +118,7 @@ def imported(statement: str) -> set[str]:
             "from runtime.scenario_file import scenario_of;"
             "run_task(scenario_of('sustained').model_dump_json(), [8.0], 1, 0, 1, 9)",
             LOOP,
-            DOORS | TAPS,
+            DOORS | TAPS | {"protocol.text"},  # loaded by `runtime` alone, for its log
         ),
         (
             "from wyner.sweeps.running import run_task;"

@@ -1,10 +1,7 @@
 """The two services on a bus in memory: malformed, foreign models, deadlines, lost journals."""
 
-import errno
 import json
 import logging
-import os
-import shutil
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -20,12 +17,9 @@ from plant_service.opening import first_record
 from plant_service.service import PlantConfig, PlantService
 from protocol.link.effects import Save
 from protocol.messages import (
-    ControllerHello,
     ControllerStatus,
-    Measurement,
     Message,
     Offer,
-    PlantHello,
     PlantModel,
     PlantStatus,
     SendCommand,
@@ -38,21 +32,16 @@ from runtime.health import read_status
 from runtime.journal import PlantJournal
 from runtime.pace import Pace
 from runtime.run_folder import (
-    CONTROLLER_STATUS,
     CONTROLLER_TRACE,
     PLANT_JOURNAL,
     PLANT_STATUS,
     PLANT_TRACE,
-    SCENARIO,
 )
-from runtime.shipped import SCENARIOS
 from tests.support.end_in_hand import status_of
 from tests.support.memory_bus import MemoryBus, MemoryHub
 from tests.support.patience import PATIENCE_S, wait_for
 from tests.support.records import changed
-from tests.support.told import log_of, told
 from tests.support.traces import Recovered, read_trace
-from wyner.cli.main import main
 
 Service = TypeVar("Service", PlantService, ControllerService)
 
@@ -155,39 +144,6 @@ def test_a_message_arrives_and_both_traces_agree(system: System) -> None:
         mine = plant.pop(event["j"])
         assert {k: mine[k] for k in event} == event
     assert not plant
-
-
-@pytest.mark.slow
-def test_malformed_bytes_on_every_key_is_counted_and_ignored(system: System) -> None:
-    """With a deadline, so that most of it comes while the plant waits for the tick."""
-    field, management = MemoryBus(system.field), MemoryBus(system.management)
-    junk = [b"", b"{", b"\xff\xfe", b"[]", b'{"v":4}', b'{"v":3,"session":"x"}', b"null" * 50]
-    offer = Offer(session="0" * 16, k=0, candidates=((1.0,),), cipher=7)
-    measurement = Measurement(session="0" * 16, k=0, x=(1.0,), applied_k=-1, x_after=())
-    rounds = 20
-    with (
-        log_of("plant") as plant_said,
-        log_of("controller") as controller_said,
-        system.controller(b"one"),
-        system.plant("x20"),
-    ):
-        for i in range(rounds):
-            for payload in junk:
-                for kind in (Measurement, Offer):
-                    field.publisher(key_of(kind, "loop")).put(payload)
-                for command in (PlantHello, ControllerHello, SendCommand):
-                    management.publisher(key_of(command, "loop")).put(payload)
-            for message in (offer, measurement):
-                key = key_of(type(message), "loop")
-                field.publisher(key).put(message.wire())
-            system.wait(lambda i=i: system.k > 3 * i)  # type: ignore[misc]
-        system.wait(lambda: system.recovered() == [b"one"])
-    plant = read_status(system.run_dir / PLANT_STATUS, PlantStatus)
-    controller = read_status(system.run_dir / CONTROLLER_STATUS, ControllerStatus)
-    assert plant.malformed == rounds * (2 * len(junk) + 1)
-    assert controller.malformed == rounds * (3 * len(junk) + 1)
-    assert told(plant_said, "; ignored") == plant.malformed
-    assert told(controller_said, "; ignored") == controller.malformed
 
 
 def test_an_offer_for_the_next_step_is_not_applied_before_the_tick(system: System) -> None:
@@ -351,46 +307,6 @@ def test_a_second_plant_does_not_disturb_the_first(
 
 
 # --- files ----------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("side", ["plant", "controller"])
-def test_a_status_that_cannot_be_written_ends_nothing(system: System, side: str) -> None:
-    status = system.run_dir / (PLANT_STATUS if side == "plant" else CONTROLLER_STATUS)
-    status.mkdir(parents=True)
-    with system.plant(), system.controller():
-        system.wait(lambda: system.k > 20)
-        status.rmdir()
-        system.wait(status.is_file)
-    assert system.errors == {}
-
-
-class Full:
-    """A disk that has room for ``room`` more lines, and for half of the next."""
-
-    def __init__(self, room: int) -> None:
-        self._room = room
-
-    def __call__(self, file: int, line: bytes) -> int:
-        self._room -= 1
-        return os.write(file, line if self._room >= 0 else line[: len(line) // 2])
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("side", ["plant", "controller"])
-def test_a_full_disk_ends_the_service_and_no_event_is_lost(system: System, side: str) -> None:
-    shutil.copy(SCENARIOS / "sustained.toml", system.run_dir / SCENARIO)
-    trace = system.run_dir / (PLANT_TRACE if side == "plant" else CONTROLLER_TRACE)
-    with system.controller(b"one") as controller, system.plant() as plant:
-        service: PlantService | ControllerService = plant if side == "plant" else controller
-        assert service.trace.lines is not None
-        service.trace.lines.disk = Full(51)
-        system.wait(lambda: side in system.errors)
-    error = system.errors[side]
-    assert isinstance(error, OSError)
-    assert (error.errno, error.filename) == (errno.ENOSPC, str(trace))
-    with system.controller(b"one"), system.plant():
-        system.wait(lambda: system.recovered() == [b"one"])
-    assert main(["check", str(system.run_dir)]) == 0
 
 
 # --- commands and statuses ------------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """How likely each next byte is by each kind of text that Eve expects, and by their mixture."""
 
 import lzma
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -69,7 +70,7 @@ def test_a_text_tells_its_kind(text: bytes, kind: str) -> None:
 
 def test_what_nobody_thought_of_costs_little_more_than_any_bytes() -> None:
     """Each kind has its share, so no message costs more than its share says."""
-    for message in messages():
+    for message in islice(messages(), 0, None, 4):
         assert bits(message.payload) < 8 * len(message.payload) + 5
 
 

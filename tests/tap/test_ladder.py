@@ -41,7 +41,7 @@ def play(run: Run, name: str, view: View = CLEAR) -> tuple[TapOutput, Eavesdropp
     return said, score(run.truth, said)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(st.sampled_from(ALPHAS), st.integers(0, 10**6))
 def test_nearest_centre_is_never_wrong_on_an_agreed_step(alpha: float, seed: int) -> None:
     run = simulate(150, seed, alpha=alpha)
@@ -66,7 +66,7 @@ def test_set_membership_guesses_blindly_on_agreed_steps() -> None:
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", ["list-decoder", "oracle"])
 def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -> None:
-    run = simulate(1000, seed)
+    run = simulate(500, seed, payloads=[b"Go now"])
     said, scored = play(run, name)
     assert run.truth.whole
     assert said.belief.whole == tuple(p for _, p in run.truth.whole)
@@ -76,18 +76,18 @@ def test_the_framed_message_is_had_when_the_plant_has_it(name: str, seed: int) -
 
 @pytest.mark.parametrize("name", ["nearest-centre", "fitted-box", "learning", "smoother", "text"])
 def test_on_a_clear_view_she_names_the_message_symbols(name: str) -> None:
-    _, scored = play(simulate(1000, 0), name)
-    assert scored.bits.of > 200
+    _, scored = play(simulate(400, 0), name)
+    assert scored.bits.of > 90
     assert scored.bits.right >= 0.99 * scored.bits.of
 
 
 def test_several_messages_come_in_order() -> None:
-    payloads = [b"one", b"two", b"three"]
-    run = simulate(1300, 7, payloads=payloads)
-    assert len(run.truth.whole) == 3
+    payloads = [b"a", b"b"]
+    run = simulate(600, 7, payloads=payloads)
+    assert len(run.truth.whole) == 2
     for name in ("list-decoder", "oracle"):
         belief = play(run, name)[0].belief
-        assert (belief.whole, belief.whole_count) == (tuple(payloads), 3)
+        assert (belief.whole, belief.whole_count) == (tuple(payloads), 2)
 
 
 @pytest.mark.long
@@ -127,7 +127,7 @@ def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> No
 
 
 def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:
-    run = simulate(900, 2)
+    run = simulate(500, 2, payloads=[b"Go now"])
     said, scored = play(run, "smoother")
     assert said.belief.whole == tuple(p for _, p in run.truth.whole) != ()
     assert scored.bits.right == scored.bits.of
@@ -241,7 +241,8 @@ def test_who_was_there_and_heard_no_message_is_not_scored(name: str) -> None:
 
 @pytest.mark.parametrize("name", ["oracle", "list-decoder", "learning"])
 def test_a_corrupted_key_is_refused_by_the_frame_check(name: str) -> None:
-    run = simulate(1000, 8, corrupt=60)
+    assert simulate(400, 8, payloads=[b"Noon"]).truth.whole
+    run = simulate(400, 8, payloads=[b"Noon"], corrupt=40)
     assert not run.truth.whole
     assert play(run, name)[0].belief.whole == ()
 

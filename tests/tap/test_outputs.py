@@ -92,7 +92,7 @@ def test_what_was_missed_is_given_out_as_unknown_and_the_rest_goes_on(
 
 def test_a_message_from_the_session_s_first_step_on_is_read(runs: Runs, link: Transfer) -> None:
     names = ["nearest-centre", "list-decoder"]
-    for place in range(size(4, 8)):
+    for place in range(size(2, 8)):
         for found in listen(runs, link, names, place):
             assert (found.delivered, found.read) == (1, 1)
             assert found.right > 0.97 * found.agreements

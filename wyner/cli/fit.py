@@ -124,8 +124,10 @@ def _fit_recording(args: argparse.Namespace) -> "FromRecording":
 
 
 def _fit_plant(args: argparse.Namespace) -> "FromPlant":
+    from controller_service.laws.base import CandidateLaw
     from controller_service.laws.online import ProgramError
-    from controller_service.laws.registry import make_law, synthesise
+    from controller_service.laws.registry import cached_design, make_law
+    from controller_service.progress import shown_progress
     from controller_service.sets.design import SynthesisError
     from plant_service.adapters import Operated
     from plant_service.adapters.registry import open_plant
@@ -142,12 +144,17 @@ def _fit_plant(args: argparse.Namespace) -> "FromPlant":
     def opened(scenario: Scenario) -> Operated:
         return open_plant(scenario, path.parent)
 
+    def law_of(scenario: Scenario) -> CandidateLaw:
+        # The same fit again, as after Ctrl-C, makes the same sets and finds them in the cache.
+        with shown_progress() as progress:
+            return make_law(scenario, cached_design(scenario, progress))
+
     try:
         found = fit(
             _tables(path),
             str(path),
             opened,
-            lambda s: make_law(s, synthesise(s)),
+            law_of,
             plan,
             lambda line: print(f"wyner: {line}", file=sys.stderr),
             path.parent,

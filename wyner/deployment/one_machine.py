@@ -78,9 +78,9 @@ def text_of(options: RunOptions) -> str:
     return f"{text.rstrip()}\n{KEYED_COIN}" if implied and not stated else text
 
 
-def said(name: str, value: object) -> str:
-    """An option of a child in one word: a value may begin with a dash, as a folder's name may."""
-    return f"--{name}={value}"
+def said(**values: object) -> list[str]:
+    """Options of a child, each in one word, as a value may begin with a dash; None is left out."""
+    return [f"--{name.replace('_', '-')}={v}" for name, v in values.items() if v is not None]
 
 
 def lay_out(
@@ -109,16 +109,8 @@ def lay_out(
     OSError
         When the folder cannot be written.
     """
-    scenario_file = run_dir / SCENARIO
-    message_file = run_dir / MESSAGE
-    knowledge_file = run_dir / KNOWLEDGE
-    view_file = run_dir / VIEW
-    write_atomically(scenario_file, text_of(options).encode())
-    write_atomically(message_file, payload)
     knowledge = scenario.oracle_knowledge() if "oracle" in eavesdroppers else scenario.knowledge()
-    write_atomically(knowledge_file, knowledge.model_dump_json(indent=2).encode())
     view = scenario.tap.model_dump_json(exclude={"eavesdroppers"}, exclude_none=True)
-    write_atomically(view_file, view.encode())
     manifest = {
         "wyner": version("wyner"),
         "zenoh": version("eclipse-zenoh"),
@@ -130,79 +122,66 @@ def lay_out(
         **({} if attack is None else {"attack": attack.attack}),
         "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
+    write_atomically(run_dir / SCENARIO, text_of(options).encode())
+    write_atomically(run_dir / MESSAGE, payload)
+    write_atomically(run_dir / KNOWLEDGE, knowledge.model_dump_json(indent=2).encode())
+    write_atomically(run_dir / VIEW, view.encode())
     write_atomically(run_dir / MANIFEST, json.dumps(manifest, indent=2).encode() + b"\n")
-    ends = free_endpoints(8)
-    plant_field, controller_field, tap_field, plant_management, controller_management, adversary = (
-        ends[:6]
-    )
-    plant_side, controller_side = ends[6:]
     on_bus = attack is not None and attack.attack["at"] == "bus"
-    common = [said("run-dir", run_dir)]
-    seed = [] if options.seed is None else [said("seed", options.seed)]
-    steps = [] if options.steps is None else [said("steps", options.steps)]
-    attacked = [] if options.attack is None else [said("attack", options.attack)]
-    tap = [said("eavesdropper", ",".join(eavesdroppers))] if eavesdroppers else []
-    scenario_folder = scenario_file_of(options.scenario).parent.resolve()
+    return _processes(options, scenario.name, eavesdroppers, run_dir, on_bus=on_bus)
+
+
+def _processes(
+    options: RunOptions, name: str, eavesdroppers: tuple[str, ...], run_dir: Path, *, on_bus: bool
+) -> tuple[Supervisor, RunningLoop]:
+    """The services, each with its options, and how others join them.
+
+    Where an attack is on the bus, its process stands between the two ends.
+    """
+    plant_field, controller_field, tap_field, plant_management, *ends = free_endpoints(8)
+    controller_management, adversary, plant_side, controller_side = ends
+    seeded = said(seed=options.seed)
+    system = said(scenario=run_dir / SCENARIO)
+    folder = scenario_file_of(options.scenario).parent.resolve()
+    both = [*said(run_dir=run_dir, pace=options.pace, folder=folder), *seeded, *system]
+    plant = [
+        *both,
+        *said(steps=options.steps, attack=options.attack),
+        f"--listen=field={plant_field}",
+        f"--connect=field={tap_field}",
+        f"--listen=management={plant_management}",
+    ]
+    controller = [
+        *both,
+        *said(message=f"@{run_dir / MESSAGE}"),
+        f"--listen=field={controller_field}",
+        f"--connect=field={controller_side if on_bus else plant_field}",
+        f"--connect=field={tap_field}",
+        f"--listen=management={controller_management}",
+        f"--connect=management={plant_management}",
+    ]
+    tap = [
+        *said(run_dir=run_dir, eavesdropper=",".join(eavesdroppers) or None),
+        *said(knowledge=run_dir / KNOWLEDGE, view=run_dir / VIEW),
+        f"--listen=adversary={adversary}",
+        f"--listen=field={tap_field}",
+    ]
+    logs = {name: run_dir / name / "log" for name in ("plant", "controller", "tap", "attacker")}
     children = [
-        Child(
-            "plant",
-            [
-                *common,
-                *seed,
-                *steps,
-                *attacked,
-                said("scenario", scenario_file),
-                said("pace", options.pace),
-                said("folder", scenario_folder),
-                said("listen", f"field={plant_field}"),
-                said("connect", f"field={tap_field}"),
-                *([said("connect", f"field={plant_side}")] if on_bus else []),
-                said("listen", f"management={plant_management}"),
-            ],
-            run_dir / "plant" / "log",
-            trace=run_dir / PLANT_TRACE,
-        ),
-        Child(
-            "controller",
-            [
-                *common,
-                *seed,
-                said("scenario", scenario_file),
-                said("pace", options.pace),
-                said("message", f"@{message_file}"),
-                said("folder", scenario_folder),
-                said("listen", f"field={controller_field}"),
-                said("connect", f"field={controller_side if on_bus else plant_field}"),
-                said("connect", f"field={tap_field}"),
-                said("listen", f"management={controller_management}"),
-                said("connect", f"management={plant_management}"),
-            ],
-            run_dir / "controller" / "log",
-            trace=run_dir / CONTROLLER_TRACE,
-        ),
-        Child(
-            "tap",
-            [
-                *common,
-                *tap,
-                said("knowledge", knowledge_file),
-                said("view", view_file),
-                said("listen", f"adversary={adversary}"),
-                said("listen", f"field={tap_field}"),
-            ],
-            run_dir / "tap" / "log",
-        ),
+        Child("plant", plant, logs["plant"], trace=run_dir / PLANT_TRACE),
+        Child("controller", controller, logs["controller"], trace=run_dir / CONTROLLER_TRACE),
+        Child("tap", tap, logs["tap"]),
     ]
     if on_bus:
-        relay = [*seed, *attacked, said("scenario", scenario_file)]
-        relay += [said("plant-side", plant_side), said("controller-side", controller_side)]
-        log = run_dir / "attacker" / "log"
-        children.append(Child("attacker", relay, log, package="attacker_service"))
+        plant.append(f"--connect=field={plant_side}")
+        relay = [*seeded, *system, *said(attack=options.attack)]
+        relay += said(plant_side=plant_side, controller_side=controller_side)
+        children.append(Child("attacker", relay, logs["attacker"], package="attacker_service"))
     return (
         Supervisor(children, first="tap", first_endpoint=tap_field),
         RunningLoop(
             run_dir=str(run_dir.absolute()),
-            scenario=scenario.name,
+            scenario=name,
             loop=DEFAULT_LOOP,
             plant_management=plant_management,
             controller_management=controller_management,

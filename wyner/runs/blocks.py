@@ -55,7 +55,9 @@ class Blocks:
 
     def of(self, session: str, number: int) -> TracedBlock | None:
         """One of them; None where it is not whole, or does not follow a transition."""
-        here = self._sessions.get(session, ())
+        here = self._sessions.get(session)
+        if here is None:
+            return None
         first, length = self._schedule.begins(number), self._schedule.length(number)
         at, after = np.searchsorted(self._rows["j"][here], [first, first + length])
         if at == 0 or after - at != length:

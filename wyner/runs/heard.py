@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from pydantic import ValidationError
-from pydantic_core import from_json, to_json
+from pydantic_core import to_json
 
 from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
 from tap_service.capture.channel import View
@@ -25,7 +25,7 @@ TOLD: Final = frozenset(
 """What else a capture's header may hold."""
 
 _LINE: Final = re.compile(
-    rb'\{"event":"field","t_ns":(?P<t>\d+),"topic":"(?P<topic>[a-z]+)","message":(?P<message>.*)\}'
+    rb'\{"event":"field","t_ns":\d+,"topic":"[a-z]+","message":(?P<message>.*)\}'
 )
 
 
@@ -76,11 +76,6 @@ class CaptureLines:
     def __bool__(self) -> bool:
         return bool(self._paths)
 
-    @property
-    def torn(self) -> int:
-        """Lines cut short by a kill."""
-        return sum(marks.torn for marks in self.parts)
-
     def _look_at_header(self, part: Path) -> None:
         first = next(raw_lines(part), None)
         header = None if first is None else decode(first[1])
@@ -97,57 +92,41 @@ class CaptureLines:
             if number_of(part) != expected:
                 marks.problem(1, f"part {expected} is missing before it")
             expected = number_of(part) + 1
-            for number, raw, finished in raw_lines(part):
-                marks.newline = finished
-                seen = self._line(part, marks, number, raw)
-                if seen is not None:
-                    yield seen
-            marks.finish()
-
-    def _line(self, part: Path, marks: Segments, number: int, raw: bytes) -> CapturedMessage | None:
-        match = _LINE.fullmatch(raw)
-        if match is not None:
-            text = match["message"]
-            try:
-                message = from_json(text)
-            except ValueError:
-                marks.malformed(number)
-                return None
-            topic = match["topic"].decode()
-        else:
-            value = decode(raw)
-            if value is None:
-                marks.malformed(number)
-                return None
-            kind = value.get("event")
-            if kind in (HEADER, CONTINUED, END):
+            for number, raw, value in marks.read(part):
+                assert value is not None
+                kind = value.get("event")
                 if kind == HEADER:
-                    expected = {**CAPTURE_HEADS, "part": number_of(part)}
-                    for name in [n for n, v in expected.items() if value.get(n) != v]:
-                        marks.problem(number, f"{name}: got {value.get(name)!r}")
-                    if unlike := _unlike_header(value):
-                        marks.problem(number, unlike)
-                marks.mark(number, raw, value)
-                return None
-            message, topic = value.get("message"), str(value.get("topic"))
-            if kind != "field" or set(value) != {"event", "t_ns", "topic", "message"}:
-                marks.line(number, raw)
-                self.lines[number_of(part)] += kind == "malformed"
-                text = _malformed(value) if kind == "malformed" else f"event {kind!r}"
-                self.strange.append(Problem(f"{part.name} line {number}", text))
-                return None
-            text = to_json(message)
-        marks.line(number, raw)
-        self.lines[number_of(part)] += 1
-        if not isinstance(message, dict):
-            self.strange.append(Problem(f"{part.name} line {number}", "no message"))
+                    self._headed(part, marks, number, value)
+                elif kind not in (CONTINUED, END):
+                    seen = self._message(part, number, raw, value)
+                    if seen is not None:
+                        yield seen
+
+    def _headed(self, part: Path, marks: Segments, number: int, header: dict[str, Any]) -> None:
+        expected = {**CAPTURE_HEADS, "part": number_of(part)}
+        for name in [name for name, due in expected.items() if header.get(name) != due]:
+            marks.problem(number, f"{name}: got {header.get(name)!r}")
+        if unlike := _unlike_header(header):
+            marks.problem(number, unlike)
+
+    def _message(
+        self, part: Path, number: int, raw: bytes, value: dict[str, Any]
+    ) -> CapturedMessage | None:
+        kind, message = value.get("event"), value.get("message")
+        field = kind == "field" and value.keys() == {"event", "t_ns", "topic", "message"}
+        self.lines[number_of(part)] += field or kind == "malformed"
+        if not field or not isinstance(message, dict):
+            text = "no message" if field else f"event {kind!r}"
+            text = _malformed(value) if kind == "malformed" else text
+            self.strange.append(Problem(f"{part.name} line {number}", text))
             return None
+        match = _LINE.fullmatch(raw)
         k, session = message.get("k"), message.get("session")
         return CapturedMessage(
             part.name,
             number,
-            text,
-            topic,
+            to_json(message) if match is None else match["message"],
+            str(value.get("topic")),
             session if isinstance(session, str) else "",
             k if isinstance(k, int) else -1,
             message,

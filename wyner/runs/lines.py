@@ -80,8 +80,7 @@ class MissedLine:
     """A step without a counted offer, as the plant's trace holds it.
 
     An ``interrupted`` one was under way when the plant's process died or its session ended;
-    ``candidates`` and ``coin`` are of an offer that it had begun to apply. What a transition has
-    besides is constant.
+    ``candidates`` and ``coin`` are of an offer that it had begun to apply.
     """
 
     event: Literal["missed", "interrupted"]
@@ -95,22 +94,6 @@ class MissedLine:
     true_x_next: Vector | None = None
     true_u: Vector | None = None
     attack_failed: str = ""
-
-    j: ClassVar = -1
-    cipher: ClassVar = -1
-    symbol: ClassVar = -1
-    key: ClassVar = -1
-    message_symbol: ClassVar = -1
-    block: ClassVar = -1
-    at: ClassVar = 0
-    p: ClassVar = 0
-    s: ClassVar = 0
-    counts: ClassVar = 0
-    message: ClassVar = False
-    keyed: ClassVar = False
-    gauges: ClassVar = None
-    box: ClassVar = None
-    predictions: ClassVar = None
 
     @property
     def kind(self) -> int:
@@ -243,28 +226,13 @@ def _adapters(*kinds: Any) -> dict[str, TypeAdapter[Any]]:
     }
 
 
+_BOTH: Final = (SessionLine, BlockLine, AppearancesLine, PowerLine)
+
 KINDS: Final = {
     "plant": _adapters(
-        TracedTransition,
-        MissedLine,
-        TimingLine,
-        AttackLine,
-        PowerLine,
-        SessionLine,
-        RecoveredLine,
-        Refused,
-        BlockLine,
-        AppearancesLine,
+        TracedTransition, MissedLine, TimingLine, AttackLine, RecoveredLine, Refused, *_BOTH
     ),
-    "controller": _adapters(
-        TracedTransition,
-        SessionLine,
-        AlarmLine,
-        PowerLine,
-        QueuedLine,
-        BlockLine,
-        AppearancesLine,
-    ),
+    "controller": _adapters(TracedTransition, AlarmLine, QueuedLine, *_BOTH),
 }
 """What each side may trace: the event, and the type of its line."""
 

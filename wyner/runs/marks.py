@@ -1,9 +1,19 @@
 """Lives of a file of JSON lines: its marks compared with the lines between them."""
 
 import hashlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from runtime.recording import END, HEADER, TRACE_FORMAT, TRACE_VERSION
+from runtime.recording import (
+    CONTINUED,
+    END,
+    HEADER,
+    TRACE_FORMAT,
+    TRACE_VERSION,
+    decode,
+    raw_lines,
+)
 
 HEADS: Final = {"format": TRACE_FORMAT, "version": TRACE_VERSION}
 
@@ -15,8 +25,20 @@ class Problem(NamedTuple):
     text: str
 
 
+class Line(NamedTuple):
+    """A line of a recording; ``value`` is None where it was not decoded."""
+
+    number: int
+    raw: bytes
+    value: dict[str, Any] | None
+
+
+def _unknown(_raw: bytes) -> bool:
+    return False
+
+
 class Segments:
-    """The lives of one file; feed every line to :meth:`mark`, :meth:`line` or :meth:`malformed`.
+    """The lives of one file, known once :meth:`read` has gone through it.
 
     Attributes
     ----------
@@ -26,18 +48,18 @@ class Segments:
         Whether the writer ended it by itself.
     next : object
         The part that its end mark says will follow.
-    newline : bool
-        Whether its last line was finished.
-    unended, torn : int
-        Writers without an end mark, and lines cut short by a kill.
+    followed : bool
+        Whether the writer before its last one ended it by itself.
+    torn : int
+        Lines cut short by a kill.
     """
 
     def __init__(self, name: str) -> None:
         self.problems: list[Problem] = []
         self.ended = False
         self.next: Any = None
-        self.newline = True
-        self.unended = self.torn = 0
+        self.followed = False
+        self.torn = 0
         self._lives = 0
         self._name = name
         self._begin()
@@ -47,7 +69,33 @@ class Segments:
         self._digest = hashlib.sha256()
         self._malformed = 0
 
-    def line(self, number: int, raw: bytes) -> None:
+    def read(self, path: Path, known: Callable[[bytes], bool] = _unknown) -> Iterator[Line]:
+        """Its lines, marks among them, without those that hold no JSON object.
+
+        What is ``known`` to be a whole line of the writer's, and no mark, is not decoded.
+        """
+        newline = True
+        for number, raw, finished in raw_lines(path):
+            newline = finished
+            if known(raw):
+                self._line(number, raw)
+                yield Line(number, raw, None)
+                continue
+            value = decode(raw)
+            if value is None:
+                self._not_torn()
+                self._malformed = number  # torn by a kill, if it is its writer's last
+                continue
+            if value.get("event") in (HEADER, CONTINUED, END):
+                self._mark(number, raw, value)
+            else:
+                self._line(number, raw)
+            yield Line(number, raw, value)
+        if newline:
+            self._not_torn()
+        self._close()
+
+    def _line(self, number: int, raw: bytes) -> None:
         """A line that is no mark."""
         if self.ended:
             self.problem(number, "a line after the end mark")
@@ -58,18 +106,13 @@ class Segments:
         self._digest.update(raw)
         self._digest.update(b"\n")
 
-    def malformed(self, number: int) -> None:
-        """A line that holds no JSON object: torn by a kill, if it is its writer's last."""
-        self._not_torn()
-        self._malformed = number
-
     def _not_torn(self) -> None:
         """More follows: a line before it that holds no JSON object was not torn by a kill."""
         if self._malformed:
             self.problem(self._malformed, "not a JSON object")
             self._malformed = 0
 
-    def mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
+    def _mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
         """A header, an end mark, or the mark of a writer that came back."""
         kind = value["event"]
         if kind == END:
@@ -93,23 +136,17 @@ class Segments:
             self._close()
         self._lives += 1
         self._begin()
+        self.followed = self.ended and self.next is None
         self.ended, self.next = False, None
-        self.line(number, raw)
+        self._line(number, raw)
 
     def _close(self) -> None:
         self.torn += bool(self._malformed)
-        self.unended += not self.ended
 
     def _headless(self, number: int) -> None:
         if not self._lives:
             self.problem(number, f"expected a header of format {TRACE_FORMAT!r}")
             self._lives = 1
-
-    def finish(self) -> None:
-        """The file is over."""
-        if self.newline:
-            self._not_torn()
-        self._close()
 
     def problem(self, number: int, text: str) -> None:
         """Note that line ``number`` cannot be so."""

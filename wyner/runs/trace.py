@@ -7,7 +7,6 @@ number of rows that came before it.
 """
 
 from collections.abc import Iterator
-from operator import attrgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -24,10 +23,8 @@ from runtime.recording import (
     HEADER,
     REPORTS,
     TRACE_FORMAT,
-    decode,
     number_of,
     parts_of,
-    raw_lines,
 )
 from wyner.runs.lines import (
     KINDS,
@@ -62,7 +59,9 @@ HEADER_FIELDS: Final = frozenset(
     ("event", "part", "oldest", "format", "version", "vantage", "scenario", "fingerprint", "loop")
 )
 
-_BEGINS: Final = b'{"event":"transition",'
+
+def _is_transition(raw: bytes) -> bool:
+    return raw.startswith(b'{"event":"transition",') and raw.endswith(b"}")
 
 
 class Note(NamedTuple):
@@ -297,14 +296,11 @@ class Trace:
             marks.problem(1, f"{path.name} follows, and no end mark leads there")
         self.parts.append(marks)
         self._part = path
-        for number, raw, finished in raw_lines(path):
-            marks.newline = finished
-            if raw.startswith(_BEGINS) and raw.endswith(b"}"):
-                marks.line(number, raw)
+        for number, raw, value in marks.read(path, _is_transition):
+            if value is None:
                 self._transition(number, raw)
             else:
-                self._line(number, raw)
-        marks.finish()
+                self._line(number, raw, value)
 
     def _problem(self, number: int, text: str) -> None:
         where = f"{self._part.name} line {number}" if number else "the step in the journal"
@@ -312,16 +308,11 @@ class Trace:
         if self.readable < 0:
             self.readable, self._sure = self._count, len(self.notes)
 
-    def _line(self, number: int, raw: bytes) -> None:
-        value = decode(raw)
-        if value is None:
-            self.marks.malformed(number)
-            return
+    def _line(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
         kind = value.get("event")
         if kind in (HEADER, CONTINUED, END):
-            self._mark(number, raw, value)
+            self._mark(number, value)
             return
-        self.marks.line(number, raw)
         adapter = self._kinds.get(kind) if isinstance(kind, str) else None
         if kind == "transition":
             self._transition(number, raw)
@@ -335,10 +326,8 @@ class Trace:
             except ValueError as error:
                 self._problem(number, f"{kind}: {error}")
 
-    def _mark(self, number: int, raw: bytes, value: dict[str, Any]) -> None:
-        ended = self.ended
-        self.marks.mark(number, raw, value)
-        self._marked = number
+    def _mark(self, number: int, value: dict[str, Any]) -> None:
+        self._marked, ended = number, self.marks.followed
         if value["event"] == HEADER:
             self._headed(number, value)
         elif value["event"] == CONTINUED:
@@ -553,7 +542,8 @@ class Trace:
         self.rows.resize(before + len(steps), refcheck=False)
         rows = self.rows[before:]
         for name, (kind, *_) in (self._dtype.fields or {}).items():
-            values: list[Any] = list(map(attrgetter(_ATTRIBUTES.get(name, name)), steps))
+            attribute, missing = _ATTRIBUTES.get(name, name), -1 if name in _NUMBERS else 0
+            values: list[Any] = [getattr(step, attribute, missing) for step in steps]
             if name == "session":
                 values = [
                     self._numbers.setdefault(session, len(self._numbers)) for session in values
@@ -568,6 +558,9 @@ class Trace:
 
 _ATTRIBUTES: Final = {"true_x": "true_x_next"}
 """What a column is called in a line, where it is called otherwise."""
+
+_NUMBERS: Final = frozenset({"j", "cipher", "symbol", "key", "message_symbol", "block"})
+"""Columns that are -1 in a step without a counted offer; others are 0 or not a number there."""
 
 
 class Places:

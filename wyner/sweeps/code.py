@@ -25,8 +25,8 @@ ROOMS: Final = frozenset(
 """The project's packages: what is imported from elsewhere has versions of its own."""
 
 DOORS: Final = frozenset(
-    ("runtime", "wyner.api", "wyner.sweeps.workers", "protocol.brief", "*.__main__", "*.command",
-     "*.service")
+    ("runtime", "wyner.api", "wyner.sweeps.workers", "protocol.brief", "protocol.text",
+     "*.__main__", "*.command", "*.service")
 )  # fmt: skip
 """No number of a simulation comes from behind them: processes, files and buses, the services with
 their command lines, and how objects are shown. A test runs a study and looks what it imported."""

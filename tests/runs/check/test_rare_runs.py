@@ -15,7 +15,7 @@ from tests.support.checked_runs import failed
 from tests.support.ended_run import ended_run
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
 from wyner.runs import trace
-from wyner.runs.check import bus, check
+from wyner.runs.check import bus, check, plant
 from wyner.runs.check.evidence import EDGE, Finding, read_evidence
 from wyner.runs.check.plant import unlike_manifest
 from wyner.runs.lines import AttackLine
@@ -100,7 +100,7 @@ def test_a_run_is_judged_the_same_in_smaller_parts(
 ) -> None:
     folder = ended_run(tmp_path / "run", (b"a", b"b")).folder
     for at_once in (4096, 20, 1):
-        for module in (trace, bus):
+        for module in (trace, bus, plant):
             monkeypatch.setattr(module, "AT_ONCE", at_once)
         assert check(read_evidence(folder)) == []
         (one, *_), _ = (list(end.chunks()) for end in read_evidence(folder).ends())

@@ -3,7 +3,6 @@
 import json
 import random
 import shutil
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -11,16 +10,13 @@ import pytest
 from plant_service.core import PlantCore
 from protocol.link.session import Truth
 from protocol.link.step import Begun
-from protocol.messages import ControllerStatus
 from protocol.vectors import Vector
-from runtime.health import read_status
 from runtime.run_folder import CONTROLLER_STATUS, CONTROLLER_TRACE, PLANT_TRACE
 from tests.runs.check.mutants import small
 from tests.support.checked_runs import failed
 from tests.support.pair import SIDES
 from tests.support.recorded_pair import Lines, RecordedPair, read_lines, write_lines
 from tests.support.size import size
-from wyner.cli.main import main
 
 STEPS = 1400
 """Of M = 4: eleven keys."""
@@ -170,42 +166,3 @@ def test_an_alarm_that_is_missing_or_one_too_many_is_noticed(
         lines.insert(at + 1, made)
     write_lines(folder / CONTROLLER_TRACE, lines)
     assert "alarms" in failed(folder)
-
-
-def test_status_tells_alarms_and_how_much_is_watched(
-    attacked: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["status", str(attacked)]) == 1
-    told = capsys.readouterr().out
-    assert "warning: ALARMS: " in told
-    assert "steps watched" in told
-    status = read_status(attacked / CONTROLLER_STATUS, ControllerStatus)
-    assert status.alarm_sentence() in told
-
-
-def halted(loop: RecordedPair) -> bool:
-    return loop.controller.state.record.alarms.halted
-
-
-def test_an_alarm_may_end_the_offers_until_somebody_clears_it(tmp_path: Path) -> None:
-    loop = RecordedPair(tmp_path / "run", name="watched", pace="fast")
-    loop.run(lambda: loop.controller.state.keys.stream.left > 100 and loop.transitions > 600)
-    loop.controller.state.rules = replace(loop.controller.state.rules, halts=True)
-    at = loop.transitions
-    loop.plant.stepper.plant = Ghost(loop.plant)
-    for _ in range(3000):
-        loop.next()
-    made = loop.transitions - at
-    assert made < 20, "no offer follows an alarm"
-    assert halted(loop)
-    loop.kill("controller")
-    loop.start("controller")
-    for _ in range(500):
-        loop.next()
-    assert halted(loop)
-    assert loop.transitions - at == made
-    loop.kill("controller")
-    loop.start("controller", clear_alarm=True)
-    loop.run(lambda: loop.transitions > at + made + 20)
-    assert not halted(loop)
-    loop.stop()

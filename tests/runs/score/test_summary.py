@@ -2,6 +2,7 @@
 
 import base64
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,12 +17,23 @@ from wyner.runs.score.summary import AGAIN, render, summarise
 PAYLOAD = b"two by two"
 
 
-def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -> None:
-    """A tap that had it all was told in 82 columns, and the last two stood in a line alone."""
-    run = RecordedPair(tmp_path, PAYLOAD)
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that ends with its message."""
+    run = RecordedPair(tmp_path_factory.mktemp("runs") / "whole", PAYLOAD)
     run.until_received(1)
     run.stop()
-    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    return run.folder
+
+
+@pytest.fixture
+def folder(whole: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(whole, tmp_path / "run"))
+
+
+def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(folder: Path) -> None:
+    """A tap that had it all was told in 82 columns, and the last two stood in a line alone."""
+    summary = summarise(Run.load(folder), PAYLOAD)
     assert summary["delivered"]
     tap: dict[str, object] = {
         "symbols_known": 1.0,
@@ -67,15 +79,12 @@ def test_the_lines_that_end_a_run_fit_a_terminal_of_80_columns(tmp_path: Path) -
     assert lines[-1].endswith("True: at most 0 (set-membership).")
 
 
-def test_true_is_told_with_all_that_it_rests_on(tmp_path: Path) -> None:
+def test_true_is_told_with_all_that_it_rests_on(folder: Path) -> None:
     """An entropy given English stood there as if it needed no expectation, and a tap that used a
     tenth of the steps as if it had used all.
     """
-    run = RecordedPair(tmp_path, PAYLOAD)
-    run.until_received(1)
-    run.stop()
     counts = dict.fromkeys(("foreign", "late", "dropped", "jumped", "restarts"), 12345)
-    summary = summarise(Run.load(tmp_path), PAYLOAD) | {
+    summary = summarise(Run.load(folder), PAYLOAD) | {
         "run_dir": "runs/one",
         "claimed_bits": 638.0,
         "true_bits": 12.0,
@@ -115,14 +124,11 @@ def test_true_is_told_with_all_that_it_rests_on(tmp_path: Path) -> None:
     assert "12345 restarts" in words
 
 
-def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
-    run = RecordedPair(tmp_path, PAYLOAD)
-    run.until_received(1)
-    run.stop()
+def test_a_tap_that_failed_is_told_in_the_last_lines(folder: Path) -> None:
     record = absent("mine")[1] | {"failed": "step 21: ValueError: no idea", "steps": 21}
-    (tmp_path / BELIEFS).parent.mkdir(exist_ok=True)
-    (tmp_path / BELIEFS).write_text(json.dumps({"mine": record}))
-    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    (folder / BELIEFS).parent.mkdir(exist_ok=True)
+    (folder / BELIEFS).write_text(json.dumps({"mine": record}))
+    summary = summarise(Run.load(folder), PAYLOAD)
     assert summary["true_bits"] is None
     assert summary["failed"] == ["mine"]
     lines = render(summary).splitlines()
@@ -132,20 +138,17 @@ def test_a_tap_that_failed_is_told_in_the_last_lines(tmp_path: Path) -> None:
     record |= {"failed": ""}
     # killed while she was behind: what she leaves is unknown, whatever she had guessed by then
     for symbols, why in ((None, UNFINISHED), ([], "nobody guessed")):
-        (tmp_path / BELIEFS).write_text(json.dumps({"mine": record | {"symbols": symbols}}))
-        summary = summarise(Run.load(tmp_path), PAYLOAD)
+        (folder / BELIEFS).write_text(json.dumps({"mine": record | {"symbols": symbols}}))
+        summary = summarise(Run.load(folder), PAYLOAD)
         assert summary["failed"] == []
         assert render(summary).splitlines()[-1].endswith(f"True: unknown, {why}.")
 
 
-def test_what_was_not_guessed_at_is_no_secret(tmp_path: Path) -> None:
+def test_what_was_not_guessed_at_is_no_secret(folder: Path) -> None:
     """On a full machine 12 % of the messages were left out, and counted as 2,199 bits kept."""
-    run = RecordedPair(tmp_path, PAYLOAD)
-    run.until_received(1)
-    run.stop()
-    (tmp_path / TAP_STATUS).parent.mkdir(exist_ok=True)
-    (tmp_path / TAP_STATUS).write_text('{"unguessed":1234}')
-    summary = summarise(Run.load(tmp_path), PAYLOAD)
+    (folder / TAP_STATUS).parent.mkdir(exist_ok=True)
+    (folder / TAP_STATUS).write_text('{"unguessed":1234}')
+    summary = summarise(Run.load(folder), PAYLOAD)
     assert summary["unguessed"] == 1234
     summary |= {"true_bits": 9.0, "strongest": "nearest-centre"}
     lines = render(summary).splitlines()

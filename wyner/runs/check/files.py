@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from runtime.files import read_regular
-from runtime.recording import CONTINUED, END, HEADER, decode, number_of, parts_of, raw_lines
+from runtime.recording import decode, number_of, parts_of, raw_lines
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_JOURNAL,
@@ -107,16 +107,8 @@ def _header(recording: Path) -> dict[str, Any]:
 def _segments_of(path: Path) -> Segments:
     """The marks of a recording whose lines no rule reads."""
     marks = Segments(path.name)
-    for number, raw, finished in raw_lines(path):
-        marks.newline = finished
-        value = decode(raw)
-        if value is None:
-            marks.malformed(number)
-        elif value.get("event") in (HEADER, CONTINUED, END):
-            marks.mark(number, raw, value)
-        else:
-            marks.line(number, raw)
-    marks.finish()
+    for _ in marks.read(path):
+        pass
     return marks
 
 

@@ -1,6 +1,7 @@
 """The plant's steps: where each begins, what was applied, where it led, what was offered."""
 
-from typing import TYPE_CHECKING, Any, Final
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
 
@@ -10,11 +11,13 @@ from protocol.convex import Polytope
 from wyner.runs.check.evidence import EDGE, Evidence, Finding, Findings
 from wyner.runs.check.paper import f_c, scale
 from wyner.runs.lines import INTERRUPTED, TRANSITION, AttackLine, Break
-from wyner.runs.trace import Rows, Trace
+from wyner.runs.trace import AT_ONCE, Rows, Trace
 
 if TYPE_CHECKING:
     from controller_service.laws.base import CandidateLaw
     from controller_service.sets.design import Design
+
+Flags = np.ndarray[Any, np.dtype[np.bool_]]
 
 FOLLOWS: Final = 1e-12
 """x(k+1) is written as it was computed, so the next step must begin at the same number."""
@@ -25,85 +28,95 @@ def plant(e: Evidence) -> Findings:
     trace = e.plant
     if trace is None:
         return
-    breaks = {note.at for note in trace.notes if isinstance(note.item, Break)}
-    gaps = trace.gaps
-    before: Rows = trace.rows[:0]
-    for rows in trace.chunks():
-        for i, text in _begins(e, trace, before, rows, breaks, gaps):
+    breaks = [note.at for note in trace.notes if isinstance(note.item, Break)]
+    for first in range(0, len(trace.rows), AT_ONCE):
+        rows = trace.rows[first : first + AT_ONCE]
+        at = np.arange(first, first + len(rows))
+        part = Part(rows, trace.rows[:first][-1:], np.isin(at, breaks), np.isin(at, [*trace.gaps]))
+        for i, text in (
+            *_begins(e, trace, part),
+            *_applied(rows),
+            *_unlabelled(e, trace, part),
+            *_leads(e, part),
+        ):
             yield Finding("plant", *trace.where(rows[i]), text)
-        for i, text in _leads(e, trace, before, rows, breaks, gaps):
-            yield Finding("plant", *trace.where(rows[i]), text)
-        before = rows[-1:]
-        breaks = {at - len(rows) for at in breaks}
-        gaps = {at - len(rows) for at in gaps}
     said = (e.run.manifest or {}).get("attack")
     if text := unlike_manifest(trace.attack, said):
         yield Finding("plant", "", -1, text)
 
 
-def _begins(
-    e: Evidence, trace: Trace, before: Rows, rows: Rows, breaks: set[int], gaps: set[int]
-) -> list[tuple[int, str]]:
-    """Steps that do not begin where the last ended, or in which another candidate was applied."""
-    found = []
-    place, x = _start(e, trace, rows)
-    if len(before):
-        place, x = int(before[0]["k"]) + 1, before[0]["x_next"]
-    places = np.append(place, rows["k"][:-1] + 1)
+class Part(NamedTuple):
+    """Some rows of the plant's trace, and the one before them, if any.
+
+    Before ``new`` rows another process began to write; before ``lost`` rows lines may be lost.
+    """
+
+    rows: Rows
+    before: Rows
+    new: Flags
+    lost: Flags
+
+
+Wrong = Iterator[tuple[int, str]]
+"""Numbers of rows in a part, and what is wrong with them."""
+
+
+def _begins(e: Evidence, trace: Trace, part: Part) -> Wrong:
+    """Steps that do not begin where the last ended."""
+    rows, initial = part.rows, _initial(e)
+    if len(part.before):
+        ((session, place, x),) = part.before[["session", "k", "x_next"]].tolist()
+        place += 1
+    elif trace.cut is not None:
+        session, place, x = -1, trace.cut.k + 1, trace.cut.x_next
+    else:
+        session, place, x = -1, 0, rows["x"][0] if initial is None else initial
+    begun = rows["session"] != np.append(session, rows["session"][:-1])
+    k, places = rows["k"], np.append(place, rows["k"][:-1] + 1)
     ends = np.vstack([x, rows["x_next"][:-1]])
+    again = begun & (k == 0) & (places > 0)  # without a journal
+    # lines were lost with the power, or its journal was an older copy
+    free = begun & ~again & (part.lost | (k < places) & part.new)
+    places = np.where(again, 0, np.where(free, k, places))
+    ends = np.where((again | free)[:, None], rows["x"], ends)
+    if initial is not None:
+        ends[again] = initial
     away = ~(np.abs(rows["x"] - ends).max(axis=1) <= FOLLOWS)
-    sessions = np.append(before["session"] if len(before) else -1, rows["session"][:-1])
-    at = np.arange(len(rows))
-    applied = rows["candidates"][at, np.maximum(rows["coin"], 0)]
-    other = (rows["kind"] == TRANSITION) & (applied != rows["u"]).any(axis=1)
-    for i in np.flatnonzero((rows["k"] != places) | away | other).tolist():
-        k, begun = int(rows["k"][i]), rows["session"][i] != sessions[i]
-        place, x = int(places[i]), ends[i]
-        if begun and k == 0 and place:  # it began again, without a journal
-            place, x = 0, _initial(e)
-            x = rows["x"][i] if x is None else x
-        elif begun and (i in gaps or (k < place and i in breaks)):
-            # lines were lost with the power, or its journal was an older copy
-            place, x = k, rows["x"][i]
-        if k != place:
-            found.append((i, f"expected step k = {place}"))
-        elif not (np.abs(rows["x"][i] - x) <= FOLLOWS).all():
-            text = f"begins at x = {rows['x'][i].tolist()}, the last ended at {x.tolist()}"
-            found.append((i, text))
-        if other[i]:
-            text = f"which is not candidate b_r = {rows['coin'][i]}"
-            found.append((i, f"applied {rows['u'][i].tolist()}, {text}"))
-    return found
-
-
-def _start(e: Evidence, trace: Trace, rows: Rows) -> tuple[int, Any]:
-    """Where the first of all steps must begin."""
-    if trace.cut is not None:
-        return trace.cut.k + 1, np.array(trace.cut.x_next)
-    x = _initial(e)
-    return 0, rows["x"][0] if x is None and len(rows) else x
+    for i in np.flatnonzero((k != places) | away).tolist():
+        if k[i] != places[i]:
+            yield i, f"expected step k = {places[i]}"
+        else:
+            yield i, f"begins at x = {rows['x'][i].tolist()}, the last ended at {ends[i].tolist()}"
 
 
 def _initial(e: Evidence) -> Any:
     """x(0); None where no scenario states it, and where a noisy sensor reads something else."""
     plant = e.scenario.plant
-    known = plant.noise is None and plant.initial_state
-    return np.array(plant.initial_state) if known else None
+    return plant.initial_state if plant.noise is None and plant.initial_state else None
 
 
-def _leads(
-    e: Evidence, trace: Trace, before: Rows, rows: Rows, breaks: set[int], gaps: set[int]
-) -> list[tuple[int, str]]:
-    """Steps whose labels cannot be, and those whose end the input in force does not explain."""
-    found = _unlabelled(e, trace, rows, breaks)
-    known = np.zeros(len(rows), bool)
+def _applied(rows: Rows) -> Wrong:
+    """Transitions in which another candidate was applied than the coin's."""
+    chosen = rows["candidates"][np.arange(len(rows)), np.maximum(rows["coin"], 0)]
+    other = (rows["kind"] == TRANSITION) & (chosen != rows["u"]).any(axis=1)
+    for i in np.flatnonzero(other).tolist():
+        row = rows[i]
+        yield i, f"applied {row['u'].tolist()}, which is not candidate b_r = {row['coin']}"
+
+
+def _leads(e: Evidence, part: Part) -> Wrong:
+    """Steps whose end the input in force does not explain."""
+    if e.may_leave:
+        return
+    rows = part.rows
+    known = told = np.zeros(len(rows), bool)
     x, u, after = rows["x"], rows["u"], rows["x_next"]
-    told = known
-    if rows.dtype.names is not None and "true_x" in rows.dtype.names:
+    if "true_x" in (rows.dtype.names or ()):
         told = ~np.isnan(rows["true_x"][:, 0])
-        truth = np.vstack([before["true_x"], rows["true_x"]])
-        truth = truth[:-1] if len(before) else np.vstack([truth[:1] * np.nan, truth[:-1]])
-        truth[[i for i in gaps if 0 <= i < len(rows)]] = np.nan
+        truth = np.vstack([part.before["true_x"], rows["true_x"]])[: len(rows)]
+        if not len(part.before):
+            truth = np.vstack([truth[:1] * np.nan, truth[:-1]])
+        truth[part.lost] = np.nan
         known = ~np.isnan(truth[:, 0])
         u = np.where(told[:, None], rows["true_u"], u)
         if e.rules.outputs is None:
@@ -111,13 +124,10 @@ def _leads(
             after = np.where(told[:, None], rows["true_x"], after)
         else:
             x, after = truth, rows["true_x"]
-            found += _unheld(e, rows, truth, known)
+            yield from _unheld(rows, truth, known)
     gauges = _gauges(e, rows, x, u, after, told, known)
     for i in np.flatnonzero(gauges > 1 + EDGE).tolist():
-        if not e.may_leave:
-            text = f"x(k+1) is outside Reach^c of the applied input: gauge {gauges[i]:.6g}"
-            found.append((i, text))
-    return found
+        yield i, f"x(k+1) is outside Reach^c of the applied input: gauge {gauges[i]:.6g}"
 
 
 def _gauges(
@@ -144,40 +154,34 @@ def _gauges(
     return found
 
 
-def _unheld(e: Evidence, rows: Rows, truth: Array, known: Any) -> list[tuple[int, str]]:
+def _unheld(rows: Rows, truth: Array, known: Flags) -> Wrong:
     """Transitions whose state was not in the box that both ends had."""
     low, high = rows["box"][:, 0], rows["box"][:, 1]
     outside = ((truth < low) | (truth > high)).any(axis=1) & known & (rows["kind"] == TRANSITION)
-    if e.may_leave:
-        return []
-    text = "is not in the box that both ends have"
-    return [(i, f"x(k) = {truth[i].tolist()} {text}") for i in np.flatnonzero(outside).tolist()]
+    for i in np.flatnonzero(outside).tolist():
+        yield i, f"x(k) = {truth[i].tolist()} is not in the box that both ends have"
 
 
-def _unlabelled(e: Evidence, trace: Trace, rows: Rows, breaks: set[int]) -> list[tuple[int, str]]:
+def _unlabelled(e: Evidence, trace: Trace, part: Part) -> Wrong:
     """Steps of an attacked plant whose labels cannot be."""
-    attack, noisy = trace.attack, e.scenario.plant.noise is not None
+    rows, attack = part.rows, trace.attack
     if attack is None or attack.at == "bus" or "true_x" not in (rows.dtype.names or ()):
-        return []
-    silent = np.isnan(rows["true_x"][:, 0]) & (rows["kind"] != INTERRUPTED)
-    lied = (rows["true_x"] != rows["x_next"]).any(axis=1) if not noisy else np.zeros_like(silent)
+        return
+    silent = np.isnan(rows["true_x"][:, 0])  # with a process died what was the truth before it
+    lied = (rows["true_x"] != rows["x_next"]).any(axis=1) & (e.scenario.plant.noise is None)
+    turned = (rows["true_u"] != rows["u"]).any(axis=1)
     if attack.at == "sensor":
         lied &= rows["k"] + 1 < attack.onset
-    turned = (rows["true_u"] != rows["u"]).any(axis=1)
     if attack.at == "actuator":
         turned &= rows["k"] < attack.onset
-    found = []
-    for i in np.flatnonzero(silent | lied | turned).tolist():
-        if np.isnan(rows["true_x"][i, 0]):  # with a process died what was the truth before it
-            if silent[i] and i not in breaks and i != 0:
-                found.append((i, "no truth, of an attacked plant"))
-        elif lied[i]:
-            text = f"reported x(k+1) = {rows['x_next'][i].tolist()}, the truth is "
-            found.append((i, f"{text}{rows['true_x'][i].tolist()}"))
-        elif turned[i]:
-            text = f"u = {rows['u'][i].tolist()} was chosen, the truth is "
-            found.append((i, f"{text}{rows['true_u'][i].tolist()}"))
-    return found
+    first = np.arange(len(rows)) == (0 if len(part.before) == 0 else -1)
+    lacking = silent & (rows["kind"] != INTERRUPTED) & ~part.new & ~first
+    for i in np.flatnonzero(lacking).tolist():
+        yield i, "no truth, of an attacked plant"
+    for i in np.flatnonzero(~silent & (lied | turned)).tolist():
+        said, true = ("reported x(k+1)", "x") if lied[i] else ("chose u", "u")
+        shown = rows["x_next" if lied[i] else "u"][i].tolist()
+        yield i, f"{said} = {shown}, the truth is {rows[f'true_{true}'][i].tolist()}"
 
 
 def unlike_manifest(attack: AttackLine | None, said: object) -> str:
