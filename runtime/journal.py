@@ -38,7 +38,7 @@ from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRec
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import NO_PART, Held, Keys, Part
+from protocol.secret.stream import NO_PART, BlockKeys, Held, Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
@@ -198,7 +198,7 @@ class Journal(ABC, Generic[R]):
         """What was saved last."""
         self._saved, self._rows = None, {}
         batches = [rows for _, rows in self._get("row")]
-        keys = tuple(Keys(*row) for row in self._get("stream"))
+        keys = tuple(BlockKeys(*row) for row in self._get("stream"))
         for _, record, offer, coin, measurement, of_keys in self._get("step"):
             part, newest = _keys_of(of_keys)
             self._rows = {row.j: _packed(row) for row in _unpacked(newest)}

@@ -28,8 +28,8 @@ from protocol.secret.stream import (
     NO_PART,
     NOTHING_HELD,
     NOWHERE,
+    BlockKeys,
     Held,
-    Keys,
     KeyStream,
     Part,
     Position,
@@ -66,7 +66,7 @@ class KeyRows(NamedTuple):
         Of transitions that were counted since the last save.
     obsolete_rows : tuple of range
         Transitions whose rows no block needs any more.
-    keys : tuple of Keys
+    keys : tuple of BlockKeys
         Of blocks whose row in the stream changes; one without any is to be erased.
     part : Part
         The stream's key in use, as it is now.
@@ -74,7 +74,7 @@ class KeyRows(NamedTuple):
 
     contributions: tuple[Contribution, ...] = ()
     obsolete_rows: tuple[range, ...] = ()
-    keys: tuple[Keys, ...] = ()
+    keys: tuple[BlockKeys, ...] = ()
     part: Part = NO_PART
 
 
@@ -165,7 +165,7 @@ class Distiller:
         self.unequal = self._unequal = False
         self._over: set[int] = set()
         self._ended: list[BlockEnded] = []
-        self._keys: list[Keys] = []
+        self._keys: list[BlockKeys] = []
         self._rows: list[Contribution] = []
         self.stopped = ""
         if self.schedule is not None:
