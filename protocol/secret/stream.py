@@ -105,7 +105,7 @@ class BlockKeys(NamedTuple):
 
 
 class Held(NamedTuple):
-    """What an end holds of the stream, as its journal keeps it: in order, one block after the other."""
+    """What an end holds of the stream, as its journal keeps it: block after block."""
 
     part: Part = NO_PART
     keys: tuple[BlockKeys, ...] = ()
