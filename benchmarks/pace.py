@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from benchmarks.fleet import quantile_ms
 from benchmarks.loop import SCENARIO, ServiceProcess, running
-from runtime.recording import TraceReader
+from runtime.recording import parts_of, read_lines
 from runtime.run_folder import PLANT_STATUS, PLANT_TRACE
 from runtime.scenario_file import load_scenario
 
@@ -72,10 +72,8 @@ def run_at(
                 _wait_for_a_miss(services["plant"], folder)
             services["plant"].wait(PATIENCE_S + 2 * steps / rate_hz)
         status = json.loads((folder / PLANT_STATUS).read_bytes())
-        missed = sum(
-            event["event"] == "missed" and event["k"] >= WARM_UP
-            for event in TraceReader(folder / PLANT_TRACE)
-        )
+        lines = [line.value or {} for p in parts_of(folder / PLANT_TRACE) for line in read_lines(p)]
+        missed = sum(line.get("event") == "missed" and line["k"] >= WARM_UP for line in lines)
     return {
         "rate_hz": rate_hz,
         "steps": max(status["k"] - WARM_UP, 0),

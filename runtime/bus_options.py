@@ -87,7 +87,14 @@ def add_service_arguments(
     add_arguments(parser, kind, buses=", ".join(SERVICES[service].ends))
 
 
-def _split(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
+def by_bus(option: str, values: Iterable[str], allowed: Iterable[str]) -> list[tuple[str, str]]:
+    """The bus and the value of each ``BUS=VALUE``.
+
+    Raises
+    ------
+    UsageError
+        When one does not read so.
+    """
     pairs = []
     for value in values:
         bus, _, rest = value.partition("=")
@@ -119,9 +126,9 @@ def endpoints_of(options: BusOptions, service: str, bus: str) -> "Addresses":
 
     defaults = SERVICES[service].ends
     listening = options.listen if isinstance(options, ServiceOptions) else ()
-    listens = _split("--listen", listening, defaults)
-    connects = _split("--connect", options.connect, defaults)
-    folders = dict(_split("--tls", options.tls, defaults))
+    listens = by_bus("--listen", listening, defaults)
+    connects = by_bus("--connect", options.connect, defaults)
+    folders = dict(by_bus("--tls", options.tls, defaults))
     for said, pairs in (("--listen", listens), ("--connect", connects)):
         for name, endpoint in pairs:
             try:

@@ -27,7 +27,7 @@ import logging
 import os
 import re
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple
@@ -602,56 +602,3 @@ class TraceWriter(Recording):
     def write(self, *events: Mapping[str, Any]) -> None:
         """Append a line, or several that belong together: no part and no death comes between."""
         self.put(*map(dumps, events))
-
-
-class TraceReader:
-    """A trace, read line by line: iterate once over its events, then look at ``torn``.
-
-    Torn lines are left out. What a killed writer wrote twice comes twice.
-
-    Parameters
-    ----------
-    path : Path
-        The first part, also where it is there no more.
-
-    Attributes
-    ----------
-    parts_missing : int
-        Parts before the first that is there.
-
-    Raises
-    ------
-    TraceError
-        When it cannot be read or its first whole line is no header of this format and version.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.torn = 0
-        parts = parts_of(path) or [path]
-        self.parts_missing = number_of(parts[0])
-        self._events = self._read(parts)
-        self.header = next(self._events, {})
-        if self.header.get("format") != TRACE_FORMAT:
-            raise TraceError(f"{parts[0]}: line 1: expected a header of format {TRACE_FORMAT!r}")
-        version = self.header.get("version")
-        if version != TRACE_VERSION:
-            said = f"version: got {version!r}, expected {TRACE_VERSION}"
-            raise TraceError(f"{parts[0]}: line 1: {said}")
-
-    def __iter__(self) -> Iterator[dict[str, Any]]:
-        return (event for event in self._events if event["event"] not in MARKS)
-
-    def lines(self) -> Iterator[dict[str, Any]]:
-        """The events, and the marks between them that tell of another process; once."""
-        return self._events
-
-    def _read(self, parts: Sequence[Path]) -> Iterator[dict[str, Any]]:
-        for path in parts:
-            try:
-                for line in read_lines(path):
-                    if line.value is not None and isinstance(line.value.get("event"), str):
-                        yield line.value
-                    else:
-                        self.torn += 1
-            except OSError as error:
-                raise TraceError(f"{path}: cannot be read: {error.strerror}") from None

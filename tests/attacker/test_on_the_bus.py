@@ -8,10 +8,9 @@ import pytest
 
 from attacker_service.attacker import Attacker
 from protocol.scenario import attack_of
-from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.recorded_pair import RecordedPair
-from tests.support.traces import Resolved
+from tests.support.traces import Resolved, TraceReader
 
 pytestmark = pytest.mark.slow
 

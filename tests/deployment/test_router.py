@@ -210,7 +210,7 @@ def test_the_whole_system_runs_through_guarded_routers(tmp_path: Path) -> None:
         ),
         (
             ["--listen", "field=tls/127.0.0.1:1", "--tls", "field=a", "--tls", "field=b"],
-            "--tls field: got 2 folders, expected one",
+            "--tls field: got several folders, expected one",
         ),
         (["--listen", "field=127.0.0.1:1"], "got '127.0.0.1:1', expected tcp/HOST:PORT"),
         (["--listen", "field=tls/127.0.0.1:1", "--tls", "field=nowhere"], "no such file"),

@@ -601,6 +601,16 @@ def test_an_offer_confirms_a_block_or_ends_the_session_over_it(right: bool) -> N
     assert end.core.state.keys.stream.left == 0
 
 
+def test_blocks_are_counted_as_they_begin() -> None:
+    end = Told(KEYS, changed(RECORD, transitions=0, blocks_begun=3)).met()
+    begun = []
+    for k in range(3, 11):
+        end.hears(offer(k=k, nonce=NONCE), k - 2.75)
+        end.wakes(k - 2.0)
+        begun.append(end.core.state.record.keys.begun)
+    assert begun == [3, 4, 4, 5, 5, 5, 5, 6], "blocks of 2 and 4, from the second transition on"
+
+
 def test_blocks_that_cannot_be_extracted_are_an_error(news: PlantTelemetry) -> None:
     end = keys_at_work(news=news)
     (notice,) = gathered(end.core.extracted(ExtractionFailed("no memory"))).notices

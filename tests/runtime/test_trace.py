@@ -12,12 +12,11 @@ import pytest
 from runtime.recording import (
     Bounds,
     TraceError,
-    TraceReader,
     TraceWriter,
     parts_of,
 )
 from tests.support.lines import unmark
-from tests.support.traces import read_trace
+from tests.support.traces import TraceReader, read_trace
 
 
 def write(path: Path, *events: dict[str, object], header: dict[str, object] | None = None) -> None:

@@ -14,11 +14,11 @@ from pydantic_core import to_json
 from controller_service.laws.base import CandidateLaw
 from controller_service.laws.registry import cached_design, make_law
 from protocol.scenario import Scenario
-from runtime.recording import TraceReader
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from runtime.scenario_file import scenario_of
 from tests.support.plain_loop import plain_run
 from tests.support.size import size
+from tests.support.traces import TraceReader
 from wyner.simulate.engine import simulate_runs, transfer
 
 TEXT = "Meet me where the river bends, at the second lamp after the bridge."

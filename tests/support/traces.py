@@ -1,16 +1,79 @@
 """A trace that is over, whole in memory; and what was recovered, while it is written."""
 
 import base64
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from runtime.recording import CONTINUED, MARKS, REPORTS, TraceReader
+from runtime.recording import (
+    CONTINUED,
+    MARKS,
+    REPORTS,
+    TRACE_FORMAT,
+    TRACE_VERSION,
+    TraceError,
+    number_of,
+    parts_of,
+    read_lines,
+)
 from runtime.run_folder import PLANT_TRACE
 from wyner.runs.resolve import Counts, Resolver
 
 Event = dict[str, Any]
+
+
+class TraceReader:
+    """A trace, read line by line: iterate once over its events, then look at ``torn``.
+
+    Torn lines are left out. What a killed writer wrote twice comes twice.
+
+    Parameters
+    ----------
+    path : Path
+        The first part, also where it is there no more.
+
+    Attributes
+    ----------
+    parts_missing : int
+        Parts before the first that is there.
+
+    Raises
+    ------
+    TraceError
+        When it cannot be read or its first whole line is no header of this format and version.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.torn = 0
+        parts = parts_of(path) or [path]
+        self.parts_missing = number_of(parts[0])
+        self._events = self._read(parts)
+        self.header = next(self._events, {})
+        if self.header.get("format") != TRACE_FORMAT:
+            raise TraceError(f"{parts[0]}: line 1: expected a header of format {TRACE_FORMAT!r}")
+        version = self.header.get("version")
+        if version != TRACE_VERSION:
+            said = f"version: got {version!r}, expected {TRACE_VERSION}"
+            raise TraceError(f"{parts[0]}: line 1: {said}")
+
+    def __iter__(self) -> Iterator[dict[str, Any]]:
+        return (event for event in self._events if event["event"] not in MARKS)
+
+    def lines(self) -> Iterator[dict[str, Any]]:
+        """The events, and the marks between them that tell of another process; once."""
+        return self._events
+
+    def _read(self, parts: Sequence[Path]) -> Iterator[dict[str, Any]]:
+        for path in parts:
+            try:
+                for line in read_lines(path):
+                    if line.value is not None and isinstance(line.value.get("event"), str):
+                        yield line.value
+                    else:
+                        self.torn += 1
+            except OSError as error:
+                raise TraceError(f"{path}: cannot be read: {error.strerror}") from None
 
 
 @dataclass(frozen=True, slots=True)

@@ -131,7 +131,7 @@ def _fit_plant(args: argparse.Namespace) -> "FromPlant":
     from controller_service.sets.design import SynthesisError
     from plant_service.adapters import Operated
     from plant_service.adapters.registry import open_plant
-    from protocol.scenario import Scenario, ScenarioError
+    from protocol.scenario import Scenario
     from runtime.shipped import scenario_file_of
     from wyner.fit.fitting import fit
     from wyner.fit.identification import FitError
@@ -159,8 +159,6 @@ def _fit_plant(args: argparse.Namespace) -> "FromPlant":
             lambda line: print(f"wyner: {line}", file=sys.stderr),
             path.parent,
         )
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
     except (SynthesisError, ProgramError) as error:
         raise UsageError(f"{path}: {error}") from None
     except (FitError, SimulationError) as error:

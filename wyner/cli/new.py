@@ -39,7 +39,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the file, once it has been read back."""
-    from protocol.scenario import ScenarioError
     from protocol.scenario.reading import LARGEST_NUMBER
     from wyner.fit.first_scenario import HORIZONS, FirstScenario
 
@@ -78,10 +77,7 @@ def run(args: argparse.Namespace) -> int:
                 f"--A, --B: sampled over {period:g} s they hold numbers beyond {LARGEST_NUMBER:g}"
             )
     path = Path(f"{args.name}.toml")
-    try:
-        text, starts = FirstScenario(args.name, A, B, period, [args.input] * len(B[0])).text()
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
+    text, starts = FirstScenario(args.name, A, B, period, [args.input] * len(B[0])).text()
     if path.exists():
         raise UsageError(f"{path}: is there already, expected another name")
     with writing(str(path)), path.open("x", encoding="utf-8") as file:

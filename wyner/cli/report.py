@@ -49,7 +49,6 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _page(args: argparse.Namespace) -> Path:
-    from protocol.scenario import ScenarioError
     from runtime.recording import TraceError
     from wyner.runs.run import RunError
 
@@ -60,8 +59,6 @@ def _page(args: argparse.Namespace) -> Path:
     try:
         with reading(str(args.run_dir)):
             return write_report(args.run_dir, args.output)
-    except ScenarioError as error:
-        raise UsageError(error.problems) from None
     except FileNotFoundError as error:
         raise UsageError(str(error)) from None
     except OSError as error:

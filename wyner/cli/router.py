@@ -1,10 +1,10 @@
 """``wyner router``: a Zenoh router for one or several buses, with access control by certificate."""
 
 import argparse
-from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
+from runtime.bus_options import by_bus
 from runtime.errors import DONE, UsageError
 from runtime.logs import logger
 from runtime.services import BUSES
@@ -38,52 +38,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def by_bus(option: str, values: Sequence[str]) -> dict[str, list[str]]:
-    """The values of a repeated ``BUS=VALUE`` option, bus by bus.
-
-    Raises
-    ------
-    UsageError
-        With one line for each that does not read so.
-    """
-    found: dict[str, list[str]] = {}
-    problems = []
-    for text in values:
-        bus, _, value = text.partition("=")
-        if bus in BUSES and value:
-            found.setdefault(bus, []).append(value)
-        else:
-            names = ", ".join(BUSES)
-            problems.append(f"{option}: got {text!r}, expected BUS=VALUE with BUS one of {names}")
-    if problems:
-        raise UsageError(problems)
-    return found
-
-
-def check_folders(
-    listens: Mapping[str, Sequence[str]], folders: Mapping[str, Sequence[str]]
-) -> None:
-    """Refuse certificates for a bus that is not carried, and a second folder for one bus.
-
-    Raises
-    ------
-    UsageError
-        With one line for each bus.
-    """
-    problems = [
-        f"--tls {bus}: expected --listen {bus}=ENDPOINT as well"
-        for bus in folders
-        if bus not in listens
-    ]
-    problems += [
-        f"--tls {bus}: got {len(given)} folders, expected one"
-        for bus, given in folders.items()
-        if len(given) > 1
-    ]
-    if problems:
-        raise UsageError(problems)
-
-
 def run(args: argparse.Namespace) -> int:
     """Relay until a signal comes."""
     from runtime.addresses import TlsFiles, check_endpoint
@@ -92,8 +46,16 @@ def run(args: argparse.Namespace) -> int:
     from runtime.zenoh_bus import ZenohBus, open_router
     from wyner.deployment.access import access_control
 
-    listens, folders = by_bus("--listen", args.listen), by_bus("--tls", args.tls)
-    check_folders(listens, folders)
+    listens: dict[str, list[str]] = {}
+    for bus, endpoint in by_bus("--listen", args.listen, BUSES):
+        listens.setdefault(bus, []).append(endpoint)
+    folders: dict[str, str] = {}
+    for bus, folder in by_bus("--tls", args.tls, BUSES):
+        if bus not in listens:
+            raise UsageError(f"--tls {bus}: expected --listen {bus}=ENDPOINT as well")
+        if bus in folders:
+            raise UsageError(f"--tls {bus}: got several folders, expected one")
+        folders[bus] = folder
     log = logger("router")
     try:
         for bus, endpoints in listens.items():
@@ -102,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
         with stop_on_signals() as stopping, ExitStack() as stack:
             routers: list[ZenohBus] = []
             for bus, endpoints in listens.items():
-                tls = TlsFiles.in_folder(Path(folders[bus][0])) if bus in folders else None
+                tls = TlsFiles.in_folder(Path(folders[bus])) if bus in folders else None
                 rules = access_control(bus) if bus in folders else None
                 routers.append(stack.enter_context(open_router(endpoints, tls, rules)))
                 log.info(

@@ -93,6 +93,8 @@ class Segments:
             yield Line(number, raw, value)
         if newline:
             self._not_torn()
+        else:
+            self.ended = False
         self._close()
 
     def _line(self, number: int, raw: bytes) -> None:

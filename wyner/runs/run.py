@@ -19,7 +19,7 @@ from protocol.link.records import Side
 from protocol.link.session import rules_of
 from protocol.scenario import Scenario, ScenarioError
 from runtime.files import read_regular
-from runtime.recording import TraceError, TraceReader, ended, first_part, parts_of, read_lines
+from runtime.recording import TraceError, first_part, parts_of, read_lines
 from runtime.run_folder import (
     ANALYSIS_GUESSES,
     BELIEFS,
@@ -169,29 +169,6 @@ class Run:
     def has(self, side: Side) -> bool:
         """Whether any part of an end's trace is there."""
         return bool(parts_of(self.trace(side)))
-
-    def parts_missing(self, side: Side) -> int:
-        """The oldest parts of an end's trace that are gone.
-
-        Raises
-        ------
-        runtime.recording.TraceError
-            When it cannot be read.
-        """
-        return TraceReader(self.trace(side)).parts_missing
-
-    def ended(self, side: Side) -> bool:
-        """Whether an end's trace was ended by itself: it was not killed, and nothing is cut off.
-
-        Raises
-        ------
-        runtime.recording.TraceError
-            When it cannot be read.
-        """
-        try:
-            return ended(self.trace(side))
-        except OSError as error:
-            raise TraceError(f"{error.filename}: cannot be read: {error.strerror}") from None
 
     def sent(self) -> list[bytes]:
         """The messages that the controller was handed, in order; none where it left no trace.

@@ -8,7 +8,7 @@ import hashlib
 import itertools
 import json
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
@@ -273,63 +273,82 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
         twice.
     """
     names = (sweep.scenario,) if isinstance(sweep.scenario, str) else sweep.scenario
-    problems: list[str] = []
+    problems: dict[str, None] = {}  # each once, in order
     known: dict[tuple[str, str, str], str] = {}
     points = []
-    for name in names:
-        path = folder / name
-        shipped = SCENARIOS / f"{name}.toml"
-        try:
-            base = load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
-        except ScenarioError as error:
-            raise SweepError(error.problems) from None
-        for variant in sweep.variant:
-            for values in itertools.product(*sweep.grid.values()):
-                fields = dict(zip(sweep.grid, values, strict=True))
-                data = base.model_dump(mode="json", exclude_none=True)
-                settings = variant.set | fields
-                where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
-                for field_path, value in settings.items():
-                    try:
-                        set_field(data, field_path, value)
-                    except ScenarioError as error:
-                        raise SweepError(f"{where}: {error}") from None
-                for _, way in _measured(data):
-                    way["file"] = str((path.parent / way["file"]).resolve())
-                try:
-                    scenario = parse_scenario(data, where)
-                    check_delays(scenario, Path())
-                except (ScenarioError, UsageError) as error:
-                    said = error.problems if isinstance(error, ScenarioError) else error.lines
-                    problems += [p for p in said if p not in problems]
-                    continue
-                if scenario.attack is not None:
-                    problems += [p for p in [f"{where}: {UNATTACKED}"] if p not in problems]
-                if scheme_named(scenario.secrecy.scheme).from_stream:
-                    problems += [p for p in [f"{where}: {UNSEALED}"] if p not in problems]
-                task = _hash(
-                    {
-                        "scenario": _substance(scenario),
-                        "steps": sweep.steps,
-                        "seed": sweep.seed,
-                        "batch": sweep.batch,
-                        **_heard(sweep, scenario),
-                    }
-                )
-                shown = f"{where}: {canonical(fields)}" if fields else where
-                if scenario.network is None:
-                    idle = [p for p in sweep.grid if p.startswith("link.")]
-                    problems += [f"{where}: grid: {p}: changes none of the numbers" for p in idle]
-                if FILE in sweep.columns:
-                    fields = {FILE: name, **fields}
-                point = Point(scenario, variant.label, fields, task)
-                if point.key in known:
-                    problems.append(f"{shown}: stands there twice, first as {known[point.key]}")
-                known.setdefault(point.key, shown)
-                points.append(point)
+    for name, variant in itertools.product(names, sweep.variant):
+        path, base = _scenario(folder, name)
+        where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
+        for values in itertools.product(*sweep.grid.values()):
+            fields = dict(zip(sweep.grid, values, strict=True))
+            try:
+                scenario = _changed(base, variant.set | fields, path.parent, where)
+            except SweepError as error:
+                problems |= dict.fromkeys(error.problems)
+                continue
+            problems |= dict.fromkeys(_unlike(sweep, scenario, where))
+            shown = f"{where}: {canonical(fields)}" if fields else where
+            if FILE in sweep.columns:
+                fields = {FILE: name, **fields}
+            point = Point(scenario, variant.label, fields, _task(sweep, scenario))
+            if point.key in known:
+                problems[f"{shown}: stands there twice, first as {known[point.key]}"] = None
+            known.setdefault(point.key, shown)
+            points.append(point)
     if problems:
-        raise SweepError(problems)
+        raise SweepError(list(problems))
     return points
+
+
+def _scenario(folder: Path, name: str) -> tuple[Path, Scenario]:
+    """A scenario of a sweep in ``folder``, or else a shipped one; and where it is looked for."""
+    path, shipped = folder / name, SCENARIOS / f"{name}.toml"
+    try:
+        return path, load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
+    except ScenarioError as error:
+        raise SweepError(error.problems) from None
+
+
+def _changed(base: Scenario, settings: dict[str, Any], folder: Path, where: str) -> Scenario:
+    """A scenario with some fields set; files of delays are looked for beside it.
+
+    Raises
+    ------
+    SweepError
+        When a value does not fit its field.
+    """
+    data = base.model_dump(mode="json", exclude_none=True)
+    try:
+        for field_path, value in settings.items():
+            set_field(data, field_path, value)
+    except ScenarioError as error:
+        raise SweepError(f"{where}: {error}") from None
+    for _, way in _measured(data):
+        way["file"] = str((folder / way["file"]).resolve())
+    try:
+        scenario = parse_scenario(data, where)
+        check_delays(scenario, Path())
+    except ScenarioError as error:
+        raise SweepError(error.problems) from None
+    except UsageError as error:
+        raise SweepError(error.lines) from None
+    return scenario
+
+
+def _unlike(sweep: Sweep, scenario: Scenario, where: str) -> Iterator[str]:
+    """What of a scenario no sweep simulates, and which of its fields change no number."""
+    if scenario.attack is not None:
+        yield f"{where}: {UNATTACKED}"
+    if scheme_named(scenario.secrecy.scheme).from_stream:
+        yield f"{where}: {UNSEALED}"
+    for path in sweep.grid if scenario.network is None else ():
+        if path.startswith("link."):
+            yield f"{where}: grid: {path}: changes none of the numbers"
+
+
+def _task(sweep: Sweep, scenario: Scenario) -> str:
+    loop = {"steps": sweep.steps, "seed": sweep.seed, "batch": sweep.batch}
+    return _hash({"scenario": _substance(scenario), **loop, **_heard(sweep, scenario)})
 
 
 @dataclass

@@ -112,10 +112,11 @@ def score_runs(folders: Sequence[Path], names: Sequence[str] = ()) -> ScoredRuns
             raise UsageError(f"{run_dir}: no run here, expected a run's folder")
         scores.append(_heard_again(run, names) if names else score_run(run))
         runs.append(run)
-        if gone := run.parts_missing("plant"):
-            what = f"parts 0 to {gone - 1} of the plant's trace are gone"
+        trace = run.columns("plant")
+        if trace.gone:
+            what = f"parts 0 to {trace.gone - 1} of the plant's trace are gone"
             notes.append(f"{run_dir}: {what}: only what came after is scored")
-        if not run.ended("plant"):
+        if not trace.ended:
             what = "the plant's trace has no end: it runs still, was killed, or the file was cut"
             notes.append(f"{run_dir}: {what}; what is there is scored")
     failed = any(tap.failed for one in scores for tap in one.taps)
