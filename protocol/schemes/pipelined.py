@@ -36,9 +36,8 @@ class Pipelined(Scheme[SwitchedState]):
         """The verdict's key is held; the key held before is spent on this transition."""
         check_verdict(verdict, self.alphabet)
         check_state(state, self.alphabet)
-        return SwitchedState(TEST if verdict == NO_SYMBOL else MESSAGE, verdict), Carry(
-            verdict, state.key
-        )
+        s = TEST if verdict == NO_SYMBOL else MESSAGE
+        return SwitchedState(s, verdict), Carry(verdict, state.key)
 
     def pad(self, state: SwitchedState) -> int:
         """The key held, in state 2."""
