@@ -268,10 +268,10 @@ class Journal(ABC, Generic[R]):
                 statements.append((boot, (self._boot_due,)))
                 self._boot_due = None
             statements += [(f"DELETE FROM {table}", ()) for table in self.of_session]
-        for over in obsolete:
-            statements += self._without(over)
+        if obsolete:
+            statements += self._without(obsolete)
         for row in contributions:
-            if not (obsolete and any(row.j in over for over in obsolete)):
+            if not (obsolete and _within(row.j, obsolete)):
                 self._rows[row.j] = _packed(row)
             if row.j % BATCH == BATCH - 1 and self._rows:
                 batch = b"".join(self._rows.values())
@@ -284,17 +284,23 @@ class Journal(ABC, Generic[R]):
                 statements.append(("DELETE FROM stream WHERE block = ?", (keys.block,)))
         return statements
 
-    def _without(self, over: range) -> Iterator[Statement]:
-        """Drop the contributions of these transitions; of a batch at an edge the others stay."""
-        self._rows = {j: packed for j, packed in self._rows.items() if j not in over}
-        first, last = over.start // BATCH, (over.stop - 1) // BATCH
-        for batch, rows in self._get("row", "batch IN (?, ?)", first, last):
-            left = b"".join(_packed(row) for row in _unpacked(rows) if row.j not in over)
-            if left:
-                yield self._row("row", batch, left)
-            else:
-                yield "DELETE FROM row WHERE batch = ?", (batch,)
-        yield "DELETE FROM row WHERE batch > ? AND batch < ?", (first, last)
+    def _without(self, obsolete: tuple[range, ...]) -> Iterator[Statement]:
+        """Drop the contributions of these transitions; of a batch at an edge the others stay.
+
+        Blocks that are over at once may meet in one batch, which is written once for all of them.
+        """
+        edges = {j // BATCH for over in obsolete for j in (over.start, over.stop - 1)}
+        self._rows = {j: row for j, row in self._rows.items() if not _within(j, obsolete)}
+        for over in obsolete:
+            between = (over.start // BATCH, (over.stop - 1) // BATCH)
+            yield "DELETE FROM row WHERE batch > ? AND batch < ?", between
+        for batch in edges:
+            for _, rows in self._get("row", "batch = ?", batch):
+                left = [_packed(row) for row in _unpacked(rows) if not _within(row.j, obsolete)]
+                if left:
+                    yield self._row("row", batch, b"".join(left))
+                else:
+                    yield "DELETE FROM row WHERE batch = ?", (batch,)
 
     @abstractmethod
     def _more(self, save: Save) -> Iterator[Statement]:
@@ -455,6 +461,11 @@ def _keys_of(keys: bytes) -> tuple[Part, bytes]:
     block, first, count = _PART.unpack_from(keys)
     rest = keys[_PART.size :]
     return Part(block, first, rest[:count]), rest[count:]
+
+
+def _within(j: int, ranges: tuple[range, ...]) -> bool:
+    """Whether a transition is of one of these."""
+    return any(j in one for one in ranges)
 
 
 def _packed(row: Contribution) -> bytes:

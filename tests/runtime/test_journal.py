@@ -116,6 +116,16 @@ def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path, c
         assert journal.load().rows == (row(0),)
 
 
+def test_blocks_that_are_over_at_once_may_meet_in_a_batch(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        for j in range(1, 3 * BATCH):
+            journal.save(Save(RECEIVER, rows=KeyRows((row(j),))))
+        both = (range(2, BATCH + 3), range(BATCH + 3, BATCH + 6))
+        journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=both)))
+        left = [1, *range(BATCH + 6, 3 * BATCH)]
+        assert [one.j for one in journal.load().rows] == left
+
+
 def test_keys_and_digits_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
     """What was erased is in no file of the journal any more."""
     secret, key = b"digits that have served", b"a key that was used" * 2
