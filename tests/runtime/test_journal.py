@@ -2,7 +2,6 @@
 
 import resource
 import shutil
-import signal
 import sqlite3
 import subprocess
 import sys
@@ -377,82 +376,6 @@ def test_a_message_that_was_altered_is_not_sent(tmp_path: Path, change: str) -> 
 
 
 # --- kill -9 --------------------------------------------------------------------------------------
-
-WRITER = """
-import sys
-from pathlib import Path
-from protocol.link.distiller import KeyRows
-from protocol.link.effects import Save
-from runtime.journal import PlantJournal
-from protocol.messages import Measurement, Offer
-from protocol.link.step import IDLE, Read
-from tests.support.records import changed, plant_record
-
-def count(record):
-    record = changed(record, k=record.link.k + 1, p=record.link.p + 1)
-    if record.link.p % 50 == 0:
-        record = changed(record, stored=0, messages=record.frame.messages + 1)
-        journal.save(Save(record, received=b"%d" % record.link.p))
-    elif record.link.p % 7 == 0:
-        record = changed(record, stored=record.frame.stored + 1)
-        journal.save(Save(record, symbols="1"))
-    return record
-
-journal = PlantJournal(Path(sys.argv[1]), sys.argv[2])
-record, step, *_ = journal.load()
-if record is None:
-    record = plant_record(session="0123456789abcdef", k=0, x=(0.5,), u=(0.0,))
-    journal.save(Save(record))
-if step != IDLE:
-    record = count(record)
-while True:
-    k = record.link.k
-    offer = Offer(session=record.session.id, k=k, candidates=((1.0,), (2.0,)), cipher=0)
-    x = (0.5,)
-    measurement = Measurement(session=record.session.id, k=k + 1, x=x, applied_k=k, x_after=x)
-    journal.save(Save(record, step=Read(offer, k % 2, measurement)))
-    sys.stdout.write(f"{measurement.k}\\n")
-    sys.stdout.flush()
-    record = count(record)
-"""
-
-
-@pytest.mark.slow
-def test_what_a_killed_writer_acknowledged_is_there(tmp_path: Path) -> None:
-    path = tmp_path / "p"
-    for lines in (1, 37, 150, 400):
-        writer = subprocess.Popen(
-            [sys.executable, "-c", WRITER, str(path), SCENARIO],
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert writer.stdout is not None
-        acknowledged = 0
-        for _ in range(lines):
-            acknowledged = int(writer.stdout.readline())
-        writer.send_signal(signal.SIGKILL)
-        rest = [line for line in writer.stdout.read().split("\n")[:-1] if line]
-        writer.wait(PATIENCE_S)
-        writer.stdout.close()
-        if rest:
-            acknowledged = int(rest[-1])
-        with PlantJournal(path, SCENARIO) as journal:
-            record, _, _, _, symbols, _ = journal.load()
-            offer, coin, measurement = step_of(journal)
-            assert record is not None
-            assert record.link.k + (offer is not None) in (acknowledged, acknowledged + 1)
-            if offer is not None:
-                assert offer.k == record.link.k
-                assert measurement is not None
-                assert measurement.k == record.link.k + 1
-                assert coin == record.link.k % 2
-            # all or nothing: the symbols and messages are those of this very record
-            whole, since = divmod(record.link.k, 50)
-            assert record.link.p == record.link.k
-            assert record.frame.messages == whole
-            assert journal.last_message() == (b"%d" % (50 * whole) if whole else None)
-            first = 50 * whole + 1
-            assert len(symbols) == sum(p % 7 == 0 for p in range(first, first + since))
 
 
 # --- disks ----------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ def test_ends_and_journals_hold_no_more_after_many_blocks() -> None:
         for name, (objects, size) in measured(world).items():
             before = most.get(name, (0, 0))
             most[name] = max(before[0], objects), max(before[1], size)
-    world.well(4000)
+    world.well(2400)
     assert len(world.confirmed["plant"]) > 10 * blocks
     for name, (objects, size) in measured(world).items():
         assert objects < 1.1 * most[name][0], name

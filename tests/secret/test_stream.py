@@ -2,7 +2,7 @@
 
 from itertools import pairwise
 
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.secret.key_digits import digits
@@ -36,6 +36,7 @@ def test_both_ends_find_the_same_digits_in_order_and_each_once(
     assert controller.left == len(whole)
 
 
+@settings(max_examples=30)
 @given(SIZES, st.lists(KEYS, min_size=1, max_size=7), st.data())
 def test_the_rows_that_change_make_the_same_stream_after_a_restart(
     size: int, blocks: list[list[bytes]], data: st.DataObject
