@@ -1,7 +1,6 @@
 """What `text` makes of every plant that is shipped, and of each way of hearing it.
 
-Keys that she knows, up to one relabelling for all steps, and whole messages. The same captures
-before each tap.
+Keys that it knows, up to one relabelling for all steps, whole messages, and what it states of them.
 """
 
 from collections.abc import Iterator, Sequence
@@ -10,14 +9,13 @@ from typing import Any, Final, NamedTuple
 from protocol.statistics import share_over_runs
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
-from studies.listeners import Counts, heard, one_run
+from studies.listeners import heard, one_run
 from studies.registry import Lines, Row, study, table
 from studies.secrecy.sentences import SENTENCES
+from studies.secrecy.tables import median
 from tap_service.capture.channel import View
-from wyner.simulate.engine import Runs, Transfer
 
 RUNS, SEED = 20, 2043
-TAPS: Final = ("text",)
 SHORT: Final = b"Sail at dawn"
 """Where a run is too short for a sentence."""
 
@@ -84,60 +82,58 @@ CONDITIONS: Final = (
 )
 """What is heard of what: each plant's readings alone first."""
 
+Task = tuple[Condition, int]
+"""A condition, and the number of a run."""
+
 COLUMNS: Final = (
-    "condition tap runs steps seed keys_of keys keys_low keys_high delivered read read_low "
-    "read_high seconds"
+    "condition run seed steps keys known delivered read probability likeliest_exact bits_left "
+    "message_bits seconds"
 )
 
 
-def simulated(scenario_name: str, steps: int, run: int, payload: bytes = SHORT) -> Runs:
-    """One run of a shipped scenario, with its plant as it is."""
-    return _made(Condition(scenario_name, {}, steps), run, payload)[0]
+def tasks() -> Iterator[Task]:
+    """Every condition of the first run, then of the next: what is on record is even."""
+    return ((condition, run) for run in range(RUNS) for condition in CONDITIONS)
 
 
-def _made(condition: Condition, run: int, payload: bytes) -> tuple[Runs, Transfer]:
-    scenario = load_scenario(SCENARIOS / f"{condition.scenario}.toml")
-    steps = condition.steps
-    return one_run(scenario, run, seed=SEED, steps=steps, payload=payload, folder=SCENARIOS)
-
-
-def made_of(condition: Condition, run: int, taps: Sequence[str] = TAPS) -> list[Counts]:
-    """What each tap makes of a run."""
-    payload = SENTENCES[run].encode() if condition.sentence else SHORT
-    return heard(taps, _made(condition, run, payload), View(seed=run, **condition.view))
-
-
-@study("eavesdroppers", COLUMNS, lambda: CONDITIONS)
-def rows(
-    one: Condition, count: int = RUNS, taps: Sequence[str] = TAPS
-) -> Iterator[tuple[Any, ...]]:
-    """One row a tap."""
-    by_tap = zip(*(made_of(one, run, taps) for run in range(count)), strict=True)
-    for tap, counts in zip(taps, by_tap, strict=True):
-        keys = share_over_runs((c.known, c.keys) for c in counts)
-        read = share_over_runs((c.read, c.delivered) for c in counts)
-        keys_of, delivered = sum(c.keys for c in counts), sum(c.delivered for c in counts)
-        seconds = round(sum(c.seconds for c in counts) / count, 1)
-        yield (
-            one.name, tap, count, one.steps, SEED, keys_of, *keys, delivered, *read, seconds,
-        )  # fmt: skip
+@study("eavesdroppers", COLUMNS, tasks)
+def rows(task: Task) -> Iterator[tuple[Any, ...]]:
+    """One row."""
+    one, run = task
+    payload = SENTENCES[run].encode() if one.sentence else SHORT
+    scenario = load_scenario(SCENARIOS / f"{one.scenario}.toml")
+    made = one_run(scenario, run, seed=SEED, steps=one.steps, payload=payload, folder=SCENARIOS)
+    (counts,) = heard(("text",), made, View(seed=run, **one.view))
+    belief, bits = counts.belief, 8 * len(payload)  # no message leaves more
+    yield (
+        one.name, run, SEED, one.steps, counts.keys, counts.known, counts.delivered, counts.read,
+        f"{belief.confidence:.6g}", int(belief.message == payload),
+        "" if belief.bits_left is None else f"{min(belief.bits_left, bits):.3f}", bits,
+        round(counts.seconds, 1),
+    )  # fmt: skip
 
 
 @table("eavesdroppers", "findings", "eavesdroppers")
 def shown(found: Sequence[Row]) -> Lines:
-    """A line a condition, taps across: keys in %, messages read, seconds of a core."""
-    taps = list(dict.fromkeys(row["tap"] for row in found))
-    cells = {(row["condition"], row["tap"]): row for row in found}
-    lines = [("heard", *(f"`{tap}`" for tap in taps))]
+    """A line a condition: keys in %, messages read, bits left where it is stated, seconds."""
+    lines: list[tuple[str, ...]] = [
+        ("what is heard", "runs", "keys known, %", "messages read", "bits left of", "seconds"),
+    ]
     for name in dict.fromkeys(row["condition"] for row in found):
-        mine = [cells[name, tap] for tap in taps if (name, tap) in cells]
-        lines.append((name, *(_told(row) for row in mine)))
+        mine = [row for row in found if row["condition"] == name]
+        keys = share_over_runs((int(row["known"]), int(row["keys"])) for row in mine)
+        delivered = sum(int(row["delivered"]) for row in mine)
+        read = share_over_runs((int(row["read"]), int(row["delivered"])) for row in mine)
+        left = [float(row["bits_left"]) for row in mine if row["bits_left"]]
+        ciphers = delivered and "measurements" not in name
+        lines.append(
+            (
+                name,
+                str(len(mine)),
+                keys.scaled(100).text(".1f"),
+                f"{round(read.value * delivered)} of {delivered}" if ciphers else "-",
+                f"{median(left).text('.1f')} of {mine[0]['message_bits']}" if left else "-",
+                f"{median([float(row['seconds']) for row in mine]).value:.1f}",
+            )
+        )
     return lines
-
-
-def _told(row: dict[str, str]) -> str:
-    keys, low, high = (100 * float(row[name]) for name in ("keys", "keys_low", "keys_high"))
-    said = f"{keys:.1f} [{low:.1f}, {high:.1f}]"
-    if "measurements" in row["condition"] or not int(row["delivered"]):
-        return said
-    return f"{said}; {round(float(row['read']) * int(row['delivered']))} of {row['delivered']}"

@@ -16,7 +16,7 @@ from studies.registry import Lines, Row
 from studies.secrecy.study import offline, put_together
 from tap_service.capture.channel import View
 from tap_service.capture.transcript import Transition
-from tap_service.eavesdroppers import named
+from tap_service.eavesdroppers import Belief, named
 from wyner.simulate.engine import Runs, Transfer, simulate_runs, transfer
 from wyner.simulate.engine.link import whole_messages
 from wyner.simulate.engine.taps import transcript
@@ -67,8 +67,8 @@ def _messages(transitions: Sequence[Transition]) -> Iterator[FieldMessage]:
 class Counts(NamedTuple):
     """What an eavesdropper made of a run.
 
-    Keys, right at once and later, and known up to one relabelling; messages, those read; seconds of
-    a core.
+    Keys, right at once and later, and known up to one relabelling; messages, those read; what it
+    believes in the end; seconds of a core.
     """
 
     keys: int
@@ -77,6 +77,7 @@ class Counts(NamedTuple):
     known: int
     delivered: int
     read: int
+    belief: Belief
     seconds: float
 
 
@@ -103,15 +104,15 @@ def counted(
         tap = offline(kind, view.knowledge(scenario.knowledge(), model=kind.told_model))
         first = {t.k: tap.observe(t).best for t in transitions}
         second = first | {g.k: g.best for g in (*tap.final_guesses, *tap.review())}
-        whole = tap.belief().whole
+        belief = tap.belief()
         at_once, later = (
             sum(said.get(k) == key for k, key in truth.items()) for said in (first, second)
         )
         pairs = pairs_of((second[k], key) for k, key in truth.items() if k in second)
         known = right_under(pairs, best_labels(pairs, scenario.secrecy.candidates))
-        read = sum(m in whole for m in messages)
+        read = sum(m in belief.whole for m in messages)
         seconds = time.process_time() - begun
-        out.append(Counts(len(truth), at_once, later, known, len(messages), read, seconds))
+        out.append(Counts(len(truth), at_once, later, known, len(messages), read, belief, seconds))
     return out
 
 

@@ -7,8 +7,6 @@ are, over a network that loses, through noise of her own, and where she misses m
 from collections.abc import Iterator, Sequence
 from typing import Any, Final
 
-import numpy as np
-
 from protocol.scenario import Scenario, parse_scenario
 from protocol.statistics import wilson
 from studies.corners import at_the_corners
@@ -59,13 +57,13 @@ def _counts(condition: str, run: int) -> list[Counts]:
 @study("outputs", COLUMNS, lambda: CONDITIONS)
 def output_rows(condition: str) -> Iterator[tuple[Any, ...]]:
     """One row an eavesdropper."""
-    totals = np.sum([_counts(condition, place) for place in range(RUNS)], axis=0)
-    for name, total in zip(TAPS, totals.tolist(), strict=True):
-        of, at_once, later, _, delivered, read = map(int, total[:-1])
+    by_tap = zip(*(_counts(condition, place) for place in range(RUNS)), strict=True)
+    for name, counts in zip(TAPS, by_tap, strict=True):
+        of, delivered = sum(one.keys for one in counts), sum(one.delivered for one in counts)
+        at_once, later = sum(one.at_once for one in counts), sum(one.later for one in counts)
         yield (
-            condition, name, RUNS, STEPS, SEED, of,
-            *(v for count in (at_once, later) for v in _told(count, of)),
-            delivered, *_told(read, delivered),
+            condition, name, RUNS, STEPS, SEED, of, *_told(at_once, of), *_told(later, of),
+            delivered, *_told(sum(one.read for one in counts), delivered),
         )  # fmt: skip
 
 

@@ -33,7 +33,7 @@ Measure = Callable[[Any], Iterable[Values]]
 MODULES: Final = (
     "attacks.study", "attacks.tables", "attacks.watermark", "corners", "eavesdroppers", "keys",
     "loops", "missed_steps", "network", "noise", "other_sets", "outputs", "readings",
-    "schemes", "secrecy.kinds", "secrecy.reading", "secrecy.study", "secrecy.tables", "settled",
+    "schemes", "secrecy.kinds", "secrecy.study", "secrecy.tables", "settled",
     "shape", "signalling", "stochastic", "sweeps", "yardstick",
 )  # fmt: skip
 """Where studies and tables are."""

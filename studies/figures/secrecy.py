@@ -103,31 +103,6 @@ def draw_alpha_bits(figure: Figure, data: Path) -> str:
     return against_alpha(figure, data, taps, "bits_right", "bits", "message bits right")
 
 
-@figure("secrecy-view", "secrecy-view", size=(7.5, 4.2))
-def draw_views(figure: Figure, data: Path) -> str:
-    """Message bits right under an imperfect view, by tap."""
-    rows = rows_of("view", data)
-    conditions = list(dict.fromkeys(r["condition"] for r in rows))
-    axes = figure.subplots()
-    for offset, tap, hatch in (
-        (-0.27, "list-decoder", ""),
-        (0, "smoother", "//"),
-        (0.27, "text", ".."),
-    ):
-        values, errors = heights(shares_of(rows, tap, conditions, "bits_right", "bits"))
-        places = [i + offset for i in range(len(conditions))]
-        axes.bar(places, values, 0.25, yerr=errors, color=MARKS[tap][1], alpha=0.75, hatch=hatch,
-                 capsize=2, label=tap)  # fmt: skip
-    axes.axhline(0.5, color="0.3", lw=0.8, ls=":")
-    axes.grid(visible=False, axis="x")
-    axes.set_xticks(range(len(conditions)), conditions, rotation=35, ha="right")
-    axes.set_ylabel("message bits right")
-    axes.set_ylim(0.4, 1.12)
-    axes.set_yticks([0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.0])
-    axes.legend(loc="upper center", ncols=3)
-    return note_of(rows)
-
-
 @figure("secrecy-learning", "secrecy-learning", size=(7.0, 3.8))
 def draw_learning(figure: Figure, data: Path) -> str:
     """When the learner first had the whole message, beside when the plant had it."""

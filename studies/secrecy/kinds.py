@@ -15,7 +15,7 @@ from protocol.statistics import wilson
 from studies.registry import Lines, Row, study, table
 from studies.secrecy.runs import simulate
 from studies.secrecy.sentences import SENTENCES
-from studies.secrecy.study import heard_by, stated_by
+from studies.secrecy.study import heard_by
 from studies.secrecy.tables import median, tails
 from tap_service.capture.channel import View
 from tap_service.eavesdroppers.text import Text
@@ -87,12 +87,17 @@ def measure(message: Message) -> Iterator[dict[str, object]]:
         tap.observe(transition)
     tap.decode()
     belief = tap.belief()
+    bits = 8 * len(message.payload)  # no message leaves more
     yield {
         "kind": message.kind,
         "seed": seed,
         "loss": loss,
         "given": belief.given,
-        **stated_by(belief, message.payload, begun),
+        "probability": f"{belief.confidence:.6g}",
+        "likeliest_exact": int(belief.message == message.payload),
+        "bits_left": "" if belief.bits_left is None else f"{min(belief.bits_left, bits):.3f}",
+        "message_bits": bits,
+        "cpu_s": f"{time.process_time() - begun:.2f}",
     }
 
 

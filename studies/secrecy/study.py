@@ -1,10 +1,9 @@
 """The secrecy study: which eavesdropper is measured under which condition, a row a run."""
 
 import hashlib
-import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Final
 
 from protocol.knowledge import Knowledge
 from protocol.messages import FieldMessage
@@ -23,7 +22,7 @@ RUNS: Final = 100
 HEARD: Final = ("view", "loss", "noise", "quantise", "delay", "model_error", "seed")
 """What of her view a task varies."""
 
-STUDIES: Final = ("ladder", "alpha", "learning", "view")
+STUDIES: Final = ("ladder", "alpha", "learning")
 
 ALPHAS: Final = tuple(1.5 + 0.5 * i for i in range(14))
 """The paper's."""
@@ -33,31 +32,8 @@ COLUMNS: Final = (
     "early_right bits bits_right messages messages_exact whole_claimed list_peak "
     "candidates_left solved_k plant_k"
 )
-STATED: Final = " probability likeliest_exact bits_left message_bits cpu_s"
-"""What is recorded besides of the views, where `text` states how sure she is."""
-
 EARLY: Final = 200
 """Steps after which a learner is expected to read nearly every separable step."""
-
-
-VIEWS: Final[dict[str, dict[str, Any]]] = {
-    "clear": {},
-    "loss 10 %": {"loss": 0.1},
-    "loss 30 %": {"loss": 0.3},
-    "loss 50 %": {"loss": 0.5},
-    "measurements only": {"view": "measurements"},
-    "offers only": {"view": "offers"},
-    "noise 0.002": {"noise": 0.002},
-    "noise 0.01": {"noise": 0.01},
-    "noise 0.05": {"noise": 0.05},
-    "quantised 0.01": {"quantise": 0.01},
-    "quantised 0.1": {"quantise": 0.1},
-}
-"""What she hears, by name."""
-
-ALL_READ: Final = ("clear", "noise 0.002", "quantised 0.01")
-"""Views in which `smoother` has every message of every run: there `text` cannot gain, and is
-measured once."""
 
 
 def described(view: View) -> str:
@@ -103,12 +79,6 @@ def tasks(runs: int = RUNS) -> Iterator[Task]:
             yield Task("learning", condition, "learning", seed, steps=2000, view=view)
             early = f"{condition}, {EARLY} steps"
             yield Task("learning", early, "learning", seed, steps=EARLY, view=view)
-    for condition, knobs in VIEWS.items():
-        for seed in range(few):
-            for tap in ("list-decoder", "smoother", "text"):
-                if tap == Text.name and seed and condition in ALL_READ:
-                    continue
-                yield Task("view", condition, tap, seed, view=View(seed=seed, **knobs))
 
 
 def put_together(messages: Iterable[FieldMessage], view: View) -> list[Transition]:
@@ -148,24 +118,11 @@ def output_about(tap: Eavesdropper, transitions: Sequence[Transition]) -> TapOut
     return TapOutput(tap.name, session, live, reviewed, tap.belief(), tap.message_symbols())
 
 
-def stated_by(belief: Belief, payload: bytes, begun: float) -> dict[str, object]:
-    """How sure she is of a message, what she says is left of it, and what it took her since."""
-    bits = 8 * len(payload)  # no message leaves more
-    return {
-        "probability": f"{belief.confidence:.6g}",
-        "likeliest_exact": int(belief.message == payload),
-        "bits_left": "" if belief.bits_left is None else f"{min(belief.bits_left, bits):.3f}",
-        "message_bits": bits,
-        "cpu_s": f"{time.process_time() - begun:.2f}",
-    }
-
-
 def measure(task: Task) -> dict[str, object]:
     """One row."""
     run = simulate(task.steps, task.seed, alpha=task.alpha)
     kind = named(task.tap)
     knowledge = knowledge_for(run, kind, task.view)
-    begun = time.process_time()
     tap = offline(kind, knowledge)
     said = output_about(tap, heard_by(run, task.view))
     if not said.session:  # she heard nothing at all
@@ -195,20 +152,17 @@ def measure(task: Task) -> dict[str, object]:
         "candidates_left": said.belief.candidates_left,
         "solved_k": said.belief.solved_k,
         "plant_k": run.truth.whole[0][0] if run.truth.whole else -1,
-        **stated_by(said.belief, run.payloads[0], begun),
     }
 
 
 def _registered(name: str) -> None:
-    columns = COLUMNS + STATED if name == "view" else COLUMNS
-
     def mine() -> Iterator[Task]:
         return (task for task in tasks() if task.study == name)
 
     def rows(task: Task) -> Iterator[dict[str, object]]:
         yield measure(task)
 
-    study(f"secrecy-{name}", columns, mine)(rows)
+    study(f"secrecy-{name}", COLUMNS, mine)(rows)
 
 
 for each in STUDIES:

@@ -7,8 +7,6 @@ from typing import Final
 
 from protocol.statistics import CONFIDENCE, Interval, wilson
 from studies.registry import Lines, Row, table
-from studies.secrecy.study import ALL_READ
-from tap_service.inference.message_reader import SURE
 from wyner.runs.score.report import over_runs, percent
 from wyner.runs.score.score import Proportion
 
@@ -25,7 +23,6 @@ def exact_of(rows: Sequence[Row]) -> Interval:
 
 @table("ladder", "findings", "secrecy-ladder")
 @table("learning", "findings", "secrecy-learning")
-@table("view", "findings", "secrecy-view")
 def by_tap(rows: Sequence[Row]) -> Lines:
     """One line a condition and eavesdropper."""
     conditions = list(dict.fromkeys(r["condition"] for r in rows))
@@ -54,47 +51,6 @@ def by_tap(rows: Sequence[Row]) -> Lines:
     return lines
 
 
-@table("beside", "findings", "secrecy-view")
-def against_the_smoother(rows: Sequence[Row]) -> str:
-    """Where `text` stands beside `smoother`, on the runs before both."""
-    by = {(r["condition"], r["tap"], r["seed"]): r for r in rows}
-    pairs = [
-        (r, by[c, "smoother", seed])
-        for (c, tap, seed), r in by.items()
-        if tap == "text" and (c, "smoother", seed) in by and r["message_bits"]
-    ]
-
-    def total(column: str) -> tuple[float, float]:
-        hers, its = (sum(float(pair[i][column]) for pair in pairs) for i in (0, 1))
-        return hers, its
-
-    exact, bits = total("messages_exact"), total("bits_right")
-    below = list(
-        dict.fromkeys(
-            f"{r['condition']}, seed {r['seed']}"
-            for r, s in pairs
-            if int(r["messages_exact"]) < int(s["messages_exact"])
-        )
-    )
-    wrong = [
-        f"{r['condition']}, seed {r['seed']}: {float(r['probability']):.3f}"
-        for r, _ in pairs
-        if float(r["probability"]) >= SURE and not int(r["likeliest_exact"])
-    ]
-    told = (
-        f"Of the {len(pairs)} runs before both taps, `text` has the exact message in "
-        f"{exact[0]:.0f} and {bits[0]:.0f} bits right, `smoother` in {exact[1]:.0f} and "
-        f"{bits[1]:.0f}."
-    )
-    told += f" Below it: {'; '.join(below)}." if below else " In none `smoother` alone has it."
-    told += f" One run each where `smoother` has every message ({', '.join(ALL_READ)})."
-    return told + (f" Wrong claims of `text`: {'; '.join(wrong)}." if wrong else "")
-
-
-HEAD: Final = (
-    "condition", "tap", "runs", "keys right", "likeliest is it", "share", "claimed and it",
-    "bits left", "seconds of a core",
-)  # fmt: skip
 STATED_HEAD: Final = (
     "stated", "messages", "stated on average", "right", "share right", "P[as few]", "P[as many]",
 )  # fmt: skip
@@ -126,35 +82,6 @@ def median(values: Sequence[float]) -> Interval:
     return Interval(_median(values), ordered[rank - 1], ordered[count - rank])
 
 
-@table("reading", "findings", "secrecy-reading")
-def results(rows: Sequence[Row]) -> Lines:
-    """One line a condition and tap."""
-    lines: list[tuple[str, ...]] = [HEAD]
-    for condition, tap in sorted({(r["condition"], r["tap"]) for r in rows}):
-        mine = [r for r in rows if (r["condition"], r["tap"]) == (condition, tap)]
-        right = [float(r["keys_right"]) / int(r["keys"]) for r in mine if int(r["keys"])]
-        exact = sum(int(r["likeliest_exact"]) > 0 for r in mine)
-        claimed = sum(int(r["messages_exact"]) > 0 for r in mine)
-        left = [float(r["bits_left"]) for r in mine if r["bits_left"]]
-        whole = _median([float(r["message_bits"]) for r in mine])
-        bits = f"{median(left).text('.1f')} of {whole:.0f}" if left else "-"
-        cost = _median([float(r["cpu_s"]) for r in mine])
-        lines.append(
-            (
-                condition,
-                tap,
-                str(len(mine)),
-                f"{100 * sum(right) / len(right):.1f} %" if right else "-",
-                f"{exact} of {len(mine)}",
-                _share(exact, len(mine)),
-                str(claimed),
-                bits,
-                f"{cost:.0f}",
-            )
-        )
-    return lines
-
-
 def by_stated(rows: Sequence[Row]) -> Iterator[tuple[float, float, list[tuple[float, int]]]]:
     """Classes of what `text` stated: from, to, and of each message the probability and whether it
     was the one. A tap that hears no ciphertext symbol states nothing.
@@ -162,7 +89,7 @@ def by_stated(rows: Sequence[Row]) -> Iterator[tuple[float, float, list[tuple[fl
     stated = [
         (float(r["probability"]), int(r["likeliest_exact"]))
         for r in rows
-        if r["tap"] == "text" and r["probability"] and "measurements" not in r["condition"]
+        if "measurements" not in r.get("condition", "")
     ]
     for low, high in pairwise(STATED):
         mine = [(p, x) for p, x in stated if low <= p < high or (high == 1.0 and p >= low)]
@@ -178,10 +105,10 @@ def tails(stated: Sequence[float], right: int) -> tuple[float, float]:
     return sum(among[: right + 1]), sum(among[right:])
 
 
-@table("reliability", "findings", "secrecy-reading", "secrecy-view")
-def reliability(readings: Sequence[Row], views: Sequence[Row]) -> Lines:
-    """How often what ``text`` states comes true, by what she states."""
-    rows = [*readings, *views]
+@table("reliability", "findings", "secrecy-kinds", "eavesdroppers")
+def reliability(kinds: Sequence[Row], others: Sequence[Row]) -> Lines:
+    """How often what ``text`` states comes true, by what it states."""
+    rows = [*kinds, *others]
     lines: list[tuple[str, ...]] = [STATED_HEAD]
     for low, high, mine in by_stated(rows):
         right = sum(x for _, x in mine)
@@ -200,10 +127,10 @@ def reliability(readings: Sequence[Row], views: Sequence[Row]) -> Lines:
     return lines
 
 
-@table("misstated", "findings", "secrecy-reading", "secrecy-view")
-def misstated(readings: Sequence[Row], views: Sequence[Row]) -> str:
+@table("misstated", "findings", "secrecy-kinds", "eavesdroppers")
+def misstated(kinds: Sequence[Row], others: Sequence[Row]) -> str:
     """Of which classes an exact test rejects what was stated."""
-    rows = [*readings, *views]
+    rows = [*kinds, *others]
     outside, least = [], 1.0
     for low, high, mine in by_stated(rows):
         right = sum(x for _, x in mine)

@@ -79,6 +79,12 @@ def test_a_new_session_voids_what_was_known_by_step() -> None:
     assert all(tap.guesses == {} for tap in state.taps.values())
 
 
+def test_a_true_state_is_that_after_the_step_that_led_to_it() -> None:
+    state = with_plant(state_after(100), tail_k=(99,), tail_true_x=((9.0, -9.0),))
+    assert state.true_states == {100: (9.0, -9.0)}
+    assert state.away == 9.0
+
+
 def test_the_board_stays_bounded() -> None:
     state = state_after(6000)
     plant = plant_of(state)
@@ -261,6 +267,8 @@ def test_a_tap_that_holds_the_message_leaves_nothing_however_she_guesses_symbols
     )
     assert ranked(told)[0][0].status.name == "list-decoder"
     assert secrecy(told).left_bits == 0
+    holds = replace(blind.taps["set-membership"], exact=True)
+    assert secrecy(replace(state, taps={"set-membership": holds})).exceeds
     # Once broken it stays broken, also when she turns to the next message.
     moved_on = with_tap(told, "list-decoder", message="...", seq=10**9)
     assert moved_on.taps["list-decoder"].exact
@@ -282,6 +290,8 @@ def test_a_tap_that_could_not_use_most_steps_keeps_no_secret_of_them() -> None:
     # of one who heard all more is known, though she knows less
     both = {"nearest-centre": one, "set-membership": state.taps["set-membership"]}
     assert secrecy(replace(state, taps=both)).strongest == "nearest-centre"
+    whole = {"nearest-centre": one, "list-decoder": state.taps["list-decoder"]}
+    assert secrecy(replace(state, taps=whole)).strongest == "list-decoder"
     stray = status.model_copy(update={"foreign": 1})
     heard = replace(one, status=stray)
     assert secrecy(replace(state, taps={"nearest-centre": heard})).silent_bits == 0

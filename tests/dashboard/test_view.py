@@ -477,6 +477,8 @@ def test_what_she_holds_of_the_keys_is_told_as_it_is_so() -> None:
         assert "63 keys, 0 bit/s; Eve holds 0 bits of 7 blocks, missed 30 %" in text
         assert f" assumption     {claim}" in text
     assert list(contradictions(holds)) == []
+    two = with_attacker(holds, name="other", key_bits_held=256)
+    assert "Eve holds 256 bits of 7 blocks" in shown(two, 120, 40)
     worse = with_attacker(
         state,
         copies_missed=20,

@@ -21,6 +21,7 @@ from protocol.link.records import ControllerRecord, Loaded
 from protocol.link.session import CountedTransition, Rules
 from protocol.link.step import IDLE, Answered, Step
 from protocol.messages import (
+    ControllerHello,
     ControllerStatus,
     Measurement,
     Offer,
@@ -37,6 +38,7 @@ from protocol.secret.nonces import Contribution
 from protocol.secret.stream import NOTHING_HELD, BlockKeys, Held, Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
+from runtime.errors import USAGE
 from tests.support.asked import NOTHING, Asked, gathered
 from tests.support.end_in_hand import EndInHand, Zeros, fields, status_of, unsaid
 from tests.support.journals import controller_journal
@@ -311,6 +313,33 @@ def test_a_plant_where_the_law_has_no_answer_is_outside_until_it_has_one() -> No
     assert answer.publish == ()
     end.hears(measurement(k=5, applied_k=3, x=(0.0,), x_after=(101.0,)), 2.0)
     assert phase(end) == ("running", False)
+
+
+@pytest.mark.parametrize("record", [None, AT_WORK])
+def test_only_who_has_met_no_plant_gives_up_over_another_model(
+    record: ControllerRecord | None,
+) -> None:
+    end = Told(record=record)
+    end.does(end.core.start(0.0))
+    answer = end.hears(hello(fingerprint="e" * 64), 1.0)
+    (said,) = answer.publish
+    assert isinstance(said, ControllerHello)
+    assert (said.verdict, said.answers) == ("other-model", P)
+    levels = [(n.level, n.subject) for n in answer.notices]
+    if record is not None:
+        assert (end.core.code, (end.core.state.session.state == "refused")) == (None, False)
+        assert levels == [("warning", "refusals")]
+        assert phase(end) == ("greeting", True)
+        return
+    assert (end.core.code, (end.core.state.session.state == "refused")) == (USAGE, True)
+    assert levels == [("warning", "refusals"), ("error", "")]
+    assert phase(end) == ("refused", True)
+    for text in (status_of(end.core).detail, answer.notices[1].text):
+        assert "e" * 8 in text
+        assert "f" * 8 in text
+        assert "e" * 9 not in text
+    stopped = told(gathered(end.core.stop(2.0)))
+    assert stopped["phase"] == "refused", "whoever looks later sees why"
 
 
 # --- alarms ---------------------------------------------------------------------------------------

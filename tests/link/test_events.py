@@ -84,3 +84,14 @@ def test_an_alarm_is_told_with_its_step_its_reading_and_what_was_expected(
 
 
 # --- key blocks -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("reason", "what"),
+    [("unwatched", "too many steps had no digit"), ("digits refused", "the plant denies digits")],
+)
+def test_an_alarm_over_digits_tells_of_no_reading(reason: Reason, what: str) -> None:
+    words = Alarm(S, 2, 31, (0.125, -4.0), reason, 3, (0.5, 2.25), 6.5).sentence()
+    assert what in words
+    assert "31" in words
+    assert "0.125" not in words

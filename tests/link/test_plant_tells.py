@@ -12,13 +12,14 @@ from plant_service.core import PlantCore
 from plant_service.status import PlantTelemetry
 from plant_service.watchdog import FAREWELL_S, MEETING_S
 from protocol.link.distiller import BlockEnded
-from protocol.link.effects import Save
+from protocol.link.effects import Notice, Save
 from protocol.link.events import (
     FELL_BACK,
     Interrupted,
     Missed,
     PowerFailed,
     SessionBegan,
+    Timing,
 )
 from protocol.link.key_events import Appearances
 from protocol.link.pacing import HEALTH_S, LOCKSTEP_REPEAT_S, Pacing, next_turn, phase_of
@@ -317,28 +318,6 @@ def test_a_step_is_told_in_the_status_after_it(news: PlantTelemetry) -> None:
         "tail_true_x": ((7.0,),),
     }
     assert sum(after["latency_counts"]) == 1
-
-
-def test_an_answer_is_timed_from_the_first_copy_of_its_measurement(
-    news: PlantTelemetry, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seconds: list[float] = []
-    monkeypatch.setattr(news, "took", seconds.append)
-    end = Told(news=news).met()
-    end.hears(offer(k=3, session=T), 0.0)
-    assert seconds == []
-    end.wakes(0.0)
-    end.wakes(0.25)  # a repeat
-    end.hears(OFFER, 0.5)
-    assert seconds == [0.5]
-    end.wakes(1.0)
-    end.hears(offer(k=4), 1.125)
-    assert seconds == [0.5, 0.125]
-    end.wakes(2.0)
-    end.wakes(3.0)  # missed
-    end.wakes(3.25)
-    end.hears(offer(k=6), 3.5)
-    assert seconds == [0.5, 0.125, 0.5]
 
 
 def test_an_offer_after_its_step_is_late_once(news: PlantTelemetry) -> None:
@@ -666,3 +645,22 @@ def test_a_plant_that_is_over_ends_with_the_answer_and_hears_nothing_else() -> N
     assert end.core.code is None
     assert end.hears(OFFER, 10.2) == NOTHING
     assert end.core.code == DONE
+
+
+def test_a_plant_that_stops_is_safe_and_closed_and_says_what_failed(news: PlantTelemetry) -> None:
+    machine = Machine()
+    machine.closing = "the valve does not move"
+    end = Told(machine=machine, news=news).met()
+    end.wakes(0.5)  # which is no tick
+    end.wakes(1.0)
+    machine.asked.clear()
+    stopped = gathered(end.core.stop(1.01))
+    assert [what for what, *_ in machine.asked] == ["safe", "close"]
+    assert machine.asked[0][1], "it is told why"
+    assert stopped.events == (Timing(4, 1, (0.0,) * 3, (), 0),)
+    assert stopped.notices == (Notice("the valve does not move", "error"),)
+    status = stopped.publish[-1]
+    assert isinstance(status, PlantStatus)
+    assert (status.phase, status.k) == ("stopped", 4)
+    assert stopped.health == status, "the last status is kept"
+    assert stopped.save == Save(end.core.state.record)

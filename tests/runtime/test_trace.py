@@ -3,8 +3,6 @@
 import hashlib
 import json
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -120,26 +118,3 @@ def test_what_is_no_regular_file_is_refused_by_name(tmp_path: Path) -> None:
             TraceWriter(path, "plant", {})
         assert caught.value.filename == str(path)
     assert not (tmp_path / "elsewhere").exists()
-
-
-def test_a_line_that_is_not_written_whole_is_an_error(tmp_path: Path) -> None:
-    """A limit on the file's size cuts a write short, and only the next one fails."""
-    path = tmp_path / "t"
-    script = (
-        "import resource, sys\n"
-        "from pathlib import Path\n"
-        "from runtime.recording import TraceWriter\n"
-        "writer = TraceWriter(Path(sys.argv[1]), 'plant', {})\n"
-        "size = Path(sys.argv[1]).stat().st_size\n"
-        "resource.setrlimit(resource.RLIMIT_FSIZE, (size + 30, size + 30))\n"
-        "try: writer.write({'event': 'e', 'long': 'x' * 60})\n"
-        "except OSError as error: print(error.filename)\n"
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", script, str(path)], capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == str(path)
-    write(path, {"event": "b"})
-    trace = read_trace(path)
-    assert [e["event"] for e in trace.events] == ["b"]
-    assert trace.torn == 1

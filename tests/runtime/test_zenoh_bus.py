@@ -330,7 +330,7 @@ def test_a_frozen_listener_does_not_hold_up_the_publisher_or_the_others() -> Non
             slowest = max(slowest, time.monotonic() - before)
             sent += 1
             time.sleep(0.0001)
-        assert slowest < 1.0
+        assert slowest < 1.9
 
         def heard() -> bool:
             publisher.put(b"last")  # again and again: a busy machine's way may be full

@@ -60,24 +60,6 @@ def test_a_disturbed_plant_is_the_engines(kind: str, system: System, tmp_path: P
     assert mine.input_effort == pytest.approx(engine.input_effort)
 
 
-@pytest.mark.parametrize("kind", ["python", "fmi2", "fmi3", "gymnasium"])
-def test_an_undisturbed_plant_is_the_engines(
-    kind: str, undisturbed: System, tmp_path: Path
-) -> None:
-    scenario = undisturbed.scenario
-    engine = simulate_runs(scenario, undisturbed.law, seed=3, runs=range(1), steps=60, record=True)
-    mine = simulate_runs(
-        quiet(scenario),
-        undisturbed.law,
-        plant=lambda: operated(line(kind, tmp_path)),
-        record=True,
-        seed=3,
-        runs=range(1),
-        steps=60,
-    )
-    same(engine, mine)
-
-
 def tables(undisturbed: System) -> dict[str, object]:
     data = undisturbed.scenario.model_dump(exclude_none=True)
     plant = data["plant"]

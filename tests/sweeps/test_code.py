@@ -130,7 +130,7 @@ def imported(statement: str) -> set[str]:
         ),
         (
             "from studies.secrecy.study import Task, measure;"
-            "[measure(Task('view', 'clear', tap, 0, 9)) for tap in ('learning', 'oracle')]",
+            "[measure(Task('ladder', 'clear', tap, 0, 9)) for tap in ('learning', 'oracle')]",
             "studies.secrecy.study",
             DOORS,
         ),

@@ -130,15 +130,6 @@ def test_every_message_is_heard_or_counted_as_skipped(
     assert heard[-kept:] == list(run.messages[-kept:])
 
 
-def test_nothing_is_skipped_by_one_who_keeps_up(
-    run: Run, tmp_path: Path, heard: list[object]
-) -> None:
-    record(run, tmp_path, 10_000, View())
-    with started(run, tmp_path) as pipe:
-        assert status_when_caught_up(pipe).dropped == 0
-    assert heard == list(run.messages)
-
-
 def test_it_waits_for_a_capture_of_its_own_settings(
     run: Run, tmp_path: Path, heard: list[object]
 ) -> None:

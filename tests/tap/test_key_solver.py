@@ -1,8 +1,10 @@
 """The one who goes for the keys, on messages of the two real ends: what she holds is what is."""
 
+import logging
 import random
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from typing import cast
 
 import pytest
 
@@ -14,11 +16,10 @@ from protocol.secret.bound import Assumption
 from protocol.secret.extractor import extracted
 from protocol.secret.key_digits import digits
 from protocol.secret.stream import Position
-from tap_service.capture.transcript import Transcript
 from tap_service.eavesdroppers import KnowledgeError, named
 from tap_service.eavesdroppers.base import KeysHeld
 from tap_service.eavesdroppers.key_solver import KeySolver
-from tap_service.listening import Listener
+from tap_service.listening import Listener, Listeners
 from tests.support.held_memory import kept
 from tests.support.keyed_pair import KeyedPair, keyed_rules
 from tests.support.mail import Mail
@@ -87,30 +88,25 @@ def words_of(
     ]
 
 
+def fed(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> Listener:
+    """Feed her as the tap does."""
+    listeners = Listeners({"key-solver": knowledge}, lambda _line: None, logging.getLogger("test"))
+    for message in messages:
+        listeners.hear(message)
+    listeners.finish()
+    (listener,) = listeners.listeners
+    assert not listener.failed
+    return listener
+
+
 def solver_of(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeySolver:
     """One who heard these, to be asked for keys."""
-    solver, transcript = KeySolver(knowledge), Transcript()
-    for message in messages:
-        solver.hear(message)
-        for transition in transcript.hear(message):
-            solver.observe(transition)
-    for transition in transcript.flush():
-        solver.observe(transition)
-    return solver
+    return cast("KeySolver", fed(messages, knowledge).tap)
 
 
 def held_by(messages: Iterable[FieldMessage], knowledge: Knowledge = KNOWLEDGE) -> KeysHeld:
-    """Feed her as the tap does."""
-    listener = Listener(named("key-solver"), knowledge)
-    transcript = Transcript()
-    for message in messages:
-        listener.hear(message)
-        for transition in transcript.hear(message):
-            listener.observe(transition)
-    for transition in transcript.flush():
-        listener.observe(transition)
-    keys = listener.belief().keys
-    assert not listener.failed
+    """What she says that she holds."""
+    keys = fed(messages, knowledge).belief().keys
     assert keys is not None
     return keys
 
@@ -190,21 +186,23 @@ def test_she_keeps_no_more_of_many_blocks_than_of_a_few(
     schedule = schedule_of(claim)
     assert schedule is not None
     world = Recorded(claim, lambda _: False)
-    listener = Listener(named("key-solver"), KNOWLEDGE.model_copy(update={"keys": claim}))
-    transcript = Transcript()
+    listeners = Listeners(
+        {"key-solver": KNOWLEDGE.model_copy(update={"keys": claim})},
+        lambda _line: None,
+        logging.getLogger("test"),
+    )
+    (listener,) = listeners.listeners
     most = list[tuple[int, int]]()
     last = size(36, 60)
     for blocks in (10, 11, 20, last):
         while world.journals["plant"].load().record.link.transitions < schedule.begins(blocks) + 9:  # type: ignore[union-attr]
             world.well(20)
         for message in without(world.field, loss, blocks):
-            listener.hear(message)
-            for transition in transcript.hear(message):
-                listener.observe(transition)
+            listeners.hear(message)
         world.field.clear()
         keys = listener.belief().keys
         assert not listener.failed
-        most.append(kept([listener, transcript]))
+        most.append(kept([listeners]))
     world.close()
     assert keys is not None
     assert keys.blocks >= last - 2

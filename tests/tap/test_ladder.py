@@ -126,13 +126,6 @@ def test_the_smoother_gains_over_the_list_decoder_when_messages_are_lost() -> No
     assert smooth.keys_reviewed.right - blind > 1.15 * (plain.keys_reviewed.right - blind)
 
 
-def test_the_smoother_is_the_list_decoder_on_a_clear_view() -> None:
-    run = simulate(500, 2, payloads=[b"Go now"])
-    said, scored = play(run, "smoother")
-    assert said.belief.whole == tuple(p for _, p in run.truth.whole) != ()
-    assert scored.bits.right == scored.bits.of
-
-
 def keeping(steps: int, patch: pytest.MonkeyPatch) -> None:
     """She lets go of the older half of so many."""
     patch.setattr(reading, "KEPT", steps)
@@ -182,11 +175,6 @@ def test_second_thoughts_on_what_she_lets_go_are_told(monkeypatch: pytest.Monkey
 
 def test_alpha_one_agrees_no_key() -> None:
     assert not simulate(1000, 1, alpha=1.0).truth.keys
-
-
-def test_the_oracle_on_a_clear_view_guesses_every_key() -> None:
-    _, scored = play(simulate(1000, 5), "oracle")
-    assert scored.keys_reviewed.every
 
 
 def knowing(run: Run, name: str) -> Knowledge:
@@ -439,22 +427,3 @@ def test_a_file_with_a_dataclass_and_late_annotations_is_loaded(tmp_path: Path) 
         "    def observe(self, t): ...\n    def belief(self): ...\n"
     )
     assert named(f"{file}:Late").name == "late"
-
-
-def test_one_who_fails_stops_alone() -> None:
-    class Broken(Odd):
-        name = "broken"
-
-        def observe(self, transition: Transition) -> Guess:
-            raise RuntimeError("no\nidea")
-
-        def belief(self) -> Belief:
-            raise AssertionError("not asked any more")
-
-    run = simulate(3, 0)
-    listener = Listener(Broken, run.scenario.knowledge())
-    for transition in heard_by(run, CLEAR):
-        assert listener.observe(transition) is None
-    assert listener.failed == "step 0: RuntimeError: no idea"
-    assert listener.belief().message == b""
-    assert listener.review() == ()

@@ -340,17 +340,6 @@ def test_random_bytes_are_reported_as_such(seed: int) -> None:
     assert left[0] < left[1] + 1.0  # what it costs to have thought of a text
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_random_bytes_of_which_the_check_says_all_are_read(seed: int) -> None:
-    payload = random.Random(seed).randbytes(20)
-    steps = stretch(payload, 4, "pipelined", seed, missed=0.05, agree=1.0)
-    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=400)
-    (message,) = reader.read(steps, (0.0, 1.0), {})
-    assert (message.payload, message.whole) == (payload, True)
-    assert message.probability > 0.9
-    assert message.bits_left < 1
-
-
 @pytest.mark.long
 def test_two_messages_and_one_under_way() -> None:
     first, second = b"The first one was short", b"and the second came later"
@@ -416,24 +405,6 @@ def test_where_no_message_has_its_check_nothing_is_claimed_and_the_next_one_is_r
     assert two.probability > 0.9
 
 
-@pytest.mark.parametrize("seed", [1, 3])
-def test_what_she_does_not_have_leaves_bits(seed: int) -> None:
-    """Twelve steps taken for the wrong symbols; asked before the message is over and after."""
-    payload = b"Send the keys"
-    steps = stretch(payload, 4, "pipelined", seed, missed=0.1, agree=1.0)
-    for i in random.Random(seed).sample(range(20, 80), 12):
-        samples = steps[i].samples
-        assert samples is not None
-        steps[i] = InferredStep(steps[i].transition, np.roll(samples, 1 + seed % 3, axis=1))
-    reader = MessageReader(make_scheme("pipelined", 4), expected(), certain=True, beam=100)
-    for part in (steps[:60], steps):
-        messages = reader.read(part, (0.0, 1.0), {})
-        assert messages
-        for message in messages:
-            assert message.probability < 0.5
-            assert message.bits_left > 3
-
-
 def test_silence_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     """A third missed: all steps after a message are silence, and read without a search."""
     payload = b"Send the spare keys by noon"
@@ -462,38 +433,8 @@ def test_silence_is_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     assert len(searches) == 1
 
 
-@pytest.mark.parametrize("seed", range(8))
-def test_a_message_of_which_half_was_missed_is_no_silence(seed: int) -> None:
-    table, states = closed("pipelined", 4)
-    steps = stretch(b"Up", 4, "pipelined", seed, missed=0.5, agree=1.0)
-    _, after = verdicts_of(steps, (0.0, 1.0), 4, certain=True)
-    pads = table.pad[:states]
-    verdicts = np.where((pads >= 0)[:, None], after[:, pads], after[:, 0][:, None])
-    ciphers = [-1 if s.transition.cipher is None else s.transition.cipher for s in steps]
-    lattice = Lattice(table, verdicts, np.array(ciphers), np.eye(states)[0], np.ones(len(ciphers)))
-    begin = np.full((lattice.steps + 1, states), -np.inf)
-    begin[0, 0] = 0.0
-    assert not MessageSearch(lattice, any_bytes()).silent(begin)
-
-
 FOLLOWED = size(600, BEAM)
 """Beginnings of a message that are followed at once."""
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", size([1003], [1003, 1012]))
-def test_the_scale_of_the_noise_is_not_found_by_the_steps_at_which_the_law_does_not_hold(
-    seed: int,
-) -> None:
-    """From (4, -2): the first five steps are unlikely by the law under every scale."""
-    run = simulate(size(48, 80), seed, name="packed", payloads=[b"x" * 20])
-    view = View(seed=seed, noise=0.05)
-    heard = heard_by(run, view)
-    inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
-    alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
-    keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard]
-    said = [float(alone[i, key + 1]) for i, key in enumerate(keys) if key >= 0]
-    assert min(said) > 0.005  # never sure of another one
 
 
 @cache
@@ -551,22 +492,24 @@ def test_rows_that_differ_are_those_of_a_set_in_order_with_their_first_places() 
 
 
 @pytest.mark.long
-def test_the_first_steps_of_a_session_are_inferred_without_the_law_that_does_not_hold_there() -> (
-    None
-):
+@pytest.mark.parametrize(
+    ("seeds", "steps", "view"),
+    [(range(1000, 1006), size(36, 60), {"loss": 0.5}), ([1003], size(48, 80), {"noise": 0.05})],
+)
+def test_a_session_s_first_steps_are_inferred_without_the_law_that_does_not_hold_there(
+    seeds: Sequence[int], steps: int, view: dict[str, float]
+) -> None:
     """From (4, -2) it takes some six steps until the facets of T_0 bound the input."""
     said: list[float] = []
-    for seed in range(1000, 1006):
-        run = simulate(size(36, 60), seed, name="packed", payloads=[b"x" * 20])
-        view = View(seed=seed, loss=0.5)
-        heard = heard_by(run, view)
-        inferred = Inference(view.knowledge(run.scenario.knowledge())).infer(heard)
+    for seed in seeds:
+        run = simulate(steps, seed, name="packed", payloads=[b"x" * 20])
+        heard_as = View.model_validate({**view, "seed": seed})
+        heard = heard_by(run, heard_as)
+        inferred = Inference(heard_as.knowledge(run.scenario.knowledge())).infer(heard)
         alone, _ = verdicts_of(inferred.steps, inferred.among, 4, certain=True)
-        for i, t in enumerate(heard[:8]):
-            key = run.truth.keys.get((t.session, t.k), -1)
-            if key >= 0:
-                said.append(float(alone[i, key + 1]))
-    assert len(said) > 30
+        keys = [run.truth.keys.get((t.session, t.k), -1) for t in heard[:8]]
+        said += [float(alone[i, key + 1]) for i, key in enumerate(keys) if key >= 0]
+    assert len(said) > 5 * len(seeds)
     assert min(said) > 0.005  # never sure of another one
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from protocol.knowledge import Knowledge
-from studies.eavesdroppers import MEASUREMENTS, Condition, made_of, simulated
-from studies.listeners import heard_by
+from studies.listeners import heard, heard_by
 from studies.secrecy.runs import simulate
 from studies.secrecy.study import heard_by as heard_of
 from tap_service.capture.channel import View
@@ -13,6 +12,7 @@ from tap_service.capture.transcript import Transition
 from tap_service.inference.inferred import InferredStep
 from tap_service.inference.policy import KnownLaw
 from tap_service.inference.unheard_offers import infer_from_readings, unit_offsets
+from tests.support.shipped_run import shipped_run
 from wyner.simulate.engine import transfer
 from wyner.simulate.engine.taps import transcript
 
@@ -40,8 +40,8 @@ def by_readings(k: Knowledge, heard: list[Transition], noise: float = 0.0) -> li
     ],
 )
 def test_the_keys_of_every_plant_by_its_readings(scenario: str, steps: int, least: float) -> None:
-    condition = Condition(scenario, MEASUREMENTS, steps, sentence=False)
-    (made,) = made_of(condition, 1, ("text",))
+    run = shipped_run(scenario, steps, 1)
+    (made,) = heard(("text",), run, View(view="measurements", seed=1))
     assert made.keys
     assert made.known > least * made.keys
 
@@ -50,7 +50,7 @@ def test_the_keys_of_every_plant_by_its_readings(scenario: str, steps: int, leas
     "scenario", ["packed", "packed-quadruple-tank", "packed-batch-reactor", "unicycle"]
 )
 def test_one_of_the_shapes_is_the_alphabet(scenario: str) -> None:
-    runs = simulated(scenario, 2, 0)
+    runs, _ = shipped_run(scenario, 2, 0)
     k = runs.scenario.knowledge()
     assert runs.candidates is not None
     offer = runs.candidates[1, :, :, 0]
@@ -65,17 +65,16 @@ def test_one_of_the_shapes_is_the_alphabet(scenario: str) -> None:
 
 
 def test_how_sure_she_is_of_a_step_is_how_often_she_is_right() -> None:
-    runs = simulated("noisy", 400, 3)
+    runs, _ = shipped_run("noisy", 400, 3)
     link = transfer(runs, payloads=[])
-    view = View(view="measurements")
-    heard = heard_by(list(transcript(runs, link, 0)), view)
+    said = heard_by(list(transcript(runs, link, 0)), View(view="measurements"))
     stated, right = 0.0, 0
-    for step in by_readings(runs.scenario.knowledge(), heard):
+    for step in by_readings(runs.scenario.knowledge(), said):
         assert step.samples is not None
         shares = np.bincount(step.samples.argmin(axis=1), minlength=3) / len(step.samples)
         stated += float(shares.max())
         right += int(shares.argmax()) == runs.coin[step.transition.k, 0]
-    assert abs(stated - right) < 0.06 * len(heard)
+    assert abs(stated - right) < 0.06 * len(said)
 
 
 @pytest.mark.parametrize("name", ["sustained", "packed"])
