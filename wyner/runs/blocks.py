@@ -2,13 +2,13 @@
 
 from collections.abc import Iterator
 from itertools import count
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from protocol.secret.blocks import Schedule
-from wyner.runs.lines import TRANSITION, BlockLine
-from wyner.runs.trace import Trace
+from wyner.runs.lines import BlockLine
+from wyner.runs.trace import Indices, Places, Trace
 
 
 class TracedBlock(NamedTuple):
@@ -27,9 +27,9 @@ class TracedBlock(NamedTuple):
 
     session: str
     number: int
-    rows: np.ndarray[Any, np.dtype[np.int64]]
+    rows: Indices
     steps: int
-    counts: np.ndarray[Any, np.dtype[np.int64]]
+    counts: Indices
 
     @property
     def counted(self) -> int:
@@ -45,31 +45,23 @@ class Blocks:
     """The whole blocks of a trace, by session and number."""
 
     def __init__(self, schedule: Schedule, trace: Trace) -> None:
-        self._schedule, self._rows = schedule, trace.rows
-        self._sessions: dict[str, Any] = {}
-        number = trace.rows["session"]
-        for i, name in enumerate(trace.sessions):
-            first, last = np.searchsorted(number, [i, i + 1])
-            here = first + np.flatnonzero(trace.rows["kind"][first:last] == TRANSITION)
-            self._sessions[name] = here.astype(np.int32)
+        self._schedule, self._trace = schedule, trace
+        self._places = Places(trace, trace.rows, by="j")
 
     def of(self, session: str, number: int) -> TracedBlock | None:
         """One of them; None where it is not whole, or does not follow a transition."""
-        here = self._sessions.get(session)
-        if here is None:
-            return None
         first, length = self._schedule.begins(number), self._schedule.length(number)
-        at, after = np.searchsorted(self._rows["j"][here], [first, first + length])
-        if at == 0 or after - at != length:
+        j = np.arange(first - 1, first + length)
+        at = self._places.all_of(self._places.session(session), j)
+        if (at < 0).any():
             return None
-        rows, k = here[at:after], self._rows["k"]
-        counts = np.array(
-            [self._schedule.assumption.counting(n) for n in self._rows["counts"][rows].tolist()]
-        )
-        return TracedBlock(session, number, rows, int(k[rows[-1]] - k[here[at - 1]]), counts)
+        rows, k = at[1:], self._trace.rows["k"]
+        assumption = self._schedule.assumption
+        counts = [assumption.counting(n) for n in self._trace.rows["counts"][rows].tolist()]
+        return TracedBlock(session, number, rows, int(k[rows[-1]] - k[at[0]]), np.array(counts))
 
     def __iter__(self) -> Iterator[TracedBlock]:
-        for session in self._sessions:
+        for session in self._trace.sessions:
             for number in count():
                 block = self.of(session, number)
                 if block is None:

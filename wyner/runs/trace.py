@@ -8,7 +8,7 @@ number of rows that came before it.
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, Literal, NamedTuple
 
 import numpy as np
 from pydantic import ValidationError
@@ -564,14 +564,23 @@ _NUMBERS: Final = frozenset({"j", "cipher", "symbol", "key", "message_symbol", "
 
 
 class Places:
-    """Where the rows of a trace stand, by session and step; by default those of :attr:`steps`."""
+    """Where the rows of a trace stand, by session and step or transition.
 
-    def __init__(self, trace: Trace, rows: Rows | None = None) -> None:
+    Parameters
+    ----------
+    trace : Trace
+    rows : structured array, optional
+        Its :attr:`Trace.steps` by default.
+    by : {"k", "j"}, optional
+        Whether they are numbered by step, or by transition.
+    """
+
+    def __init__(self, trace: Trace, rows: Rows | None = None, by: Literal["k", "j"] = "k") -> None:
         rows = trace.steps if rows is None else rows
         self._sessions = {name: i for i, name in enumerate(trace.sessions)}
         keys = rows["session"].astype(np.int64)
         keys <<= 32
-        keys |= rows["k"]
+        keys |= rows[by]
         self._order = np.argsort(keys, kind="stable").astype(np.int32)
         self._keys = keys[self._order]
 
@@ -579,13 +588,13 @@ class Places:
         """A session's number; -1 of one that the trace does not have."""
         return self._sessions.get(name, -1)
 
-    def all_of(self, sessions: Indices, k: Indices) -> Indices:
-        """The row of each step, its session given as a number; -1 where there is none."""
+    def all_of(self, sessions: Indices | int, numbers: Indices) -> Indices:
+        """The row of each number, its session given as one, too; -1 where there is none."""
         if not len(self._keys):
-            return np.full(len(k), -1)
-        keys = sessions << 32 | np.maximum(k, 0)
+            return np.full(len(numbers), -1)
+        keys = np.int64(sessions) << 32 | np.maximum(numbers, 0)
         at = np.minimum(np.searchsorted(self._keys, keys), len(self._keys) - 1)
-        there = (self._keys[at] == keys) & (sessions >= 0) & (k >= 0)
+        there = (self._keys[at] == keys) & (np.int64(sessions) >= 0) & (numbers >= 0)
         return np.where(there, self._order[at], -1)
 
     def of(self, session: str, k: int) -> int:

@@ -8,7 +8,7 @@ from protocol.agreement import NO_SYMBOL
 from wyner.runs.blocks import Blocks, ended
 from wyner.runs.check.evidence import Evidence, Finding, Findings
 from wyner.runs.lines import TRANSITION
-from wyner.runs.trace import Rows, Trace
+from wyner.runs.trace import Places, Rows, Trace
 
 OWN: Final = ("session", "coin", "u", "expected", "true_x", "true_u")
 """What one end alone knows, or numbers by itself."""
@@ -24,37 +24,29 @@ def in_step(e: Evidence) -> Findings:
     """Both ends agree on every transition; the controller's may lack the last of a session."""
     if e.plant is None or e.controller is None:
         return
-    plant, controller = e.plant, e.controller
-    here = np.flatnonzero(plant.rows["kind"] == TRANSITION).astype(np.int32)
-    rows = plant.rows
-    numbers = (rows["session"][here].astype(np.int64) << 32) + rows["j"][here]
-    order = np.argsort(numbers, kind="stable").astype(np.int32)
-    numbers, here = numbers[order], here[order]
-    names = {name: i for i, name in enumerate(plant.sessions)}
-    known = np.array([names.get(name, len(names)) for name in controller.sessions], int)
-    met = np.zeros(len(here), bool)
+    plant, controller, rows = e.plant, e.controller, e.plant.rows
+    places = Places(plant, rows, by="j")
+    known = np.array([places.session(name) for name in controller.sessions], np.int64)
+    met = np.zeros(len(rows), bool)
     begun = not (plant.gone or controller.gone)  # else they are compared from where they meet
     for theirs in controller.chunks(TRANSITION):
-        wanted = (known[theirs["session"]] << 32) + theirs["j"]
-        at = np.searchsorted(numbers, wanted)
-        there = at < len(numbers)
-        there[there] = numbers[at[there]] == wanted[there]
+        at = places.all_of(known[theirs["session"]], theirs["j"])
+        there = at >= 0
         for i in np.flatnonzero(~there) if begun else ():
-            if plant.may_lack(*controller.where(theirs[i])):
-                continue
-            text = "the plant's trace does not have this transition"
-            yield Finding("in-step", *controller.where(theirs[i]), text)
+            if not plant.may_lack(*controller.where(theirs[i])):
+                text = "the plant's trace does not have this transition"
+                yield Finding("in-step", *controller.where(theirs[i]), text)
         if not begun and there.any():
             met[: at[there][0]] = begun = True
         met[at[there]] = True
-        yield from _compared(e, plant, rows[here[at[there]]], theirs[there])
-    sessions = numbers >> 32
-    last = np.append(sessions[1:] != sessions[:-1], True)[: len(met)]
-    for i in here[~met & ~last] if begun else ():
-        if controller.may_lack(*plant.where(rows[i])):
-            continue
-        text = "the controller has not counted this one, but the plant goes on"
-        yield Finding("in-step", *plant.where(rows[i]), text)
+        yield from _compared(e, plant, rows[at[there]], theirs[there])
+    made = np.flatnonzero(rows["kind"] == TRANSITION)
+    sessions = rows["session"][made]
+    last = np.append(sessions[1:] != sessions[:-1], True)[: len(made)]
+    for i in made[~met[made] & ~last] if begun else ():
+        if not controller.may_lack(*plant.where(rows[i])):
+            text = "the controller has not counted this one, but the plant goes on"
+            yield Finding("in-step", *plant.where(rows[i]), text)
 
 
 def _compared(e: Evidence, plant: Trace, p: Rows, c: Rows) -> Findings:
