@@ -89,7 +89,7 @@ class LineWriter:
     def __init__(self, path: Path, header: Mapping[str, Any], *, new: bool = False) -> None:
         self.path = path
         self.size = 0
-        self.disk: Callable[[int, bytes], int] = os.write
+        self.disk: Callable[[int, bytes], int] = _write
         self._whole = True
         self.count = 0
         self._digest = hashlib.sha256()
@@ -159,6 +159,10 @@ class LineWriter:
         assert self._file is not None
         os.close(self._file)
         self._file = None
+
+
+def _write(file: int, data: bytes) -> int:
+    return os.write(file, data)
 
 
 def dumps(event: Mapping[str, Any]) -> bytes:
