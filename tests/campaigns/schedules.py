@@ -186,8 +186,6 @@ def network_of(seed: int) -> Network:
         }
         if draw.random() < 0.4:
             table |= {"loss_bad": 0.9, "to_bad": 0.1, "to_good": 0.4}
-        if draw.random() < 0.2:
-            table["rate_hz"] = 50.0
         return table
 
     return Network.model_validate({"to_plant": way(), "to_controller": way(), "seed": seed})
