@@ -156,7 +156,7 @@ class RecordedPair(Pair):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / SCENARIO).write_text(text, encoding="utf-8")
         view = {"view": "both", "loss": 0.0, "noise": 0.0, "quantise": 0.0, "delay": 0}
-        header = {"capture_version": 2, "part": 0, "view": view}
+        header = {"capture_version": 2, "view": view}
         self._capture = TraceWriter(folder / CAPTURE, "tap", header)
         self._clear_alarm = False
         for side in SIDES:
