@@ -66,10 +66,11 @@ class Stepper:
         rules = self.state.rules
         if len(offer.candidates) != rules.size:
             return f"offer.candidates: got {len(offer.candidates)}, expected {rules.size}"
-        if any(len(u) != rules.inputs for u in offer.candidates):
-            return f"offer.candidates: expected {rules.inputs} inputs in each"
-        if not all(map(rules.admissible, offer.candidates)):
-            return "offer.candidates: expected inputs in U"
+        for u in offer.candidates:
+            if len(u) != rules.inputs:
+                return f"offer.candidates: expected {rules.inputs} inputs in each"
+            if not rules.admissible(u):
+                return "offer.candidates: expected inputs in U"
         if offer.cipher >= rules.size:
             return f"offer.cipher: got {offer.cipher}, expected below {rules.size}"
         return rules.malformed_predictions(offer.predictions) or rules.malformed_digits(

@@ -89,6 +89,8 @@ class Gauge:
                 a = abs(v[0]) / widths[0]
                 b = abs(v[1]) / widths[1]
                 return a if a >= b else b
+            if len(widths) == 1:
+                return abs(v[0]) / widths[0]
             return max(abs(c) / w for c, w in zip(v, widths, strict=True))
         largest = 0.0
         for row, bound in zip(self.H, self.h, strict=True):

@@ -130,7 +130,7 @@ def module_at(where: str, folder: Path = Path()) -> tuple[ModuleType, str]:
         raise UnknownError(f"{path}: no such file{beside}") from None
     except ModuleNotFoundError as error:
         raise UnknownError(f"{where}: {error}") from None
-    except Exception as error:  # the code is the user's: what it raises is told in one line
+    except (Exception, SystemExit) as error:  # what a user's code raises is told in one line
         raise UnknownError(f"{where}: cannot be loaded: {type(error).__name__}: {error}") from error
 
 

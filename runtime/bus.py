@@ -28,7 +28,7 @@ class ChannelClosed(Exception):
     """Nothing comes from this channel any more."""
 
 
-class Channel(Protocol):
+class BusChannel(Protocol):
     """Messages of others that wait to be taken by one thread; the newest push out the oldest."""
 
     def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:
@@ -62,7 +62,7 @@ class Bus(Protocol):
         ``patient``: they may gather for some milliseconds, which spares the processor.
         """
 
-    def channel(self, key_expr: str, capacity: int) -> Channel:
+    def channel(self, key_expr: str, capacity: int) -> BusChannel:
         """The messages of others that fit, for a thread that waits for them."""
 
     def appearances(self) -> int:
@@ -115,7 +115,7 @@ class Overheard(Bus):
         """A publisher on one key."""
         return _NotedPublisher(self._bus.publisher(key, many=many), key, self._noted_put)
 
-    def channel(self, key_expr: str, capacity: int) -> Channel:
+    def channel(self, key_expr: str, capacity: int) -> BusChannel:
         """The messages of others that fit."""
         channel = self._bus.channel(key_expr, capacity)
         return channel if self._noted_taken is None else _NotedChannel(channel, self._noted_taken)
@@ -147,7 +147,7 @@ class _NotedPublisher:
 
 
 class _NotedChannel:
-    def __init__(self, channel: Channel, note: Note) -> None:
+    def __init__(self, channel: BusChannel, note: Note) -> None:
         self._receive, self.close, self._note = channel.receive, channel.close, note
 
     def receive(self, *, wait: bool) -> list[tuple[str, bytes]]:

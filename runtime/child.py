@@ -8,7 +8,6 @@ runs with the rights of the user who started the service: these bounds are for m
 against malice.
 """
 
-import ctypes
 import os
 import signal
 import subprocess
@@ -27,8 +26,6 @@ MEMORY: Final = 2 * 2**30
 
 LOOK_S: Final = 0.1
 """Seconds between two looks whether a child that says nothing is still there."""
-
-_PR_SET_PDEATHSIG: Final = 1
 
 
 class Child:
@@ -115,14 +112,6 @@ def ignore_signals() -> None:
 def line_of_child() -> Connection:
     """The line to the service, in the child."""
     return Connection(int(sys.argv[-1]))
-
-
-def die_with(parent: int) -> None:
-    """End this process at once when the thread of ``parent`` that started it ends."""
-    if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
-    if os.getppid() != parent:
-        os._exit(1)
 
 
 def limit_memory() -> None:

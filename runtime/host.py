@@ -24,7 +24,7 @@ from protocol.messages import FIELD as FIELD_MESSAGES
 from protocol.messages import Message
 from protocol.secret.blocks import ExtractedBlock, ExtractionFailed
 from protocol.topics import every_loop, key_of
-from runtime.bus import Bus, Channel, ChannelClosed, Publisher
+from runtime.bus import Bus, BusChannel, ChannelClosed, Publisher
 from runtime.errors import DONE, Failure
 from runtime.health_files import HealthFiles, HealthWriter
 from runtime.inbox import Inbox
@@ -151,7 +151,7 @@ class Host:
         self._by_key: dict[str, tuple[str, type[Message]]] = {}
         self._wakes: list[tuple[float, str]] = []
         self._inbox: Inbox[tuple[str, bytes] | _Extracted | None] = Inbox()
-        self.channels: dict[str, Channel] = {}
+        self.channels: dict[str, BusChannel] = {}
         self._heard_on_management: set[str] = set()
         self._threads: list[threading.Thread] = []
         self._extraction: Extraction | None = None
@@ -248,7 +248,7 @@ class Host:
         if self._error is not None:
             raise self._error
 
-    def _listen(self, channel: Channel) -> None:
+    def _listen(self, channel: BusChannel) -> None:
         """The field bus's own thread: nobody else is woken for a step."""
         waiting: deque[tuple[str, bytes]] = deque()
         try:

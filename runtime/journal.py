@@ -23,7 +23,7 @@ import os
 import sqlite3
 import weakref
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from struct import Struct
@@ -33,13 +33,12 @@ from zlib import crc32
 from pydantic import TypeAdapter, ValidationError
 
 from protocol.agreement import NO_SYMBOL
-from protocol.link.distiller import NO_ROWS
 from protocol.link.effects import Save
 from protocol.link.records import INITIAL_ID, ControllerRecord, Loaded, PlantRecord, R
 from protocol.link.step import IDLE, Answered, Begun, Read, Step
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import NO_PART, Held, Keys, Part
+from protocol.secret.stream import NO_PART, BlockKeys, Held, Part
 from runtime.errors import Failure
 from runtime.files import make_folder, open_private
 
@@ -199,7 +198,7 @@ class Journal(ABC, Generic[R]):
         """What was saved last."""
         self._saved, self._rows = None, {}
         batches = [rows for _, rows in self._get("row")]
-        keys = tuple(Keys(*row) for row in self._get("stream"))
+        keys = tuple(BlockKeys(*row) for row in self._get("stream"))
         for _, record, offer, coin, measurement, of_keys in self._get("step"):
             part, newest = _keys_of(of_keys)
             self._rows = {row.j: _packed(row) for row in _unpacked(newest)}
@@ -229,7 +228,8 @@ class Journal(ABC, Generic[R]):
         try:
             if save.durable:
                 execute("PRAGMA synchronous=FULL")
-            beside = [*self._of_keys(save), *self._more(save)]
+            beside = self._of_keys(save)
+            beside += self._more(save)
             if beside:
                 execute("BEGIN IMMEDIATE")
                 for statement in beside:
@@ -257,45 +257,50 @@ class Journal(ABC, Generic[R]):
         check = check_of(0, record, offer, coin, measurement, keys)
         return record, offer, coin, measurement, keys, check
 
-    def _of_keys(self, save: Save) -> Sequence[Statement]:
+    def _of_keys(self, save: Save) -> list[Statement]:
         """What is written of key blocks and of the key stream beside the step's row."""
-        same = self._saved is not None and save.record.session.id == self._saved.session.id
-        return () if same and save.rows is NO_ROWS else tuple(self._changed(save))
-
-    def _changed(self, save: Save) -> Iterator[Statement]:
+        contributions, obsolete, of_blocks, _ = save.rows
+        statements: list[Statement] = []
         if self._saved is None or save.record.session.id != self._saved.session.id:
             self._rows = {}
             if self._boot_due is not None:
-                yield "UPDATE meta SET value = ? WHERE name = 'boot'", (self._boot_due,)
+                boot = "UPDATE meta SET value = ? WHERE name = 'boot'"
+                statements.append((boot, (self._boot_due,)))
                 self._boot_due = None
-            for table in self.of_session:
-                yield f"DELETE FROM {table}", ()
-        obsolete = save.rows.obsolete_rows
-        for over in obsolete:
-            yield from self._without(over)
-        for row in save.rows.contributions:
-            if not any(row.j in over for over in obsolete):
+            statements += [(f"DELETE FROM {table}", ()) for table in self.of_session]
+        if obsolete:
+            statements += self._without(obsolete)
+        for row in contributions:
+            if not (obsolete and _within(row.j, obsolete)):
                 self._rows[row.j] = _packed(row)
             if row.j % BATCH == BATCH - 1 and self._rows:
-                yield self._row("row", row.j // BATCH, b"".join(self._rows.values()))
+                batch = b"".join(self._rows.values())
+                statements.append(self._row("row", row.j // BATCH, batch))
                 self._rows = {}
-        for keys in save.rows.keys:
+        for keys in of_blocks:
             if keys.keys:
-                yield self._row("stream", *keys)
+                statements.append(self._row("stream", *keys))
             else:
-                yield "DELETE FROM stream WHERE block = ?", (keys.block,)
+                statements.append(("DELETE FROM stream WHERE block = ?", (keys.block,)))
+        return statements
 
-    def _without(self, over: range) -> Iterator[Statement]:
-        """Drop the contributions of these transitions; of a batch at an edge the others stay."""
-        self._rows = {j: packed for j, packed in self._rows.items() if j not in over}
-        first, last = over.start // BATCH, (over.stop - 1) // BATCH
-        for batch, rows in self._get("row", "batch IN (?, ?)", first, last):
-            left = b"".join(_packed(row) for row in _unpacked(rows) if row.j not in over)
-            if left:
-                yield self._row("row", batch, left)
-            else:
-                yield "DELETE FROM row WHERE batch = ?", (batch,)
-        yield "DELETE FROM row WHERE batch > ? AND batch < ?", (first, last)
+    def _without(self, obsolete: tuple[range, ...]) -> Iterator[Statement]:
+        """Drop the contributions of these transitions; of a batch at an edge the others stay.
+
+        Blocks that are over at once may meet in one batch, which is written once for all of them.
+        """
+        edges = {j // BATCH for over in obsolete for j in (over.start, over.stop - 1)}
+        self._rows = {j: row for j, row in self._rows.items() if not _within(j, obsolete)}
+        for over in obsolete:
+            between = (over.start // BATCH, (over.stop - 1) // BATCH)
+            yield "DELETE FROM row WHERE batch > ? AND batch < ?", between
+        for batch in edges:
+            for _, rows in self._get("row", "batch = ?", batch):
+                left = [_packed(row) for row in _unpacked(rows) if not _within(row.j, obsolete)]
+                if left:
+                    yield self._row("row", batch, b"".join(left))
+                else:
+                    yield "DELETE FROM row WHERE batch = ?", (batch,)
 
     @abstractmethod
     def _more(self, save: Save) -> Iterator[Statement]:
@@ -456,6 +461,11 @@ def _keys_of(keys: bytes) -> tuple[Part, bytes]:
     block, first, count = _PART.unpack_from(keys)
     rest = keys[_PART.size :]
     return Part(block, first, rest[:count]), rest[count:]
+
+
+def _within(j: int, ranges: tuple[range, ...]) -> bool:
+    """Whether a transition is of one of these."""
+    return any(j in one for one in ranges)
 
 
 def _packed(row: Contribution) -> bytes:

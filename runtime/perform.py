@@ -5,7 +5,7 @@ said, publishes it, and counts while its partner works. What was counted is trac
 with the next step. So a process may die between any two of these lines:
 
 - before the step is saved: nothing was sent, and deciding again does no harm;
-- before it is published: the journal has it, and the same bytes go out when it is asked again;
+- before it is published: the journal has it, and it goes out when it is asked again;
 - before it is counted or traced: it is counted, and traced, when the journal is read again;
 - before a key block is extracted: its rows are in the journal, and it is asked for again;
 - after that: nothing is left to do twice.

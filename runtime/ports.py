@@ -5,33 +5,24 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final
 
 from protocol.link.effects import Notice, Save
 from protocol.link.events import Event, lines
 from protocol.messages import Message, Status
 from protocol.secret.blocks import ClosedBlock
 from runtime.bus import Publisher
+from runtime.journal import ControllerJournal, PlantJournal
 from runtime.logs import RateLimitedLog
 from runtime.rates import Burst
 from runtime.recording import TraceWriter
-
-
-class Journal(Protocol):
-    """What :func:`runtime.perform.perform` writes to."""
-
-    def save(self, save: Save) -> None:
-        """Save the record and what comes along."""
-
-    def close(self) -> None:
-        """Close it; it can be opened again."""
 
 
 @dataclass(slots=True)
 class Files:
     """Where one end of one loop leaves what it has to keep: journal, trace and status."""
 
-    journal: Journal
+    journal: ControllerJournal | PlantJournal
     trace: TraceWriter
     health: Path
 

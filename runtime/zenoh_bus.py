@@ -149,7 +149,7 @@ class ZenohPublisher:
 
 
 class ZenohChannel:
-    """A `Channel` over Zenoh: the waiting thread is woken by the transport, and by nobody else."""
+    """A `BusChannel` over Zenoh: the waiting thread is woken by the transport, and nobody else."""
 
     def __init__(self, bus: "ZenohBus", key_expr: str, capacity: int) -> None:
         import zenoh

@@ -66,7 +66,7 @@ class Beside:
     Attributes
     ----------
     down : str
-        Why nobody runs there now, as ``her process died (signal 9)``; empty while somebody does.
+        Why nobody runs there now, as ``its process died (signal 9)``; empty while somebody does.
     process : Child
         The last one that was started.
 
@@ -175,7 +175,7 @@ class Beside:
     def _died(self) -> None:
         code = self.process.end(DYING_S)
         how = f"signal {-code}" if code < 0 else f"exit code {code}"
-        self.down = f"her process died ({how})"
+        self.down = f"its process died ({how})"
         if code == -signal.SIGALRM:
             self.down = f"too slow: no answer within {self._assignment.answer_s:g} s"
         self._deaths += 1

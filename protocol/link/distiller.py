@@ -28,8 +28,8 @@ from protocol.secret.stream import (
     NO_PART,
     NOTHING_HELD,
     NOWHERE,
+    BlockKeys,
     Held,
-    Keys,
     KeyStream,
     Part,
     Position,
@@ -66,7 +66,7 @@ class KeyRows(NamedTuple):
         Of transitions that were counted since the last save.
     obsolete_rows : tuple of range
         Transitions whose rows no block needs any more.
-    keys : tuple of Keys
+    keys : tuple of BlockKeys
         Of blocks whose row in the stream changes; one without any is to be erased.
     part : Part
         The stream's key in use, as it is now.
@@ -74,7 +74,7 @@ class KeyRows(NamedTuple):
 
     contributions: tuple[Contribution, ...] = ()
     obsolete_rows: tuple[range, ...] = ()
-    keys: tuple[Keys, ...] = ()
+    keys: tuple[BlockKeys, ...] = ()
     part: Part = NO_PART
 
 
@@ -100,6 +100,8 @@ class Distiller:
     stream : KeyStream
     made, lost : int
         Keys made, and blocks that made none, since this process began.
+    on : bool
+        Whether keys are made.
     last : tuple of int
         Keys and transitions of the block confirmed last.
     stopped : str
@@ -108,6 +110,8 @@ class Distiller:
         Why no key is made any more; empty where some are.
     appearances : int
         Times that a message leaves this end, as its host has counted last.
+    crowded : str
+        Why copies that leave this end now do not count for keys; empty where they do.
     unequal : bool
         A block differs from the partner's, and :meth:`ended` has told so.
     """
@@ -116,8 +120,9 @@ class Distiller:
         self.schedule = schedule
         self.made = self.lost = 0
         self.last = (0, 0)
-        self.stopped = self.broken = ""
+        self.stopped = self.broken = self.crowded = ""
         self.appearances = 1
+        self.on = schedule is not None
         self._size = size
         self._fresh = fresh
         self.resume("", KeyRecord())
@@ -149,7 +154,7 @@ class Distiller:
             Digits before it may have served.
         """
         self.session = session
-        self.record = record._replace(tag=record.tag or self.no_tag)
+        self.record = record._replace(tag=record.tag or (NO_TAG if self.on else ""))
         self.broken = self.broken or record.refuted
         self.stream = KeyStream(self._size, held, after)
         self._newest = -1
@@ -160,7 +165,7 @@ class Distiller:
         self.unequal = self._unequal = False
         self._over: set[int] = set()
         self._ended: list[BlockEnded] = []
-        self._keys: list[Keys] = []
+        self._keys: list[BlockKeys] = []
         self._rows: list[Contribution] = []
         self.stopped = ""
         if self.schedule is not None:
@@ -170,45 +175,27 @@ class Distiller:
 
     # --- nonces and copies ------------------------------------------------------------------------
 
-    @property
-    def on(self) -> bool:
-        """Whether keys are made."""
-        return self.schedule is not None
-
-    @property
-    def no_tag(self) -> str:
-        """The tag while no block is announced."""
-        return NO_TAG if self.on else ""
-
     def nonce(self) -> str:
         """A fresh nonce."""
         return self._fresh() if self.on else ""
-
-    @property
-    def crowded(self) -> str:
-        """Why copies that leave this end now do not count for keys; empty where they do.
-
-        The claim holds for ``keys.appearances`` appearances of a message. By the links that are
-        open now a message would appear more often.
-        """
-        if self.schedule is None:
-            return ""
-        stated = self.schedule.assumption.appearances
-        if self.appearances <= stated:
-            return ""
-        return (
-            f"a message leaves {self.appearances} times, and keys.appearances = {stated} was stated"
-        )
 
     def copy(self) -> Copy:
         """Number of a step's first copy: 0, or 1 where it leaves too often to count (rule 8)."""
         return 1 if self.crowded else FIRST
 
     def appear(self, count: int) -> bool:
-        """Note how often a message leaves from here on. True where that starts or stops keys."""
+        """Note how often a message leaves from here on. True where that starts or stops keys.
+
+        The claim holds for ``keys.appearances`` appearances of a message.
+        """
         before = self.crowded
-        self.appearances = count
-        return bool(self.crowded) != bool(before)
+        self.appearances, self.crowded = count, ""
+        if self.schedule is not None and count > self.schedule.assumption.appearances:
+            stated = self.schedule.assumption.appearances
+            self.crowded = (
+                f"a message leaves {count} times, and keys.appearances = {stated} was stated"
+            )
+        return (self.crowded == "") != (before == "")
 
     def again(self, offer: Offer) -> Offer:
         """Another copy of an offer that may have left, with a dummy for its nonce (rule 8)."""
@@ -281,7 +268,8 @@ class Distiller:
         differently, in the same session.
         """
         record = self.record
-        if self.schedule is not None and not self.broken and record.confirmed >= record.block:
+        if self._extracted and not self.broken and record.confirmed >= record.block:
+            assert self.schedule is not None
             following = min((n for n in self._extracted if n > record.block), default=None)
             if following is not None and self._newest >= self.schedule.begins(following + 1):
                 self.record = record._replace(block=following, tag=self._extracted[following].tag)

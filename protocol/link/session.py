@@ -180,7 +180,7 @@ class Rules:
             state, symbol = scheme.hear(state, offer.cipher), coin
         state, carry = scheme.follow(state, symbol)
         if scheme.from_stream and digits:
-            carry = carry._replace(pad=digits[-1])
+            carry = Carry(carry.agreed, digits[-1])
         following = LinkRecord(
             link.k,
             link.x,

@@ -18,31 +18,32 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import Carries, Carry, Scheme, check_verdict
-from protocol.schemes.switched import INITIAL, MESSAGE, TEST, State, check_state
+from protocol.schemes.switched import INITIAL, MESSAGE, TEST, SwitchedState, check_state
 
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
 
 
-class Pipelined(Scheme[State]):
+class Pipelined(Scheme[SwitchedState]):
     """Test and carry at once."""
 
     name: ClassVar[str] = "pipelined"
     version: ClassVar[int] = 1
     initial = INITIAL
 
-    def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
+    def advance(self, state: SwitchedState, verdict: int) -> tuple[SwitchedState, Carry]:
         """The verdict's key is held; the key held before is spent on this transition."""
         check_verdict(verdict, self.alphabet)
         check_state(state, self.alphabet)
-        return State(TEST if verdict == NO_SYMBOL else MESSAGE, verdict), Carry(verdict, state.key)
+        s = TEST if verdict == NO_SYMBOL else MESSAGE
+        return SwitchedState(s, verdict), Carry(verdict, state.key)
 
-    def pad(self, state: State) -> int:
+    def pad(self, state: SwitchedState) -> int:
         """The key held, in state 2."""
         return state.key
 
-    def tests(self, state: State) -> bool:  # noqa: ARG002
+    def tests(self, state: SwitchedState) -> bool:  # noqa: ARG002
         """In both states."""
         return True
 

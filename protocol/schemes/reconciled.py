@@ -39,7 +39,7 @@ WRONG: Final = -2
 """At the plant: the word is not the controller's."""
 
 
-class State(NamedTuple):
+class ReconciledState(NamedTuple):
     """What an end has of two words.
 
     ``s`` is CARRY where the transition to come carries a message symbol, ``i`` its place in the
@@ -66,7 +66,7 @@ def shortened(word: int, n: int, bits: int) -> int:
     return sum(((stream >> i & word).bit_count() & 1) << i for i in range(bits))
 
 
-class Reconciled(Scheme[State]):
+class Reconciled(Scheme[ReconciledState]):
     """Words of 63 bits, BCH(63, 30): 33 bits of syndrome correct six errors.
 
     Raises
@@ -78,7 +78,7 @@ class Reconciled(Scheme[State]):
     name: ClassVar[str] = "reconciled"
     version: ClassVar[int] = 1
     corrects: ClassVar[bool] = True
-    initial = State(CLEAR, 0, 0, NONE, 0)
+    initial = ReconciledState(CLEAR, 0, 0, NONE, 0)
     m: ClassVar[int] = 6
     t: ClassVar[int] = 6
 
@@ -90,7 +90,7 @@ class Reconciled(Scheme[State]):
         self.clear_bits = self.code.check_bits + CHECK_BITS
         self.key_bits = self.code.n - self.clear_bits
 
-    def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
+    def advance(self, state: ReconciledState, verdict: int) -> tuple[ReconciledState, Carry]:
         """Gather the verdict's bit; a missing one is 0, an error as any other."""
         check_verdict(verdict, self.alphabet)
         pad = self.pad(state)
@@ -99,26 +99,26 @@ class Reconciled(Scheme[State]):
         if i == self.code.n:
             i, word, held, heard = 0, 0, word, 0
         s = CARRY if held != NONE and i >= self.clear_bits else CLEAR
-        return State(s, i, word, held, heard), Carry(pad, pad)
+        return ReconciledState(s, i, word, held, heard), Carry(pad, pad)
 
-    def pad(self, state: State) -> int:
+    def pad(self, state: ReconciledState) -> int:
         """The word's next key bit, in state 2."""
         if state.s != CARRY:
             return NO_SYMBOL
         place = CHECK_BITS + state.i - self.clear_bits
         return self._hash(state.held) >> place & 1 if state.held >= 0 else 0
 
-    def tests(self, state: State) -> bool:  # noqa: ARG002
+    def tests(self, state: ReconciledState) -> bool:  # noqa: ARG002
         """In every transition."""
         return True
 
-    def clear(self, state: State) -> int:
+    def clear(self, state: ReconciledState) -> int:
         """The next bit of the syndrome or of the check."""
         if state.held == NONE or state.s == CARRY:
             return NO_SYMBOL
         return self._shown(state.held) >> state.i & 1
 
-    def hear(self, state: State, cipher: int) -> State:
+    def hear(self, state: ReconciledState, cipher: int) -> ReconciledState:
         """The last bit in clear corrects the word."""
         if state.held == NONE or state.s == CARRY:
             return state
@@ -131,7 +131,7 @@ class Reconciled(Scheme[State]):
                 held = WRONG
         return state._replace(held=held, heard=heard)
 
-    def differs(self, state: State) -> bool:
+    def differs(self, state: ReconciledState) -> bool:
         """Whether the word could not be corrected."""
         return state.held == WRONG
 

@@ -16,32 +16,32 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
-class State(NamedTuple):
+class SealedState(NamedTuple):
     """The automaton has one state."""
 
     s: int
 
 
-class Sealed(Scheme[State]):
+class Sealed(Scheme[SealedState]):
     """Carry under the key stream; both ends substitute the digit for the pad."""
 
     name: ClassVar[str] = "sealed"
     version: ClassVar[int] = 1
     from_stream: ClassVar[bool] = True
-    initial = State(1)
+    initial = SealedState(1)
 
-    def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
+    def advance(self, state: SealedState, verdict: int) -> tuple[SealedState, Carry]:
         """The same state, whatever the verdict; the automaton itself has no pad."""
         check_verdict(verdict, self.alphabet)
         if state != self.initial:
             raise ValueError(f"state: got {state.s}, expected 1")
         return state, COVER
 
-    def pad(self, state: State) -> int:  # noqa: ARG002
+    def pad(self, state: SealedState) -> int:  # noqa: ARG002
         """None of the automaton's own."""
         return NO_SYMBOL
 
-    def tests(self, state: State) -> bool:  # noqa: ARG002
+    def tests(self, state: SealedState) -> bool:  # noqa: ARG002
         """Never."""
         return False
 

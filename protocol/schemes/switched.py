@@ -24,17 +24,17 @@ TEST: Final = 1
 MESSAGE: Final = 2
 
 
-class State(NamedTuple):
+class SwitchedState(NamedTuple):
     """The automaton's state s and the key symbol it holds (NO_SYMBOL in state 1)."""
 
     s: int
     key: int
 
 
-INITIAL: Final = State(TEST, NO_SYMBOL)
+INITIAL: Final = SwitchedState(TEST, NO_SYMBOL)
 
 
-def check_state(state: State, alphabet: int) -> None:
+def check_state(state: SwitchedState, alphabet: int) -> None:
     """Refuse what is no state of the two.
 
     Raises
@@ -51,26 +51,26 @@ def check_state(state: State, alphabet: int) -> None:
         raise ValueError(f"state: got key {state.key}, expected 0 to {alphabet - 1} in state 2")
 
 
-class Switched(Scheme[State]):
+class Switched(Scheme[SwitchedState]):
     """Test, then carry: both automata of Fig. 6 as one map."""
 
     name: ClassVar[str] = "switched"
     version: ClassVar[int] = 1
     initial = INITIAL
 
-    def advance(self, state: State, verdict: int) -> tuple[State, Carry]:
+    def advance(self, state: SwitchedState, verdict: int) -> tuple[SwitchedState, Carry]:
         """One arrow of Fig. 6; in state 2 the verdict is not looked at."""
         check_verdict(verdict, self.alphabet)
         check_state(state, self.alphabet)
         agreed = verdict if state.s == TEST else NO_SYMBOL
-        after = State(TEST if agreed == NO_SYMBOL else MESSAGE, agreed)
+        after = SwitchedState(TEST if agreed == NO_SYMBOL else MESSAGE, agreed)
         return after, Carry(agreed, state.key)
 
-    def pad(self, state: State) -> int:
+    def pad(self, state: SwitchedState) -> int:
         """The key held, in state 2."""
         return state.key
 
-    def tests(self, state: State) -> bool:
+    def tests(self, state: SwitchedState) -> bool:
         """In state 1."""
         return state.s == TEST
 

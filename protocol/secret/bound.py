@@ -10,6 +10,7 @@ number. A relative guard of 1e-9 covers the rounding on the safe side.
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Literal
 
 from protocol.secret.nonces import NONCE_BYTES
@@ -22,6 +23,9 @@ NONCE_BITS: Final = 8 * NONCE_BYTES
 
 Directions = Literal["both", "offers", "measurements"]
 
+_COUNTED: Final[dict[Directions, int]] = {"both": 3, "offers": 1, "measurements": 2}
+"""Whose copies may count: 1 the offer's, 2 the measurement's, 3 both."""
+
 
 def _term(n: int, e: float, k: int) -> float:
     """P[Bin(n, e) = k], to some 1e-11, relative."""
@@ -29,6 +33,7 @@ def _term(n: int, e: float, k: int) -> float:
     return math.exp(choices + k * math.log(e) + (n - k) * math.log1p(-e))
 
 
+@lru_cache(maxsize=256)  # the blocks of a session are alike
 def quantile(n: int, e: float, eps: float) -> int:
     """Q(n, e, eps) = max { m : P[Bin(n, e) < m] <= eps }, exact tails.
 
@@ -115,7 +120,7 @@ class Assumption:
 
     def counting(self, counts: int) -> int:
         """Those of the copies taken that may count: 1 the offer's, 2 the measurement's, 3 both."""
-        return counts & {"both": 3, "offers": 1, "measurements": 2}[self.directions]
+        return counts & _COUNTED[self.directions]
 
     def misses(self, n: int) -> int:
         """Copies of ``n`` that Eve misses at least, except with probability eps_sec."""

@@ -79,6 +79,6 @@ def contribution_of(
     return Contribution(
         j,
         steps,
-        as_bytes(offer) if offer and applied_copy == FIRST else None,
-        as_bytes(measurement) if measurement and heard == FIRST else None,
+        a2b_base64(offer) if offer and applied_copy == FIRST else None,
+        a2b_base64(measurement) if measurement and heard == FIRST else None,
     )

@@ -81,7 +81,7 @@ NO_PART: Final = Part(-1, 0, b"")
 """No key is in use."""
 
 
-class Keys(NamedTuple):
+class BlockKeys(NamedTuple):
     """The keys of a block that were not used yet.
 
     Parameters
@@ -97,18 +97,18 @@ class Keys(NamedTuple):
     first: int
     keys: bytes
 
-    def begun(self, size: int) -> tuple[Part, "Keys"]:
+    def begun(self, size: int) -> tuple[Part, "BlockKeys"]:
         """The digits of the first key, and the keys behind it."""
         part = Part(self.block, self.first, bytes(digits(self.keys[:KEY_BYTES], size)))
-        rest = Keys(self.block, self.first + len(part.digits), self.keys[KEY_BYTES:])
+        rest = BlockKeys(self.block, self.first + len(part.digits), self.keys[KEY_BYTES:])
         return part, rest
 
 
 class Held(NamedTuple):
-    """What an end holds of the stream, as its journal keeps it: in order, one ``Keys`` a block."""
+    """What an end holds of the stream, as its journal keeps it: block after block."""
 
     part: Part = NO_PART
-    keys: tuple[Keys, ...] = ()
+    keys: tuple[BlockKeys, ...] = ()
 
 
 NOTHING_HELD: Final = Held()
@@ -144,7 +144,7 @@ class KeyStream:
         whole = sum(number_of_digits(of_block.keys, self._size) for of_block in self._keys)
         return len(self.part.digits) + whole
 
-    def add(self, block: int, keys: Sequence[bytes]) -> tuple[Keys, ...]:
+    def add(self, block: int, keys: Sequence[bytes]) -> tuple[BlockKeys, ...]:
         """Add the keys of a block that both ends have confirmed.
 
         Parameters
@@ -156,12 +156,12 @@ class KeyStream:
 
         Returns
         -------
-        tuple of Keys
+        tuple of BlockKeys
             Rows of the journal that change: the new one, and those of blocks that have become too
             old, without keys.
         """
         changed = self.drop_before(Position(block - BLOCKS + 1, 0))
-        made = Keys(block, 0, b"".join(keys))
+        made = BlockKeys(block, 0, b"".join(keys))
         self._keys.append(made)
         return (*changed, made)
 
@@ -194,10 +194,12 @@ class KeyStream:
         found = part.digits[start : start + count]
         return tuple(found) if len(found) == count else None
 
-    def drop_before(self, position: Position) -> tuple[Keys, ...]:
+    def drop_before(self, position: Position) -> tuple[BlockKeys, ...]:
         """Erase all digits that stand before ``position``; the rows of the journal that change."""
-        changed: dict[int, Keys] = {}
         self.part = self.part.since(position)
+        if self.part.digits:
+            return ()
+        changed: dict[int, BlockKeys] = {}
         while self._keys and not self.part.digits:
             keys = self._keys[0]
             if keys.block < position.block:

@@ -69,6 +69,7 @@ def test_code_is_found_beside_the_scenario_and_by_module_name(tmp_path: Path) ->
         ("mine.py:Boat", "mine.py: has no 'Boat'"),
         ("no.such.module:x", "No module named 'no'"),
         ("bad.py:x", "bad.py: cannot be loaded: SyntaxError"),
+        ("leaves.py:x", "leaves.py: cannot be loaded: SystemExit: 3"),
         ("mine.py:Half", r"has no method step, expected reset\(seed\) and step\(u, period_s\)"),
         ("mine.py:number", "has no method reset"),
         ("mine.py:Needy", "TypeError"),
@@ -77,6 +78,7 @@ def test_code_is_found_beside_the_scenario_and_by_module_name(tmp_path: Path) ->
 def test_code_that_cannot_be_used_is_named(tmp_path: Path, name: str, says: str) -> None:
     (tmp_path / "mine.py").write_text(CODE)
     (tmp_path / "bad.py").write_text("def")
+    (tmp_path / "leaves.py").write_text("raise SystemExit(3)")
     with pytest.raises((PlantError, UserCodeError), match=says):
         stepped(made(load_attribute(name, tmp_path), name), name)
 

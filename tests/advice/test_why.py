@@ -98,12 +98,14 @@ def followed(scenario: Scenario, remedy: str) -> Scenario:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*MOTORS, "double-integrator", "sustained"])
-def test_each_line_of_advice_raises_the_rate_when_it_is_followed(name: str, tmp_path: Path) -> None:
+def test_each_line_of_advice_raises_the_rate_when_it_is_followed(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     if name in MOTORS:
         A, B, period = MOTORS[name]
         path = tmp_path / "own.toml"
-        own = ["new", "own", "--A", A, "--B", B, "--period", period, "--continuous"]
-        assert main([*own, "--output", str(path)]) == 0
+        monkeypatch.chdir(tmp_path)
+        assert main(["new", "own", "--A", A, "--B", B, "--period", period, "--continuous"]) == 0
         # few sets are enough: the rate is that of the loop near the origin
         path.write_text(path.read_text().replace("horizon = 30", "horizon = 5"))
         scenario = load_scenario(path)

@@ -172,12 +172,14 @@ def test_rational_certificate_for_all_sets(paper: Scenario, design: Design) -> N
     assert exactly > size(200, 1000)  # the filter leaves the touching rows to exact arithmetic
 
 
-def test_every_state_of_a_drives_sets_is_steered(tmp_path: Path) -> None:
+def test_every_state_of_a_drives_sets_is_steered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Its current decays by 12 a step: sets grew as fast, until rounding dropped their facets."""
-    path = tmp_path / "drive.toml"
+    monkeypatch.chdir(tmp_path)
     matrices = ["--A", "[0 1 0; 0 -0.1 0.5; 0 -0.5 -50]", "--B", "[0; 0; 50]", "--continuous"]
-    assert main(["new", "drive", *matrices, "--period", "0.05", "--output", str(path)]) == 0
-    scenario = load_scenario(path)
+    assert main(["new", "drive", *matrices, "--period", "0.05"]) == 0
+    scenario = load_scenario(tmp_path / "drive.toml")
     design = synthesise(scenario)
     assert design.horizon >= 4
     steered(scenario, design, set(range(1, design.horizon + 1)))

@@ -35,7 +35,7 @@ from protocol.secret.blocks import ExtractedBlock, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
+from protocol.secret.stream import NOTHING_HELD, BlockKeys, Held, Part
 from protocol.vectors import Vector
 from runtime.chance import fresh_nonce
 from runtime.errors import USAGE
@@ -511,7 +511,7 @@ def test_a_measurement_with_the_same_tag_confirms_a_block_and_saves_its_digits()
     assert saved.record is not None
     assert saved.record.keys.confirmed == 0
     assert saved.saved.rows.obsolete_rows == (range(1, 3),), "rows of a block that is confirmed go"
-    assert saved.saved.rows.keys == (Keys(0, 0, b"".join(MADE.keys)),)
+    assert saved.saved.rows.keys == (BlockKeys(0, 0, b"".join(MADE.keys)),)
     again = end.hears(measurement(k=6, applied_k=5), 3.0)
     assert (again.saved.rows.obsolete_rows, again.saved.rows.keys) == ((), ()), "once"
 

@@ -2,7 +2,7 @@
 
 from protocol.link.distiller import NO_ROWS, BlockEnded, Distiller
 from protocol.link.records import KeyRecord
-from protocol.secret.blocks import Schedule
+from protocol.secret.blocks import NO_TAG, Schedule
 from protocol.secret.bound import Assumption
 from protocol.secret.nonces import Contribution
 from runtime.chance import fresh_nonce
@@ -19,4 +19,4 @@ def test_a_block_that_lost_too_many_copies_is_not_extracted_and_its_rows_go() ->
     assert keys.ended() == (BlockEnded(S, 0, "poor"),)
     assert keys.rows().obsolete_rows == (range(1, 4),)
     assert keys.rows() == NO_ROWS
-    assert keys.announcement() == (-1, keys.no_tag)
+    assert keys.announcement() == (-1, NO_TAG)

@@ -19,7 +19,7 @@ from protocol.link.records import INITIAL_ID, Loaded
 from protocol.link.step import Answered, Begun, Read
 from protocol.messages import Measurement, Offer, SendCommand
 from protocol.secret.nonces import Contribution
-from protocol.secret.stream import NOTHING_HELD, Held, Keys, Part
+from protocol.secret.stream import NOTHING_HELD, BlockKeys, Held, Part
 from runtime import journal as journals
 from runtime.journal import (
     BATCH,
@@ -60,7 +60,7 @@ SENDER = controller_record(
 MEASUREMENT = Measurement(session=SESSION, k=5, x=(0.1 + 0.2, 7.0), applied_k=4, x_after=(1.0, 2.0))
 OFFER = Offer(session=SESSION, k=4, candidates=((1 / 3,), (5e-324,)), cipher=1)
 PART = Part(block=3, first=4, digits=bytes(range(7)))
-KEYS = Keys(block=3, first=11, keys=bytes(range(64)))
+KEYS = BlockKeys(block=3, first=11, keys=bytes(range(64)))
 
 
 def row(j: int) -> Contribution:
@@ -116,16 +116,26 @@ def test_rows_go_when_they_are_obsolete_and_with_their_session(tmp_path: Path, c
         assert journal.load().rows == (row(0),)
 
 
+def test_blocks_that_are_over_at_once_may_meet_in_a_batch(tmp_path: Path) -> None:
+    with PlantJournal(tmp_path / "p", SCENARIO) as journal:
+        for j in range(1, 3 * BATCH):
+            journal.save(Save(RECEIVER, rows=KeyRows((row(j),))))
+        both = (range(2, BATCH + 3), range(BATCH + 3, BATCH + 6))
+        journal.save(Save(RECEIVER, rows=KeyRows(obsolete_rows=both)))
+        left = [1, *range(BATCH + 6, 3 * BATCH)]
+        assert [one.j for one in journal.load().rows] == left
+
+
 def test_keys_and_digits_shrink_and_go_and_with_their_session(tmp_path: Path) -> None:
     """What was erased is in no file of the journal any more."""
     secret, key = b"digits that have served", b"a key that was used" * 2
     path = tmp_path / "p"
     with PlantJournal(path, SCENARIO) as journal:
-        keys, part = Keys(0, 9, key + bytes(64)), Part(0, 0, secret)
-        other = Keys(1, 0, key[::-1])
+        keys, part = BlockKeys(0, 9, key + bytes(64)), Part(0, 0, secret)
+        other = BlockKeys(1, 0, key[::-1])
         journal.save(Save(RECEIVER, rows=KeyRows(keys=(keys, other), part=part)))
         assert journal.load().held == Held(part, (keys, other))
-        part, keys = Part(0, 7, secret[7:]), Keys(0, 20, bytes(64))
+        part, keys = Part(0, 7, secret[7:]), BlockKeys(0, 20, bytes(64))
         journal.save(Save(RECEIVER, rows=KeyRows(keys=(keys,), part=part)))
         assert journal.load().held == Held(part, (keys, other))
         journal.save(Save(RECEIVER, rows=KeyRows(keys=(other._replace(keys=b""),))))

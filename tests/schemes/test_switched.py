@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from protocol.agreement import NO_SYMBOL
 from protocol.schemes.base import Carry, decrypt, encrypt
-from protocol.schemes.switched import INITIAL, MESSAGE, TEST, State, Switched
+from protocol.schemes.switched import INITIAL, MESSAGE, TEST, Switched, SwitchedState
 from protocol.schemes.table import StateTable, advance_many
 
 AGREED, NOT_AGREED = "agreed", "not agreed"
@@ -40,7 +40,7 @@ sizes = st.integers(2, 16)
 @pytest.mark.parametrize("size", [2, 3, 16, 256])
 def test_every_arrow_of_the_figure(row: Row, size: int) -> None:
     scheme = Switched(size)
-    before = State(row.state, 1 if row.state == MESSAGE else NO_SYMBOL)
+    before = SwitchedState(row.state, 1 if row.state == MESSAGE else NO_SYMBOL)
     verdicts = range(size) if row.event == AGREED else [NO_SYMBOL]
     for verdict in verdicts:
         after, carry = scheme.advance(before, verdict)
@@ -53,7 +53,7 @@ def test_every_arrow_of_the_figure(row: Row, size: int) -> None:
 @pytest.mark.parametrize("size", [2, 5])
 def test_an_arrow_that_is_looked_up_is_the_arrow(size: int) -> None:
     scheme = Switched(size)
-    states = [INITIAL, *(State(MESSAGE, key) for key in range(size))]
+    states = [INITIAL, *(SwitchedState(MESSAGE, key) for key in range(size))]
     for _ in range(2):
         for state in states:
             for verdict in range(NO_SYMBOL, size):
@@ -65,16 +65,18 @@ def test_an_arrow_that_is_looked_up_is_the_arrow(size: int) -> None:
 @pytest.mark.parametrize(
     ("state", "verdict", "text"),
     [
-        (State(0, NO_SYMBOL), NO_SYMBOL, "state: got 0, expected 1 or 2"),
-        (State(3, 0), NO_SYMBOL, "state: got 3, expected 1 or 2"),
-        (State(TEST, 0), NO_SYMBOL, "state: got key 0 in state 1, expected none"),
-        (State(MESSAGE, NO_SYMBOL), 0, "state: got key -1, expected 0 to 1 in state 2"),
-        (State(MESSAGE, 2), NO_SYMBOL, "state: got key 2, expected 0 to 1 in state 2"),
+        (SwitchedState(0, NO_SYMBOL), NO_SYMBOL, "state: got 0, expected 1 or 2"),
+        (SwitchedState(3, 0), NO_SYMBOL, "state: got 3, expected 1 or 2"),
+        (SwitchedState(TEST, 0), NO_SYMBOL, "state: got key 0 in state 1, expected none"),
+        (SwitchedState(MESSAGE, NO_SYMBOL), 0, "state: got key -1, expected 0 to 1 in state 2"),
+        (SwitchedState(MESSAGE, 2), NO_SYMBOL, "state: got key 2, expected 0 to 1 in state 2"),
         (INITIAL, 2, "verdict: got 2, expected -1 to 1"),
         (INITIAL, -2, "verdict: got -2, expected -1 to 1"),
     ],
 )
-def test_what_is_not_in_the_figure_is_refused(state: State, verdict: int, text: str) -> None:
+def test_what_is_not_in_the_figure_is_refused(
+    state: SwitchedState, verdict: int, text: str
+) -> None:
     with pytest.raises(ValueError, match=f"^{text}$"):
         Switched(2).advance(state, verdict)
 

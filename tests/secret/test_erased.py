@@ -12,7 +12,7 @@ import pytest
 from protocol.link.records import Side
 from protocol.secret.key_digits import digits
 from protocol.secret.nonces import as_bytes
-from protocol.secret.stream import Keys, KeyStream, Position
+from protocol.secret.stream import BlockKeys, KeyStream, Position
 from runtime.run_folder import (
     CAPTURE,
     CONTROLLER_TRACE,
@@ -47,7 +47,7 @@ def stopped(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFac
     keys: dict[int, Sequence[bytes]] = {}
     add = KeyStream.add
 
-    def noted(self: KeyStream, block: int, new: Sequence[bytes]) -> tuple[Keys, ...]:
+    def noted(self: KeyStream, block: int, new: Sequence[bytes]) -> tuple[BlockKeys, ...]:
         assert keys.setdefault(block, new) == new
         return add(self, block, new)
 

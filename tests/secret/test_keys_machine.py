@@ -19,7 +19,7 @@ from protocol.link.records import Side
 from protocol.link.session import CountedTransition
 from protocol.schemes.sealed import Sealed
 from protocol.secret import key_digits, stream
-from protocol.secret.stream import NOTHING_HELD, NOWHERE, Held, Keys, KeyStream, Position
+from protocol.secret.stream import NOTHING_HELD, NOWHERE, BlockKeys, Held, KeyStream, Position
 from runtime.perform import CrashPoint
 from tests.support.asked import hasty
 from tests.support.broken import broken
@@ -258,7 +258,7 @@ def a_new_process_forgets_what_it_named(patch: pytest.MonkeyPatch) -> None:
 
 
 def nothing_is_erased(patch: pytest.MonkeyPatch) -> None:
-    def keeps(self: KeyStream, position: Position) -> tuple[Keys, ...]:
+    def keeps(self: KeyStream, position: Position) -> tuple[BlockKeys, ...]:
         return ()
 
     patch.setattr(KeyStream, "drop_before", keeps)

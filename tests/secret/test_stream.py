@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.secret.key_digits import digits
-from protocol.secret.stream import BLOCKS, NOWHERE, Held, Keys, KeyStream, Position
+from protocol.secret.stream import BLOCKS, NOWHERE, BlockKeys, Held, KeyStream, Position
 
 SIZES = st.sampled_from([2, 3, 4, 16])
 KEYS = st.lists(st.binary(min_size=32, max_size=32), min_size=1, max_size=3)
@@ -41,9 +41,9 @@ def test_both_ends_find_the_same_digits_in_order_and_each_once(
 def test_the_rows_that_change_make_the_same_stream_after_a_restart(
     size: int, blocks: list[list[bytes]], data: st.DataObject
 ) -> None:
-    journal: dict[int, Keys] = {}
+    journal: dict[int, BlockKeys] = {}
 
-    def save(changed: tuple[Keys, ...]) -> None:
+    def save(changed: tuple[BlockKeys, ...]) -> None:
         journal.update({keys.block: keys for keys in changed})
 
     stream, served = KeyStream(size), NOWHERE

@@ -70,7 +70,7 @@ class MemoryPublisher:
 
 
 class MemoryChannel:
-    """A `Channel` on a hub."""
+    """A `BusChannel` on a hub."""
 
     def __init__(self, capacity: int) -> None:
         self._waiting: deque[tuple[str, bytes]] = deque(maxlen=capacity)

@@ -95,11 +95,11 @@ def test_she_guesses_and_believes_as_in_the_taps_own_process(run: Run, tmp_path:
 @pytest.mark.parametrize(
     ("act", "why"),
     [
-        ("sys.exit(0)", "her process died"),
-        ("os._exit(3)", "her process died (exit code 3)"),
+        ("sys.exit(0)", "its process died"),
+        ("os._exit(3)", "its process died (exit code 3)"),
         ("raise ValueError('no\\nidea')", "step 2: ValueError: no idea"),
         ("x = bytearray(8 << 30)", "step 2: MemoryError"),
-        ("[os.close(fd) for fd in range(3, 20)]", "her process died"),
+        ("[os.close(fd) for fd in range(3, 20)]", "its process died"),
         ("time.sleep(60)", "too slow: no answer within 1 s"),
         ("while True: pass", "too slow: no answer within 1 s"),
     ],

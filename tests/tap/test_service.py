@@ -318,13 +318,13 @@ def test_a_heavy_eavesdropper_whose_process_dies_is_said_to_and_started_again(
             wire.send(message)
         wait_for(lambda: (its := newest()) is not None and its.failed != "", "a word of her death")
         dead = wire.statuses[-1]
-        assert dead.failed == "her process died (signal 9)"
+        assert dead.failed == "its process died (signal 9)"
         assert dead.steps == said.steps
         assert dead.behind >= 45  # what was captured since: nobody has looked at it
         wire.service.write_beliefs()
         record = json.loads((tmp_path / BELIEFS).read_bytes())["list-decoder"]
         assert record["failed"] == dead.failed
-        assert "her process died" in health_in(tmp_path)
+        assert "its process died" in health_in(tmp_path)
         wait_for(lambda: (its := newest()) is not None and not its.failed, "another process")
     assert any("started again" in line for line in knowledge_of)
     assert wire.service.beside[0].process is not process
@@ -350,7 +350,7 @@ def test_a_heavy_eavesdropper_who_dies_too_often_has_failed(
     assert any("it died 1 times, and is not started again" in line for line in knowledge_of)
     records = json.loads((tmp_path / BELIEFS).read_bytes())
     assert records["nearest-centre"]["failed"] == ""
-    assert records["list-decoder"]["failed"] == "her process died (signal 9)"
+    assert records["list-decoder"]["failed"] == "its process died (signal 9)"
     assert records["list-decoder"]["behind"] == 300
     assert {s.name: s.failed for s in wire.statuses}["list-decoder"] != ""
 

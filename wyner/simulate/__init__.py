@@ -1,4 +1,4 @@
-"""The closed loop without a network: one process, and many runs at once."""
+"""The closed loop in one process: many runs at once, or both ends on a simulated network."""
 
 from typing import Final
 

@@ -8,7 +8,7 @@ import pytest
 from protocol.agreement import NO_SYMBOL, AgreementResult, AgreementRule, predict
 from protocol.box_observer import Box, BoxObserver
 from protocol.schemes.base import Carry
-from protocol.schemes.switched import State, Switched
+from protocol.schemes.switched import Switched, SwitchedState
 from tests.support.recorded_pair import RecordedPair
 from wyner.runs.check import check
 from wyner.runs.check.evidence import Finding, read_evidence
@@ -110,10 +110,10 @@ def test_ends_whose_automata_are_not_the_papers_fail_it(
 ) -> None:
     """An automaton that stays in state 2 uses a key for more than one symbol."""
 
-    def stuck(self: Switched, state: State, verdict: int) -> tuple[State, Carry]:
+    def stuck(self: Switched, state: SwitchedState, verdict: int) -> tuple[SwitchedState, Carry]:
         if state.s == 2:
             return state, Carry(NO_SYMBOL, state.key)
-        after = State(1, NO_SYMBOL) if verdict == NO_SYMBOL else State(2, verdict)
+        after = SwitchedState(1, NO_SYMBOL) if verdict == NO_SYMBOL else SwitchedState(2, verdict)
         return after, Carry(verdict, NO_SYMBOL)
 
     for name in ("advance", "follow"):  # what it remembers is of the whole process
