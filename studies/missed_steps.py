@@ -21,7 +21,7 @@ from wyner.simulate.engine.taps import transcript
 RUNS, SEED = 10, 5
 LOST: Final = 0.03
 """Share of measurements that the network loses, each sent once."""
-TAPS: Final = ("nearest-centre", "list-decoder", "smoother", "text")
+TAPS: Final = ("nearest-centre", "list-decoder", "text")
 
 
 class Condition(NamedTuple):

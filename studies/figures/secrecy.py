@@ -19,7 +19,6 @@ MARKS: Final = {
     "nearest-centre": ("s", COLOURS[0]),
     "list-decoder": ("^", COLOURS[1]),
     "learning": ("D", COLOURS[2]),
-    "smoother": ("v", COLOURS[3]),
     "text": ("*", COLOURS[2]),
     "oracle": ("*", "k"),
 }

@@ -6,13 +6,13 @@ import pytest
 
 from protocol.link.events import RESUMED
 from protocol.link.records import Side
-from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
+from runtime.run_folder import PLANT_TRACE
 from tests.support.checked_runs import failed
 from tests.support.pair import SIDES, Name
 from tests.support.recorded_pair import RecordedPair, read_lines, write_lines
-from tests.support.traces import read_trace
 from wyner.runs.check import check
 from wyner.runs.check.evidence import read_evidence
+from wyner.runs.run import Run
 
 MESSAGES = [b"a", b"b", b"b"]
 
@@ -42,8 +42,9 @@ def test_no_report_is_lost_where_an_end_is_killed_about_it(
     assert (loop.plant.state.record.frame.messages, loop.received) == (3, MESSAGES)
     loop.stop()
     assert loop.wrong() == []
-    for path, report in ((PLANT_TRACE, "recovered"), (CONTROLLER_TRACE, "delivered")):
-        assert len(list(read_trace(tmp_path / path).of(report))) == 3
+    run = Run.load(tmp_path)
+    assert len(list(run.columns("plant").told("recovered"))) == 3
+    assert len(list(run.columns("controller").told("delivered"))) == 3
 
 
 def test_a_message_that_was_told_and_never_queued_may_be_passed_over(tmp_path: Path) -> None:
