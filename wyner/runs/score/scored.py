@@ -14,7 +14,7 @@ from tap_service.eavesdroppers import ORACLE
 from wyner.runs.run import Run
 from wyner.runs.score.counts import cost_of
 from wyner.runs.score.keys import KeyAudit, audit_keys
-from wyner.runs.score.replay import Replay
+from wyner.runs.score.replay import hear_again
 from wyner.runs.score.report import (
     BOUND,
     HEADINGS,
@@ -128,9 +128,8 @@ def _heard_again(run: Run, names: Sequence[str]) -> RunScore:
     """The score of a run whose capture these eavesdroppers hear now."""
     truth = read_truth(run)
     scenario = run.scenario if ORACLE in names else None
-    replay = Replay(run.folder, names, scenario=scenario)
-    replay.run()
-    return RunScore(run.name, truth, tuple(score(truth, said) for said in replay.outputs()))
+    heard = hear_again(run.folder, names, scenario)
+    return RunScore(run.name, truth, tuple(score(truth, said) for said in heard.taps))
 
 
 def _audits(runs: Sequence[Run]) -> dict[str, KeyAudit]:
