@@ -79,8 +79,10 @@ class PlanarLaw:
     def of(cls, knowledge: Knowledge) -> "PlanarLaw | None":
         """The law that the policy gives, or None where it does not say enough."""
         k, known = knowledge, KnownLaw.of(knowledge)
-        if known is None or k.policy is None or known.together is not None:
+        if known is None or k.policy is None:
             return None
+        if k.policy.together and k.policy.gain is not None:
+            return None  # the candidates coincide in T_0
         if k.disturbance_H is None or k.disturbance_h is None or known.free.shape[1:] != (1, 2):
             return None
         A, B = np.array(k.A), np.array(k.B)

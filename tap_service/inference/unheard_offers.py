@@ -321,7 +321,7 @@ def infer_from_readings(
             fit = moves.likeliest(x @ law.free[0].T, units, clipped)
             drawn = [] if fit is None else [_draws(row) for row in moves.bent(fit)]
         else:
-            gauges, among = _by_costs(after - x @ A.T, B, shape, law, x)
+            gauges, among = _by_costs(after - x @ A.T, B, shape, law, x, planar)
             drawn = [row[None] for row in gauges]
         for i, draws in zip(at, drawn, strict=False):
             samples[i] = draws
@@ -342,19 +342,22 @@ def _draws(share: Array) -> Array:
 
 
 def _by_costs(
-    moved: Array, B: Array, shape: Array, law: KnownLaw, x: Array
+    moved: Array, B: Array, shape: Array, law: KnownLaw, x: Array, planar: PlanarLaw | None
 ) -> tuple[Array, tuple[float, float]]:
     """Gauges of the candidates that the policy's costs ask for, shape (K, M), and thresholds."""
+    bounded = planar if planar is not None and planar.known else None
+    free: Array = np.einsum("imn,sn->sim", law.free, x)
 
     def gauges(width: float) -> Array:
-        residual = moved[:, None] - law.offers(x, width) @ B.T
+        offers = free if bounded is None else bounded.of_width(width).offers(x)[:, :, None]
+        residual = moved[:, None] - offers @ B.T
         out: Array = np.maximum((residual @ shape.T).max(axis=2), 0.0)
         return out
 
     def left(width: float) -> float:
         return float(np.quantile(gauges(width).min(axis=1), BULK))
 
-    if law.facets:
+    if bounded is not None:
         width = min(WIDTHS, key=left)
         return gauges(width), (width / NEARLY, min(width * NEARLY, 1.0))
     return gauges(1.0), thresholds_above(left(1.0))
