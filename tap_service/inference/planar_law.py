@@ -13,8 +13,7 @@ import numpy as np
 
 from protocol.arrays import Array, Flags, Indices
 from protocol.knowledge import Knowledge
-from tap_service.inference.affine_law import ANYTHING, ASTRAY
-from tap_service.inference.law import Form, Item
+from tap_service.inference.affine_law import ANYTHING, ASTRAY, Form, Item
 from tap_service.inference.law_pieces import affine_pieces
 from tap_service.inference.policy import KnownLaw, corners_of, terminal_facets
 
@@ -220,14 +219,7 @@ class PlanarLaw:
 
     def forms(self, x: Array) -> list[Form]:
         """What an offer about states ``x``, shape (N, n), is: by the pieces there, or anything."""
-        slopes = np.repeat(self.free[None], len(x), axis=0)
-        u = x @ self.free.T
-        for facets, side in ((self.high, 1), (self.low, -1)):
-            if len(facets):
-                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
-                at = limits.argmin(axis=1)
-                clipped = side * u > limits.min(axis=1)[:, None]
-                slopes = np.where(clipped[:, :, None], facets[at, None, :2], slopes)
+        slopes = self._slopes(x)
         g = self.answers(x) - np.einsum("svn,sn->sv", slopes, x)
         if self.gap:
             slopes, g = np.repeat(slopes, self.size, axis=1), g + self.offsets()
@@ -236,6 +228,18 @@ class PlanarLaw:
             Form(float(np.log(1 - ASTRAY)), G, g, self.error),
             Form(float(np.log(ASTRAY)), G, g, ANYTHING * self.spread),
         ]
+
+    def _slopes(self, x: Array) -> Array:
+        """Those of the pieces that answer in states ``x``, shape (S, V, 2)."""
+        slopes = np.repeat(self.free[None], len(x), axis=0)
+        u = x @ self.free.T
+        for facets, side in ((self.high, 1), (self.low, -1)):
+            if len(facets):
+                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
+                at = limits.argmin(axis=1)
+                clipped = side * u > limits.min(axis=1)[:, None]
+                slopes = np.where(clipped[:, :, None], facets[at, None, :2], slopes)
+        return slopes
 
     def lines(self, program: int) -> Array:
         """Pieces of a program: u = slope x + offset, shape (P, 3); the free one first."""
@@ -254,15 +258,8 @@ class PlanarLaw:
 
         The standard deviation of the steepest piece that answers there, and of reading the answer.
         """
-        slopes = np.repeat(np.linalg.norm(self.free, axis=1)[None], len(x), axis=0)
-        u = x @ self.free.T
-        for facets, side in ((self.high, 1), (self.low, -1)):
-            if len(facets):
-                limits = side * (x @ facets[:, :2].T + self.width * facets[:, 2])
-                steep = np.linalg.norm(facets[limits.argmin(axis=1), :2], axis=1)
-                clips = side * u > limits.min(axis=1)[:, None]
-                slopes = np.where(clips, steep[:, None], slopes)
-        out: Array = noise * np.sqrt(1 + slopes.max(axis=1) ** 2)
+        steep = np.linalg.norm(self._slopes(x), axis=2)
+        out: Array = noise * np.sqrt(1 + steep.max(axis=1) ** 2)
         return out
 
     def fitted(self, x: Array, u: Array) -> "PlanarLaw":
