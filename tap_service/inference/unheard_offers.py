@@ -315,8 +315,7 @@ def infer_from_readings(
         if law.shared:
             edge = 1 / np.abs(shape).max(axis=0)
             moves = Moves(A, B, edge, x, after, noise)
-            bounded = planar is not None and planar.known and planar.gap > 0
-            clipped = _clipped(planar, x) if planar is not None and bounded else None
+            clipped = _clipped(planar, x) if planar is not None and planar.gap else None
             units = list(unit_offsets(B, edge, size))
             fit = moves.likeliest(x @ law.free[0].T, units, clipped)
             drawn = [] if fit is None else [_draws(row) for row in moves.bent(fit)]
@@ -345,11 +344,10 @@ def _by_costs(
     moved: Array, B: Array, shape: Array, law: KnownLaw, x: Array, planar: PlanarLaw | None
 ) -> tuple[Array, tuple[float, float]]:
     """Gauges of the candidates that the policy's costs ask for, shape (K, M), and thresholds."""
-    bounded = planar if planar is not None and planar.known else None
     free: Array = np.einsum("imn,sn->sim", law.free, x)
 
     def gauges(width: float) -> Array:
-        offers = free if bounded is None else bounded.of_width(width).offers(x)[:, :, None]
+        offers = free if planar is None else planar.of_width(width).offers(x)[:, :, None]
         residual = moved[:, None] - offers @ B.T
         out: Array = np.maximum((residual @ shape.T).max(axis=2), 0.0)
         return out
@@ -357,7 +355,7 @@ def _by_costs(
     def left(width: float) -> float:
         return float(np.quantile(gauges(width).min(axis=1), BULK))
 
-    if bounded is not None:
+    if planar is not None:
         width = min(WIDTHS, key=left)
         return gauges(width), (width / NEARLY, min(width * NEARLY, 1.0))
     return gauges(1.0), thresholds_above(left(1.0))

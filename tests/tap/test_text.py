@@ -514,7 +514,7 @@ def test_a_session_s_first_steps_are_inferred_without_the_law_that_does_not_hold
     assert min(said) > 0.005  # never sure of another one
 
 
-def test_a_law_that_is_learned_keeps_the_candidates_apart() -> None:
+def test_a_law_that_a_bound_clips_keeps_the_candidates_apart() -> None:
     """The double integrator, whose inputs its bound clips: most keys of lost offers are sure."""
     run = simulate(320, 1000, name="packed-double-integrator", payloads=[b"x" * 20])
     view = View(seed=1000, loss=0.3)
