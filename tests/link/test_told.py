@@ -99,7 +99,7 @@ class Story(RecordedPair):
         if self.scenario.secrecy.scheme != "sealed":
             super()._one_cipher(offer)
 
-    def performer(self, effects: Effects, ports: Ports) -> None:  # type: ignore[override]
+    def performer(self, effects: Effects, ports: Ports) -> None:
         (side,) = [name for name, end in self.ends.items() if end.ports is ports]
         perform(self._noted(side, effects), ports)
 
@@ -269,6 +269,7 @@ def strangers(folder: Path) -> Story:
         loop.hear("controller", mail(SendCommand(id="m", payload=b"x")))
         loop.hear("controller", mail(SendCommand(id="m", payload=b"y")))
     loop.steps(5)
+    session = plant.state.record.session.id
     old = Measurement(session=session, k=1, x=(0.0, 0.0), applied_k=0, x_after=(0.0, 0.0))
     for _ in range(12):
         loop.now += 0.6
@@ -282,7 +283,6 @@ def never_met(folder: Path) -> Story:
     loop = Story(folder, b"once", name="packed")
     for side in SIDES:
         loop.mail[side].clear()
-    hello = loop.controller, loop.plant
     asks = PlantHello(
         instance="e" * 16,
         session="5" * 16,
@@ -297,9 +297,10 @@ def never_met(folder: Path) -> Story:
         instance="d" * 16, incarnation=1, fingerprint="e" * 64, verdict="greeting", session=None
     )
     loop.hear("plant", mail(answers))
-    for end, side in zip(hello, ("controller", "plant"), strict=True):
+    for side in SIDES:
+        end = loop.ends[side].endpoint
         loop.seen.append(f"{side} ends with {end.code}, due {end.wake_at():g}")
-        loop.do(side, end.wake)  # type: ignore[arg-type]
+        loop.do(side, end.wake)
         loop.seen.append(f"{side} ends with {end.code}")
     loop.stop()
     return loop
