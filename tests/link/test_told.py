@@ -271,8 +271,8 @@ def strangers(folder: Path) -> Story:
     loop.steps(5)
     session = plant.state.record.session.id
     old = Measurement(session=session, k=1, x=(0.0, 0.0), applied_k=0, x_after=(0.0, 0.0))
-    for _ in range(12):
-        loop.now += 0.6
+    for _ in range(70):
+        loop.now += 0.05
         loop.hear("controller", mail(old))
     loop.steps(5)
     return loop
