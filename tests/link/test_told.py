@@ -357,6 +357,19 @@ def a_device_acts(folder: Path) -> Story:
     return loop
 
 
+def the_plant_is_over(folder: Path) -> Story:
+    """It has made its steps, and ends when its last report is answered, or after a while."""
+    loop = Story(folder, name="packed", last=6)
+    for lost in (False, True):
+        while loop.plant.code is None:
+            if lost:
+                loop.mail["controller"].clear()
+            loop.next()
+        loop.seen.append(f"ends with {loop.plant.code} at {loop.now:.6g}")
+        loop.die("plant")
+    return loop
+
+
 def of(name: str) -> Callable[[Path], Story]:
     """The same faults in another shipped loop."""
 
@@ -383,6 +396,7 @@ STORIES: list[Callable[[Path], Story]] = [
     keys_are_made,
     keys_differ,
     a_device_acts,
+    the_plant_is_over,
     *map(of, ("sealed", "watched", "encoder", "network", "pendulum", "paper", "st-mpc")),
 ]
 
