@@ -8,6 +8,7 @@ from typing import Any
 
 from protocol.scenario import ScenarioError
 from protocol.statistics import COUNTED
+from protocol.text import aligned
 from runtime.errors import UsageError
 from runtime.run_folder import loops_below
 from tap_service.eavesdroppers import ORACLE
@@ -63,12 +64,7 @@ class ScoredRuns:
     def __str__(self) -> str:
         """A table with a row for each eavesdropper, the verdict, costs and key blocks."""
         r = self.report
-        table = [HEADINGS, *rows(r)]
-        widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-        lines = [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in table
-        ]
+        lines = aligned([HEADINGS, *rows(r)])
         for tap in r.taps:
             told = [*remarks(tap), *map(held_line, tap.keys)]
             lines += [f"{tap.name}: {remark}" for remark in told]
