@@ -100,8 +100,7 @@ def run_session(
     _design(scenario)
     eavesdroppers = eavesdroppers_of(options, scenario)
     attack = _attack(options, scenario)
-    folder = scenario_file_of(options.scenario).parent
-    check_delays(scenario, folder)
+    check_delays(scenario, scenario_file_of(options.scenario).parent)
     run_dir = run_dir_of(options.run_dir)
     traces_of_a_run = (MANIFEST, CONTROLLER_JOURNAL, PLANT_JOURNAL, CAPTURE)
     if any((run_dir / path).exists() for path in traces_of_a_run):
@@ -118,7 +117,7 @@ def run_session(
         if not summary:
             note.close()  # the last screen may stay for long; there is nothing left to join
             supervisor.stop()
-            summary.update(summarise(Run.load(run_dir), payload, folder))
+            summary.update(summarise(Run.load(run_dir), payload))
         return (epilogue or verdict_lines)(summary)
 
     watching = Progress(until_delivered=options.until_delivered, supervisor=supervisor)
