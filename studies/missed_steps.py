@@ -17,7 +17,7 @@ from tap_service.capture.channel import View
 RUNS, SEED = 10, 5
 LOST: Final = 0.03
 """Share of measurements that the network loses, each sent once."""
-TAPS: Final = ("nearest-centre", "list-decoder", "smoother", "text")
+TAPS: Final = ("nearest-centre", "list-decoder", "text")
 
 
 class Condition(NamedTuple):

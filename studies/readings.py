@@ -23,10 +23,7 @@ HEARD: Final = 10
 """So many of the runs are listened to."""
 
 MESSAGE: Final = b"We sail at dawn."
-TAPS: Final = (
-    "set-membership", "nearest-centre", "list-decoder", "fitted-box", "learning", "smoother",
-    "text",
-)  # fmt: skip
+TAPS: Final = ("set-membership", "nearest-centre", "list-decoder", "learning", "text")
 SHOWN: Final = ("nearest-centre", "list-decoder", "learning", "text")
 """Those of the page's table."""
 

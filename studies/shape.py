@@ -13,7 +13,7 @@ from wyner.simulate.engine import simulate_runs, transfer
 
 SEED: Final = 7
 RUNS, STEPS = 10, 600
-TAPS: Final = ("nearest-centre", "fitted-box", "learning")
+TAPS: Final = ("nearest-centre", "learning", "text")
 WIDTHS: Final = (0.96, 0.48, 0.36, 0.24, 0.18, 0.13)
 """Of D_e in x_1, D_c has 0.12; in x_2 it is 0.96 throughout."""
 NEARLY_TWO: Final = 1.9999

@@ -63,5 +63,5 @@ class Text(Reading):
         """The told model; where she hears badly with its widths fitted."""
         assert isinstance(self._told, OutputModel)
         if self.knowledge.noise or not all(t.whole for t in self.kept):
-            return refitted(self._told, self.kept, each=False)
+            return refitted(self._told, self.kept)
         return self._told

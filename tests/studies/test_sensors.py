@@ -68,7 +68,7 @@ def test_a_plant_that_misses_steps_measured_now() -> None:
 
 def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) -> None:
     """A small one: 1 run of 60 steps, the lightest listeners."""
-    for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "smoother"))):
+    for name, value in (("RUNS", 1), ("STEPS", 60), ("TAPS", ("set-membership", "text"))):
         monkeypatch.setattr(outputs, name, value)
     made = (row for c in outputs.CONDITIONS for row in outputs.output_rows(c))
     rows = [dict(zip(outputs.COLUMNS.split(), row, strict=True)) for row in made]
@@ -77,7 +77,7 @@ def test_a_row_of_each_listener_measured_now(monkeypatch: pytest.MonkeyPatch) ->
     ]
     for row in rows:
         assert 0 <= row["later_low"] <= row["later"] / row["keys_of"] <= row["later_high"] <= 1
-        if row["tap"] == "smoother" and row["condition"] == "clear":
+        if row["tap"] == "text" and row["condition"] == "clear":
             assert row["later"] > 0.9 * row["keys_of"]
 
 

@@ -19,7 +19,7 @@ from wyner.runs.check.evidence import read_evidence
 STEPS: Final = 400
 """Three blocks begin within them."""
 
-EAVESDROPPERS: Final = ["nearest-centre", "smoother", "key-solver"]
+EAVESDROPPERS: Final = ["nearest-centre", "text", "key-solver"]
 """One that guesses at once, one that thinks, and the one that solves for keys."""
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from runtime.run_folder import CONTROLLER_TRACE, PLANT_TRACE
 from tests.support.patience import PATIENCE_S, wait_for
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 from tests.system.test_integration import kill_and_see_it_back, status, wyner
 
 pytestmark = [pytest.mark.slow, pytest.mark.integration]
@@ -39,7 +39,7 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
         up.wait()
     found = wyner("check", str(run_dir))
     assert found.returncode == 0, found.stdout
-    steps = list(read_trace(run_dir / PLANT_TRACE).of("transition"))
+    steps = list(events_of(run_dir / PLANT_TRACE, "transition"))
     assert len(steps) > 400
     inside = [
         all(a <= v <= b for a, v, b in zip(t["box"][0], x, t["box"][1], strict=True))
@@ -52,7 +52,7 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
     agreed = [t for t in tested if t["symbol"] >= 0]
     assert len(agreed) > 0.9 * len(tested)
     assert all(t["symbol"] == t["coin"] for t in agreed)
-    theirs = read_trace(run_dir / CONTROLLER_TRACE).of("transition")
+    theirs = events_of(run_dir / CONTROLLER_TRACE, "transition")
     there = {(e["session"], e["j"]): e["box"] for e in theirs}
     both = [t for t in steps if (t["session"], t["j"]) in there]
     assert len(both) > 400

@@ -9,7 +9,7 @@ from runtime.run_folder import PLANT_TRACE
 from runtime.scenario_file import load_scenario
 from runtime.shipped import SCENARIOS
 from tests.support.size import size
-from tests.support.traces import read_trace
+from tests.support.traces import events_of
 from wyner.cli.main import main
 from wyner.simulate.missed import missed_steps
 
@@ -46,7 +46,7 @@ def test_a_live_loop_misses_every_step_that_the_table_takes(name: str, tmp_path:
     (tmp_path / "delays.txt").write_text(DELAYS)
     run = ["up", "--scenario", str(file), "--run-dir", str(run_dir), "--headless"]
     assert main([*run, "--steps", str(STEPS), "--seed", str(SEED)]) == 0
-    made = {e["k"] for e in read_trace(run_dir / PLANT_TRACE).events if e["event"] == "transition"}
+    made = {e["k"] for e in events_of(run_dir / PLANT_TRACE, "transition")}
     taken = missed_steps(
         load_scenario(file), seed=SEED, runs=range(1), steps=STEPS, folder=tmp_path
     )

@@ -38,7 +38,7 @@ OTHERS: dict[Path, dict[str, Any]] = {
     CONTROLLER_STATUS: {"k": 60, "sending": "hi", "queue": 0, "session": "1" * 16, "phase": "x"},
     PLANT_STATUS: {"k": 60, "x": [0.5, 1e-3], "last_message": "", "tail_symbol": [-1, 1]},
     TAP_STATUS: {"t_ns": 0, "first_part": 0, "captured": 120, "dropped": 0},
-    BELIEFS: {"smoother": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
+    BELIEFS: {"text": {"message": "aGk=", "confidence": 0.5, "symbols": [[1, 0], [4, 1]]}},
     SUMMARY: {"delivered": True, "bits_per_second": 1.5, "taps": {"oracle": {"solved_k": 7}}},
     KNOWLEDGE: {"A": [[1.0, 0.0], [0.0, 1.0]], "alpha": None, "noise": 0.0},
 }
