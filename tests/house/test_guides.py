@@ -149,7 +149,6 @@ def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path
         "own.toml",
         "--pace",
         "fast",
-        "--headless",
         "--run-dir",
         "run",
         "--message",

@@ -131,7 +131,7 @@ def test_what_is_installed_and_no_more(wheel: Path) -> None:
 
 def test_a_run(installed: Installed) -> None:
     out = installed.run(
-        *("up", "--scenario", "sustained", "--pace", "fast", "--until-delivered", "--headless"),
+        *("up", "--scenario", "sustained", "--pace", "fast", "--until-delivered"),
         *("--message", "Hi"),
     )
     assert "bits by the paper's rule. True: at most" in out

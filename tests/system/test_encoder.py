@@ -23,7 +23,7 @@ def test_an_encoder_carries_keys_while_processes_are_killed(tmp_path: Path) -> N
     up = subprocess.Popen(
         [
             *(sys.executable, "-m", "wyner.cli.main", "up", "--scenario", "encoder"),
-            *("--pace", "x2", "--headless", "--run-dir", str(run_dir)),
+            *("--pace", "x2", "--run-dir", str(run_dir)),
         ],
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,

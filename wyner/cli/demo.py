@@ -80,7 +80,7 @@ def run_demo(args: argparse.Namespace) -> int:
     Parameters
     ----------
     args : argparse.Namespace
-        Of ``wyner up``: ``headless``, ``json`` and ``run_dir`` are used.
+        Of ``wyner up``: ``json`` and ``run_dir`` are used.
     """
     told = _acts(args)
     if told.interrupted:
@@ -169,7 +169,6 @@ def _options(args: argparse.Namespace, scenario: str, folder: Path, slower: int)
         pace=f"x{PACE / slower:g}",
         steps=MOST_STEPS,
         until_delivered=True,
-        headless=args.headless,
         json=args.json,
     )
 
