@@ -124,41 +124,19 @@ def law_scenario(folder: Path, law: str) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.integration
-def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(tmp_path: Path) -> None:
+def test_the_law_of_the_page_runs_in_every_process_and_passes_the_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     program("A control law of your own", tmp_path, "nearer.py")
     table("A control law of your own", tmp_path, "law.toml")
     law_scenario(tmp_path, "nearer.py:Nearer")
-
-    def wyner(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run(
-            [sys.executable, "-m", "wyner.cli.main", *arguments],
-            capture_output=True,
-            text=True,
-            timeout=300,
-            check=False,
-            cwd=tmp_path,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
-        )
-
-    designed = wyner("design", "own.toml", "--json")
-    assert designed.returncode == 0, designed.stderr
-    assert json.loads(designed.stdout)["law"] == "nearer.py:Nearer"
-    up = wyner(
-        "up",
-        "--scenario",
-        "own.toml",
-        "--pace",
-        "fast",
-        "--run-dir",
-        "run",
-        "--message",
-        "Hi",
-        "--until-delivered",
-    )
-    assert up.returncode == 0, up.stdout + up.stderr
-    check = wyner("check", "run")
-    assert check.returncode == 0, check.stdout
-    assert "PASS  admissible" in check.stdout
+    monkeypatch.chdir(tmp_path)
+    assert main(["design", "own.toml", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["law"] == "nearer.py:Nearer"
+    up = ["up", "--scenario", "own.toml", "--pace", "fast", "--run-dir", "run"]
+    assert main([*up, "--message", "Hi", "--until-delivered"]) == 0
+    assert main(["check", "run"]) == 0
+    assert "PASS  admissible" in capsys.readouterr().out
 
 
 def test_the_eavesdropper_of_the_page_reads_the_message(tmp_path: Path) -> None:

@@ -30,7 +30,7 @@ from protocol.link.step import Answered
 from protocol.messages import FIELD, Measurement, Message, Offer, SendCommand
 from protocol.scenario import Attack, Scenario, parse_scenario
 from protocol.secret.blocks import ClosedBlock
-from runtime.health_files import HealthFiles
+from runtime.health import HealthFiles
 from runtime.pace import Pace
 from runtime.ports import LoopPorts
 from runtime.recording import Bounds, TraceWriter

@@ -1,4 +1,4 @@
-"""Sweeps: the grid, additive rows, the stopping rule, resuming, and every executor alike."""
+"""Sweeps: the grid, additive rows, resuming, and every executor alike."""
 
 import json
 import os
@@ -198,8 +198,8 @@ def test_rows_add_up_to_the_same_whatever_the_batch(tmp_path: Path) -> None:
     )
     three = summarise(rows_of(small(tmp_path), tmp_path / "b.csv"))
     for a, b in zip(one, three, strict=True):
-        assert (a.runs, a.counts, a.histogram) == (30, b.counts, b.histogram)
-        assert a.rate == b.rate
+        assert (a.runs, a.counts) == (30, b.counts)
+        assert (a.rate, a.shares) == (b.rate, b.shares)
         for name in a.sums:
             assert a.sums[name] == pytest.approx(b.sums[name], rel=1e-12)
 
@@ -285,22 +285,6 @@ def test_a_worker_with_other_code_is_told(
     assert output.read_bytes().count(b"\n") == 1, "the header alone"
 
 
-def test_points_stop_when_their_interval_is_narrow_or_the_runs_end(tmp_path: Path) -> None:
-    extra = "\n[stop]\nrelative_width = 0.25\nmax_runs = 75\n"
-    text = TEXT.replace('"secrecy.alpha" = [1.0, 3.0, 8.0]', '"secrecy.alpha" = [8.0]')
-    text = text.replace("runs = 30", "runs = 10")
-    narrow = summarise(rows_of(small(tmp_path, extra, text), tmp_path / "a.csv"))
-    for summary in narrow:
-        assert summary.runs in (10, 20, 40, 75)
-        assert summary.runs == 75 or summary.rate_at_every_look.relative_width <= 0.25
-    assert min(summary.runs for summary in narrow) < 75
-    # A rate of zero never has a narrow interval: the limit ends it, with the last batch cut short.
-    never = text.replace("[8.0]", "[1.0]")
-    assert {
-        s.runs for s in summarise(rows_of(small(tmp_path, extra, never), tmp_path / "b.csv"))
-    } == {75}
-
-
 # --- stopping and going on -----------------------------------------------------------------------
 
 
@@ -331,7 +315,7 @@ def test_a_short_batch_is_completed(tmp_path: Path, before: int, after: int, bat
     assert {s.runs for s in summarise(few)} == {before}
     for s, whole in zip(more, summarise(rows(after, "b.csv")), strict=True):
         assert s.runs == whole.runs == after
-        assert (s.counts, s.histogram, s.rate) == (whole.counts, whole.histogram, whole.rate)
+        assert (s.counts, s.rate, s.shares) == (whole.counts, whole.rate, whole.shares)
         for name in s.sums:
             assert s.sums[name] == pytest.approx(whole.sums[name], rel=1e-12)
     kept = (tmp_path / "a.csv").read_bytes()

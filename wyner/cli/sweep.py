@@ -99,9 +99,8 @@ def run(args: argparse.Namespace) -> int:
     ours = {p.key for p in points}
     summaries = summarise(row for row in results.rows if key_of(row) in ours)
     rates = output.with_name(f"{output.stem}-rates.csv")
-    stopped = sweep.stop is not None
     if summaries:
-        write_ready(rates, ready_rows(summaries, sweep.columns, stopped=stopped))
+        write_ready(rates, ready_rows(summaries, sweep.columns))
     found = FoundBySweep(
         name=sweep.name,
         output=output,
@@ -110,7 +109,6 @@ def run(args: argparse.Namespace) -> int:
         rows=len(results.rows),
         new=len(results.rows) - before,
         points=summaries,
-        stopped=stopped,
     )
     show(found, args)
     for line in failures:

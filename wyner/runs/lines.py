@@ -250,11 +250,10 @@ class OtherLine(NamedTuple):
 
 
 class Again(NamedTuple):
-    """A transition that was written a second time, after a restart; or ``kept`` in a journal."""
+    """A transition that was written a second time, after a restart."""
 
     before: TracedTransition
     after: TracedTransition
-    kept: bool
 
 
 class Break(NamedTuple):

@@ -9,7 +9,7 @@ import itertools
 import json
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Final, Self
 
@@ -52,13 +52,6 @@ class _Part(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class Stop(_Part):
-    """When a point has enough runs: its rate's interval is this narrow, or the limit is reached."""
-
-    relative_width: Annotated[float, Field(gt=0)]
-    max_runs: Annotated[int, Field(ge=1)]
-
-
 class Variant(_Part):
     """Fields that are set together, under one name."""
 
@@ -83,7 +76,7 @@ class Sweep(_Part):
     scenario : str or list of str
         Shipped names, or paths relative to the file.
     runs : int
-        Runs of each point; with a stopping rule, runs of the first look.
+        Runs of each point.
     batch : int
         Runs of one task at most.
     steps, seed : int
@@ -95,7 +88,6 @@ class Sweep(_Part):
         Who listens to every run, as ``wyner tap --eavesdropper`` takes them; each run then sends
         ``message`` again and again. Paths are relative to the file.
     message : str
-    stop : Stop, optional
     """
 
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=64)]
@@ -109,7 +101,6 @@ class Sweep(_Part):
     variant: tuple[Variant, ...] = (Variant(label=""),)
     eavesdroppers: tuple[str, ...] = ()
     message: Annotated[str, Field(min_length=1, max_length=1000)] = "At nine."
-    stop: Stop | None = None
     quick: Quick = Quick()
 
     @model_validator(mode="after")
@@ -133,14 +124,9 @@ class Sweep(_Part):
         several = not isinstance(self.scenario, str) and len(self.scenario) > 1
         return (FILE, *self.grid) if several else tuple(self.grid)
 
-    @property
-    def limit(self) -> int:
-        """Runs that no point needs more than."""
-        return max(self.runs, self.stop.max_runs if self.stop else 0)
-
     def quickly(self) -> "Sweep":
-        """The same grid with few runs and no stopping rule."""
-        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps, "stop": None}
+        """The same grid with few runs."""
+        changes = {"runs": self.quick.runs, "steps": self.quick.steps or self.steps}
         return self.model_copy(update=changes)
 
 
@@ -353,13 +339,9 @@ def _task(sweep: Sweep, scenario: Scenario) -> str:
 
 @dataclass
 class Group:
-    """Points that differ in alpha only, and share their trajectories.
-
-    ``done`` has the rows of each task's batches, by number.
-    """
+    """Points that differ in alpha only, and share their trajectories."""
 
     points: list[Point]
-    done: dict[tuple[str, int], list[Row]] = field(default_factory=dict)
     failure: str = ""
 
 
