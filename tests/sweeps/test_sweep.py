@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from runtime.shipped import SCENARIOS, scenario_file_of
+from runtime.shipped import scenario_file_of
 from tests.support.patience import PATIENCE_S
 from wyner import api
 from wyner.cli.main import main
@@ -93,34 +93,6 @@ def test_the_task_names_all_that_the_numbers_depend_on_and_nothing_else(tmp_path
     assert task(TEXT.replace("runs = 30", "runs = 50")) == first
     for change in (("steps = 40", "steps = 41"), ("seed = 3", "seed = 4"), ("[1.0,", "[1.25,")):
         assert task(TEXT.replace(*change)) != first, change
-
-
-def test_measured_delays_are_looked_for_beside_the_scenario_and_name_the_task(
-    tmp_path: Path,
-) -> None:
-    """Another file is another task; the same one elsewhere is not."""
-    text = (SCENARIOS / "sustained.toml").read_text(encoding="utf-8")
-    way = '[network.to_plant]\ndelay = "measured"\nfile = "delays.txt"\n'
-    grid = '"network.to_plant.loss" = [0.0, 1.0]\n'
-    task = {}
-    for place, delays in (("one", "0.01\n0.3\n"), ("two", "0.01\n0.3\n"), ("three", "0.02\n")):
-        folder = tmp_path / place
-        folder.mkdir()
-        (folder / "traced.toml").write_text(f"{text}\n{way}", encoding="utf-8")
-        (folder / "delays.txt").write_text(delays, encoding="utf-8")
-        path = small(folder, grid, TEXT.replace('"sustained"', '"traced.toml"'))
-        points = points_of(load_sweep(path), folder)
-        task[place] = {point.task for point in points}
-    assert task["one"] == task["two"]
-    assert not task["one"] & task["three"]
-    carried = {False: 0, True: 0}
-    for row in rows_of(path, tmp_path / "out.csv"):
-        carried[json.loads(row["network.to_plant.loss"]) == 1.0] += row["message_symbols"]
-    assert carried[False] > 0 == carried[True]
-    (folder / "delays.txt").write_text("0.01\nsoon\n", encoding="utf-8")
-    with pytest.raises(SweepError, match="delay 2: got soon, expected seconds") as refused:
-        points_of(load_sweep(path), folder)
-    assert len(refused.value.problems) == 1
 
 
 def test_what_the_tap_loses_makes_points_where_somebody_goes_for_keys(tmp_path: Path) -> None:

@@ -17,9 +17,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from protocol.scenario import Scenario, ScenarioError, describe_errors, parse_scenario, set_field
 from protocol.schemes.registry import scheme_named
-from runtime.errors import UsageError
 from runtime.files import read_regular
-from runtime.network import check_delays, measured_delays
 from runtime.scenario_file import load_scenario, others_than
 from runtime.shipped import SCENARIOS
 from wyner.simulate import UNATTACKED, UNSEALED
@@ -192,26 +190,11 @@ def canonical(value: object) -> str:
 
 
 def _substance(scenario: Scenario) -> dict[str, Any]:
-    """What of a scenario the numbers depend on; a field that is left as it is names nothing new.
-
-    Of measured delays that is what their file says, wherever it lies.
-    """
+    """What of a scenario the numbers depend on; a field that is left as it is names nothing new."""
     neutral = NEUTRAL if scenario.network is None else NEUTRAL - {"link"}
-    data = scenario.model_dump(
+    return scenario.model_dump(
         mode="json", exclude=set(neutral), exclude_none=True, exclude_defaults=True
     )
-    for name, way in _measured(data):
-        way["file"] = _hash(measured_delays(getattr(scenario.network, name), Path()))
-    return data
-
-
-def _measured(data: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
-    """The directions of a scenario's network whose delays are a file's, in its fields."""
-    network = data.get("network")
-    ways = network.items() if isinstance(network, dict) else ()
-    return [
-        (n, way) for n, way in ways if isinstance(way, dict) and isinstance(way.get("file"), str)
-    ]
 
 
 def _hash(value: object) -> str:
@@ -263,12 +246,12 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
     known: dict[tuple[str, str, str], str] = {}
     points = []
     for name, variant in itertools.product(names, sweep.variant):
-        path, base = _scenario(folder, name)
+        base = _scenario(folder, name)
         where = f"{sweep.name}: {name}" + (f", {variant.label}" if variant.label else "")
         for values in itertools.product(*sweep.grid.values()):
             fields = dict(zip(sweep.grid, values, strict=True))
             try:
-                scenario = _changed(base, variant.set | fields, path.parent, where)
+                scenario = _changed(base, variant.set | fields, where)
             except SweepError as error:
                 problems |= dict.fromkeys(error.problems)
                 continue
@@ -286,17 +269,17 @@ def points_of(sweep: Sweep, folder: Path) -> list[Point]:
     return points
 
 
-def _scenario(folder: Path, name: str) -> tuple[Path, Scenario]:
-    """A scenario of a sweep in ``folder``, or else a shipped one; and where it is looked for."""
+def _scenario(folder: Path, name: str) -> Scenario:
+    """A scenario of a sweep in ``folder``, or else a shipped one."""
     path, shipped = folder / name, SCENARIOS / f"{name}.toml"
     try:
-        return path, load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
+        return load_scenario(shipped if not path.is_file() and shipped.is_file() else path)
     except ScenarioError as error:
         raise SweepError(error.problems) from None
 
 
-def _changed(base: Scenario, settings: dict[str, Any], folder: Path, where: str) -> Scenario:
-    """A scenario with some fields set; files of delays are looked for beside it.
+def _changed(base: Scenario, settings: dict[str, Any], where: str) -> Scenario:
+    """A scenario with some fields set.
 
     Raises
     ------
@@ -309,16 +292,10 @@ def _changed(base: Scenario, settings: dict[str, Any], folder: Path, where: str)
             set_field(data, field_path, value)
     except ScenarioError as error:
         raise SweepError(f"{where}: {error}") from None
-    for _, way in _measured(data):
-        way["file"] = str((folder / way["file"]).resolve())
     try:
-        scenario = parse_scenario(data, where)
-        check_delays(scenario, Path())
+        return parse_scenario(data, where)
     except ScenarioError as error:
         raise SweepError(error.problems) from None
-    except UsageError as error:
-        raise SweepError(error.lines) from None
-    return scenario
 
 
 def _unlike(sweep: Sweep, scenario: Scenario, where: str) -> Iterator[str]:

@@ -4,7 +4,6 @@ import base64
 import math
 from collections.abc import Sequence
 from contextlib import suppress
-from pathlib import Path
 from textwrap import wrap
 from typing import Any, Final
 
@@ -15,7 +14,6 @@ from protocol.link.session import rules_of
 from protocol.relabelling import in_words
 from protocol.statistics import COUNTED, Interval
 from protocol.text import readable
-from runtime.errors import UsageError
 from runtime.recording import TraceError
 from wyner.runs.lines import TRANSITION
 from wyner.runs.run import Run
@@ -54,10 +52,8 @@ SHOWN_PAIRS: Final = 5
 """The same for people, after the first."""
 
 
-def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]:
+def summarise(run: Run, payload: bytes) -> dict[str, Any]:
     """What a run came to, from its traces.
-
-    The network's measured delays are looked for in the folder ``delays``.
 
     ``sent`` and ``recovered`` are exact where the message is text (``*_base64`` always).
     ``recovered`` is what arrived of ``payload``; ``delivered_k`` is the step at which the plant had
@@ -116,7 +112,7 @@ def summarise(run: Run, payload: bytes, delays: Path = Path()) -> dict[str, Any]
         "seconds": seconds,
         "transitions": transitions,
         "missed": steps - transitions,
-        "missed_by_network": missed_by_network(run, rows["k"][~made].tolist(), steps, delays),
+        "missed_by_network": missed_by_network(run, rows["k"][~made].tolist(), steps),
         "control_cost": mean_cost(rows, scenario.cost_weights),
         "agreements": agreements,
         "symbol_errors": wrong,
@@ -162,22 +158,16 @@ def _secrecy(run: Run, claimed: float) -> dict[str, Any]:
     }
 
 
-def missed_by_network(run: Run, without: Sequence[int], steps: int, delays: Path) -> int | None:
+def missed_by_network(run: Run, without: Sequence[int], steps: int) -> int | None:
     """How many of the steps without an offer the network's table takes, however fast the machine.
 
-    None without a table, in lock-step, where a step waits for its offer, and of long runs; also
-    where the file of measured delays is not in the folder ``delays``.
+    None without a table, in lock-step, where a step waits for its offer, and of long runs.
     """
     scenario, told = run.scenario, run.manifest or {}
     if scenario.network is None or told.get("pace") == LOCKSTEP or not 0 < steps <= MOST_STEPS:
         return None
     seed = told.get("seed")
-    try:
-        taken = missed_steps(
-            scenario, seed=int(seed or 0), runs=range(1), steps=steps, folder=delays
-        )
-    except UsageError:
-        return None
+    taken = missed_steps(scenario, seed=int(seed or 0), runs=range(1), steps=steps)
     assert taken is not None
     return sum(bool(taken[k, 0]) for k in without if k < steps)
 
