@@ -209,7 +209,7 @@ def _keys(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
 
 
 def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """The same with a tap that hears all: nothing may be claimed of her, and no key comes out."""
+    """The same with a tap that hears all: nothing may be claimed of it, and no key comes out."""
     changes = {**HEARS_ALL, "keys.eps_E": 0.0}
     with _scenario("wired-tap", "keys", changes) as scenario:
         options = _options(args, scenario, folder, told.slower)
@@ -226,7 +226,7 @@ def _control(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
 
 
 def _caught(args: argparse.Namespace, folder: Path, told: _Outcome) -> Act:
-    """A ghost at the sensor; the key that chooses the plant's input is secret from her."""
+    """A ghost at the sensor; Eve does not have the key that chooses the input."""
     with _scenario("secret-key", "watched", LISTENED) as scenario:
         options = _attacked(args, scenario, folder, told.slower)
         outcome = run_session(options, stays=False, title=TITLES["caught"])
